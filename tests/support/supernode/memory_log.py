@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from enum import Enum
 
+from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     LogUnavailable,
@@ -87,6 +88,9 @@ class MemoryLog:
         self.read_waits.set()
         await self.reads_may_end.wait()
         return self.index
+
+    def write_times(self) -> Durations:
+        return Durations(())
 
     def status(self) -> ReplicationStatus:
         leads = self.leader_id == SELF.member_id

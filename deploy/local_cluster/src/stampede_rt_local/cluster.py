@@ -29,7 +29,9 @@ class LocalCluster:
     temporary one; it is None if no service needs it. By default `secret_file` is made in it. With `tls` all ports ask
     for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is given. The first hosts
     run in the namespaces `host_namespaces`, which must reach `listen`. These cannot be used with `tls`, because its
-    certificates are for one address. `on_line` and `on_exit`: see ServiceProcess.
+    certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
+    front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
+    `metrics` has the address of each service, by its title. `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class LocalCluster:
         allow_insecure_anywhere: bool = False,
         host_namespaces: Sequence[NetworkNamespace] = (),
         log_level: str = "info",
+        metrics: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
@@ -71,6 +74,9 @@ class LocalCluster:
             self._shared += ["--secret-file", str(self.secret.path)]
         if allow_insecure_anywhere:
             self._shared.append("--allow-insecure-anywhere")
+        self._next_metrics = parse_address(metrics) if metrics else None
+        self._free_metrics = self._next_metrics is not None and self._next_metrics.port == 0
+        self.metrics: dict[str, str] = {}
         ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
         self.supernodes = self._plan_supernodes(ports[:supernodes])
         self.frontends = self._plan_frontends(ports[supernodes:])
@@ -154,9 +160,19 @@ class LocalCluster:
     def _process(
         self, role: Role, name: str, module: str, *arguments: str, namespace: NetworkNamespace | None = None
     ) -> ServiceProcess:
-        words = [*arguments, *self._tls_arguments(role, name), *self._shared]
         title = f"{_TITLES[role]} {name}"
+        words = [*arguments, *self._tls_arguments(role, name), *self._metrics_arguments(title), *self._shared]
         return ServiceProcess(title, module, words, on_line=self._on_line, on_exit=self._on_exit, namespace=namespace)
+
+    def _metrics_arguments(self, title: str) -> list[str]:
+        place = self._next_metrics
+        if place is None:
+            return []
+        if self._free_metrics:
+            place = Address(place.host, free_ports(1, place.host)[0])
+        self._next_metrics = Address(place.host, place.port + 1)
+        self.metrics[title] = str(place)
+        return ["--metrics", str(place)]
 
     def _tls_arguments(self, role: Role, name: str) -> list[str]:
         if self.certificates is None:

@@ -58,6 +58,15 @@ class DevSettings:
             help="listen beyond this machine without encryption, although the whole network can read the items"
         ),
     )
+    metrics: str = field(
+        default="",
+        metadata=setting(
+            metavar="HOST:PORT",
+            parse=parse_address_text,
+            help="serve metrics for Prometheus: the first supernode at this address; the other supernodes, the "
+            "front-end and the hosts at the next ports, in this order",
+        ),
+    )
     log_level: str = field(
         default="warning",
         metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above"),
@@ -112,6 +121,7 @@ def _run(settings: DevSettings, began: float) -> int:
         secret_file=settings.secret_file or secret_file(),
         allow_insecure_anywhere=settings.allow_insecure_anywhere,
         log_level=settings.log_level,
+        metrics=settings.metrics,
         on_line=pass_on,
         on_exit=ended.put,
     )
@@ -150,6 +160,8 @@ def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> st
     where = "" if default else f'"{address}"'
     export = "" if default else f"  export STAMPEDE_URL={address}\n"
     export += f"  export STAMPEDE_SECRET_FILE={cluster.secret_file}\n" if settings.secret_file else ""
+    metrics = "".join(f"  {title}: http://{where}/metrics\n" for title, where in cluster.metrics.items())
+    metrics = f"Metrics for Prometheus:\n\n{metrics}\n" if metrics else ""
     parts = f"{_count(settings.supernodes, 'supernode')}, {_count(settings.hosts, 'host')}, 1 front-end"
     return f"""\
 Stampede RT is ready at {address} ({parts}; {seconds:.1f} s).
@@ -171,7 +183,7 @@ In Python:
       left.put(b"hello")
       print(left.newest())
 
-Ctrl-C stops it."""
+{metrics}Ctrl-C stops it."""
 
 
 def _count(number: int, noun: str) -> str:

@@ -26,6 +26,7 @@ from stampede_rt_runtime.garbage import GarbageCollection
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
+from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.routes import address_towards
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import SettingsError
@@ -68,6 +69,12 @@ class _Service:
             self._credentials.tls.require_address(advertise)
         await self._server.start()
         local = await self._listen_locally()
+        sources = host.metrics(settings.metrics_names).collect
+        async with serving_metrics(settings.metrics_address(), "host", self._server, sources):
+            return await self._run(host, address, advertise, local)
+
+    async def _run(self, host: ChannelHost, address: str, advertise: str, local: str) -> int:
+        """Enter the cluster, and serve until a stop signal. Returns the exit code."""
         running = asyncio.create_task(self._server.run(host.leave))  # from here on the host handles stop signals
         entering = asyncio.create_task(host.enter(advertise, local_target=local))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)

@@ -33,6 +33,7 @@ from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
 from stampede_rt_channel_host.groups.reading import GroupReads
 from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_channel_host.metrics.host_metrics import HostMetrics
 from stampede_rt_channel_host.queues.dead_letters import DeadLetterMover
 from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -137,6 +138,10 @@ class ChannelHost:
         )
         mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)
         return queues, mover
+
+    def metrics(self, names: str) -> HostMetrics:
+        """The host's metrics. `names`: the pattern of the channels, queues and groups with metrics of their own."""
+        return HostMetrics(self.store, self.queues, self.groups, self._lease, names=names)
 
     def add_to(self, server: grpc.aio.Server) -> None:
         """Serve the gatekeeper and the data services on `server`."""

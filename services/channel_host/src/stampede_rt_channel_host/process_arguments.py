@@ -27,6 +27,8 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
         own["--name"] = f"{base_name}-{number}"
     if settings.listen:
         own["--listen"] = _with_own_port(settings.listen, number)
+    if settings.metrics:
+        own["--metrics"] = _with_own_port(settings.metrics, number)
     if settings.advertise:
         own["--advertise"] = _with_own_port(settings.advertise, number)
     if settings.data_dir is not None:

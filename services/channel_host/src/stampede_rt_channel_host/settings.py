@@ -87,6 +87,14 @@ class HostSettings(ServiceSettings):
             "several processes have equal parts of it",
         ),
     )
+    metrics_names: str = field(
+        default="*",
+        metadata=setting(
+            metavar="GLOB",
+            help="with --metrics: the channels, queues and groups that may have metrics of their own, at most 100 of "
+            'each, the busiest first; "" for none',
+        ),
+    )
     processes: int = field(
         default=1,
         metadata=setting(
@@ -95,8 +103,8 @@ class HostSettings(ServiceSettings):
             minimum=1,
             maximum=PROCESSES_MAX,
             help='how many host processes to run; "auto": one for each core; with 2 or more the hosts are NAME-0, '
-            "NAME-1, ..., their ports count up from that of --listen and --advertise, and each has a folder of its own "
-            f"in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands for the number",
+            "NAME-1, ..., their ports count up from those of --listen, --advertise and --metrics, and each has a "
+            f"folder of its own in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands for the number",
         ),
     )
 
@@ -113,7 +121,7 @@ class HostSettings(ServiceSettings):
         last = self.processes - 1
         if self.name and not re.fullmatch(NAME_GRAMMAR, f"{self.name}-{last}"):
             raise ValueError(f"--name is {self.name!r}, too long for a name of each process; take a shorter one")
-        for flag, text in (("--listen", self.listen), ("--advertise", self.advertise)):
+        for flag, text in (("--listen", self.listen), ("--advertise", self.advertise), ("--metrics", self.metrics)):
             if text and parse_address(text).port + last > 65535:
                 raise ValueError(f"{flag} {text} leaves no ports for {self.processes} processes; take a lower port")
         if self.memory_bytes_max // self.processes < MEMORY_BYTES_MIN:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt.v1 import frontend_service_pb2_grpc
+from stampede_rt_frontend.metrics import FrontendMetrics
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.roster import SUPERNODES_MAX, SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
@@ -13,6 +14,7 @@ from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import ServiceSettings, announce, run_service
+from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address_text, parse_list, parse_target
@@ -58,10 +60,12 @@ async def serve(settings: FrontendSettings) -> None:
         servicer = FrontendServicer(roster, prober, SystemClock(), server.access, default_zone=settings.zone)
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)
         address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
-        await server.start()
-        await server.set_serving(True)
-        announce(f"stampede frontend ready on {address}")
-        await server.run()
+        metrics = FrontendMetrics(roster, prober, servicer)
+        async with serving_metrics(settings.metrics_address(), "frontend", server, metrics.collect):
+            await server.start()
+            await server.set_serving(True)
+            announce(f"stampede frontend ready on {address}")
+            await server.run()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,13 +7,14 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from itertools import islice
-from time import perf_counter_ns
+from time import perf_counter_ns, time_ns
 
 import grpc
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_frontend.access_follower import AccessFollower
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import MemberList, ProbeAnswer, SupernodeRoster
@@ -79,6 +80,11 @@ class Prober:
                     finally:
                         self._waiting.pop(healthy, None)
         return self._roster.any_healthy()
+
+    @property
+    def waiting(self) -> int:
+        """The number of callers that wait for a supernode that can serve."""
+        return len(self._waiting)
 
     def _wake_some(self) -> None:
         """Wake some of the callers, those that wait longest first, because a supernode can serve.
@@ -158,7 +164,7 @@ def _log_defect(task: asyncio.Task[None]) -> None:
 
 async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> ProbeAnswer:
     connected = channel.get_state() is grpc.ChannelConnectivity.READY
-    began = perf_counter_ns()
+    began, sent_unix_nano = perf_counter_ns(), time_ns()
     said = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_DEADLINE_SECONDS)
     took = perf_counter_ns() - began
     return ProbeAnswer(
@@ -168,6 +174,12 @@ async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.Dire
         round_trip_nanos=took if connected else None,
         former_cluster_ids=tuple(said.former_cluster_ids),
         access_version=said.access.version,
+        clock=ClockOffset.measured(
+            sent_unix_nano=sent_unix_nano,
+            took_nanos=took,
+            told_unix_nano=said.time_unix_nano,
+            supernode=said.supernode_id,
+        ),
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from stampede_rt.cluster.cluster_ids import may_change_to
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_frontend.ranking import Supernode, smooth
 
 SUPERNODES_MAX = 64  # probed at the same time; a consensus group has 3 to 7 members
@@ -20,7 +21,7 @@ class ProbeAnswer:
     """The answer of one supernode to a probe. `ready`: it can serve.
 
     `round_trip_nanos` is None if the probe had to make the connection first. `access_version`: the version of the
-    supernode's access state.
+    supernode's access state. `clock`: how far this front-end's clock is ahead of the supernode's.
     """
 
     supernode_id: str
@@ -29,6 +30,7 @@ class ProbeAnswer:
     round_trip_nanos: int | None
     former_cluster_ids: tuple[str, ...] = ()
     access_version: int = 0
+    clock: ClockOffset | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,6 +54,8 @@ class SupernodeRoster:
     seeds: tuple[str, ...]
     cluster_id: str = ""
     former_cluster_ids: tuple[str, ...] = ()  # of the clusters that this cluster has replaced
+    clocks: dict[str, ClockOffset] = field(init=False, default_factory=dict)
+    """How far this front-end's clock is ahead of that of each supernode that answers, by target."""
     _nodes: dict[str, Supernode] = field(init=False)
     _failures: dict[str, str] = field(init=False, default_factory=dict)  # target -> why its last probe failed
     _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members of the last list: target -> id
@@ -81,6 +85,8 @@ class SupernodeRoster:
         measured = answer.round_trip_nanos
         trip = node.round_trip_nanos if measured is None else smooth(node.round_trip_nanos, measured)
         self._failures.pop(target, None)
+        if answer.clock is not None:
+            self.clocks[target] = answer.clock
         self._nodes[target] = replace(
             node, supernode_id=answer.supernode_id, answered=True, healthy=answer.ready, round_trip_nanos=trip
         )
@@ -102,6 +108,7 @@ class SupernodeRoster:
         self._listed = {one.target: one.supernode_id for one in members.members}
         wanted = [*self.seeds, *(target for target in reported if target not in self.seeds)][:SUPERNODES_MAX]
         self._nodes = {target: self._merged(target, reported.get(target)) for target in wanted}
+        self.clocks = {target: clock for target, clock in self.clocks.items() if target in self._nodes}
 
     def _note_zones(self, members: MemberList) -> None:
         """Take over the zones in a member list, even in an old one.
@@ -136,6 +143,10 @@ class SupernodeRoster:
                 states[target] = None if node.healthy else unready if node.answered else self._failures[target]
         return states
 
+    def round_trips(self) -> dict[str, int]:
+        """The smoothed round trips in nanoseconds, by target."""
+        return {one: node.round_trip_nanos for one, node in self._nodes.items() if node.round_trip_nanos is not None}
+
     def any_healthy(self) -> bool:
         """Whether at least one supernode says that it can serve."""
         return any(node.healthy for node in self._nodes.values())
@@ -166,6 +177,7 @@ class SupernodeRoster:
 
     def _fail(self, node: Supernode, why: str) -> None:
         self._failures[node.target] = why
+        self.clocks.pop(node.target, None)
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, reported: Supernode | None) -> Supernode:

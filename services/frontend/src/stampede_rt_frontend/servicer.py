@@ -35,6 +35,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
         self._access = access
         self._clock = clock
         self._default_zone = default_zone
+        self.binds = 0  # the calls of `Bind` so far
 
     @errors_as_status
     async def Bind(  # noqa: N802 - the name of the RPC
@@ -45,6 +46,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
         Raises VersionMismatch for a caller of another protocol version. Raises Unavailable (NO_QUORUM) if no supernode
         answers, or if the caller cannot call their addresses.
         """
+        self.binds += 1
         _check_version(request)
         await self._prober.wait_healthy(WAIT_SECONDS_MAX)
         response = self._respond(request.zone or self._default_zone)

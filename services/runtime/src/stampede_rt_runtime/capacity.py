@@ -103,9 +103,9 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
     check the caller.
     """
 
-    def __init__(self, limits: Limits, refused: RefusedCalls) -> None:
+    def __init__(self, slots: Slots, refused: RefusedCalls) -> None:
         """`refused` counts the calls refused here, and all other calls that end with Overloaded."""
-        self._slots = Slots(limits)
+        self._slots = slots
         self._refused = refused
 
     async def intercept_service(

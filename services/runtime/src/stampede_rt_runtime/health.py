@@ -38,6 +38,11 @@ class Health:
         }
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
 
+    @property
+    def is_serving(self) -> bool:
+        """Whether the service is ready."""
+        return bool(self._status == STATUS.SERVING)
+
     async def set_serving(self, serving: bool) -> None:
         """Set the answer. After `end` it does not change any more."""
         if not self._is_ending:

@@ -21,10 +21,10 @@ class NotAllowed(CannotListen):
     """Other machines can reach the address, and no setting allows that."""
 
 
-def check_listen(text: str, *, allow_insecure_anywhere: bool) -> Address:
+def check_listen(text: str, *, allow_insecure_anywhere: bool, flag: str = "--listen") -> Address:
     """The address, if it is loopback or allowed, and free. May block for a moment, to resolve a name.
 
-    Raises NotAllowed or CannotListen.
+    `flag`: the flag of the address, for error texts. Raises NotAllowed or CannotListen.
     """
     address = parse_address(text)
     socket_addresses = _resolve(address)
@@ -35,8 +35,13 @@ def check_listen(text: str, *, allow_insecure_anywhere: bool) -> Address:
             "trust, add --allow-insecure-anywhere"
         )
     for family, socket_address in socket_addresses:
-        _try_bind(address, family, socket_address)
+        _try_bind(address, family, socket_address, flag)
     return address
+
+
+def is_loopback_address(address: Address) -> bool:
+    """Whether only this machine can reach the address. May block for a moment. Raises CannotListen."""
+    return all(_is_loopback(socket_address) for _, socket_address in _resolve(address))
 
 
 def _resolve(address: Address) -> list[tuple[socket.AddressFamily, tuple[str, int]]]:
@@ -51,7 +56,7 @@ def _is_loopback(socket_address: tuple[str, int]) -> bool:
     return ipaddress.ip_address(socket_address[0].partition("%")[0]).is_loopback
 
 
-def _try_bind(address: Address, family: socket.AddressFamily, socket_address: tuple[str, int]) -> None:
+def _try_bind(address: Address, family: socket.AddressFamily, socket_address: tuple[str, int], flag: str) -> None:
     try:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             # as gRPC does: old connections do not block the port
@@ -62,14 +67,14 @@ def _try_bind(address: Address, family: socket.AddressFamily, socket_address: tu
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL) and family == socket.AF_INET6:
             return  # a machine without IPv6 whose names still have IPv6 addresses; gRPC ignores these, too
-        raise CannotListen(_why(address, error)) from error
+        raise CannotListen(_why(address, error, flag)) from error
 
 
-def _why(address: Address, error: OSError) -> str:
+def _why(address: Address, error: OSError, flag: str) -> str:
     if error.errno == errno.EADDRINUSE:
-        return f"{address} is in use by another process; stop that one, or choose another port with --listen"
+        return f"{address} is in use by another process; stop that one, or choose another port with {flag}"
     if error.errno == errno.EACCES:
-        return f"this user may not listen at {address}; choose a port from 1024 up with --listen"
+        return f"this user may not listen at {address}; choose a port from 1024 up with {flag}"
     if error.errno == errno.EADDRNOTAVAIL:
-        return f"{address.host} is no address of this machine; choose one of its own with --listen"
+        return f"{address.host} is no address of this machine; choose one of its own with {flag}"
     return f"{address} cannot be listened at: {error.strerror}"

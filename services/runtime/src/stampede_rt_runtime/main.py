@@ -25,6 +25,7 @@ from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.logs import LEVELS, set_up_logging
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
 from stampede_rt_runtime.tls import ServiceTls, load_tls
+from stampede_rt_runtime.values import Address, parse_address, parse_address_text
 
 logger = logging.getLogger(__name__)
 
@@ -77,6 +78,20 @@ class ServiceSettings:
     log_level: str = field(
         default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
     )
+
+    metrics: str = field(
+        default="",
+        metadata=setting(
+            metavar="HOST:PORT",
+            parse=parse_address_text,
+            help="serve metrics for Prometheus at http://HOST:PORT/metrics; everybody who can reach this address can "
+            "read them, so name a loopback address, such as localhost:9464, or one on a private network",
+        ),
+    )
+
+    def metrics_address(self) -> Address | None:
+        """The address for metrics; None: the service serves none."""
+        return parse_address(self.metrics) if self.metrics else None
 
     def load_secret(self) -> Secret | None:
         """The secret, or None if there is none. Reads a file. Raises PermissionDenied.

@@ -18,7 +18,7 @@ from stampede_rt_runtime.access.proofs import Accepted
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.callers_cluster import ClusterInterceptor, JudgeCluster
-from stampede_rt_runtime.capacity import CapacityInterceptor
+from stampede_rt_runtime.capacity import CapacityInterceptor, Slots
 from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
@@ -58,6 +58,7 @@ class ServiceServer:
         limits = limits or Limits()
         self.access = AccessControl()  # the service gives it the directory's rules by `tell` or `draw_from`
         self.refused_calls = RefusedCalls()
+        self.slots = Slots(limits)
         accepted = Accepted(
             secrets=secret.accepted if secret else (),
             client_secrets=client_secret.accepted if client_secret else (),
@@ -70,7 +71,7 @@ class ServiceServer:
             AbortInterceptor(),
             AdmissionInterceptor(accepted, self.access),
             *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
-            CapacityInterceptor(limits, self.refused_calls),
+            CapacityInterceptor(self.slots, self.refused_calls),
             PacingInterceptor(),
         ]
         self.sockets = SocketServer(interceptors, limits, self.refused_calls)
@@ -114,6 +115,15 @@ class ServiceServer:
         if self._tls is None:
             return self.grpc.add_insecure_port(address)
         return self.grpc.add_secure_port(address, self._tls.server_credentials())
+
+    @property
+    def is_serving(self) -> bool:
+        """Whether the health service says that the server is ready."""
+        return self._health.is_serving
+
+    def certificate_ends_unix_s(self) -> float | None:
+        """When the server's own certificate ends, in seconds since the epoch; None: it has none."""
+        return None if self._tls is None else self._tls.ends_unix_s()
 
     async def set_serving(self, serving: bool) -> None:
         """Set the answer of the standard health service."""

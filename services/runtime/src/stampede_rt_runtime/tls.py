@@ -27,6 +27,12 @@ class ServiceTls:
     identity: Identity
     addresses: tuple[str, ...]
 
+    def ends_unix_s(self) -> float:
+        """When the present certificate ends, in seconds since the epoch."""
+        from stampede_rt_runtime.certificates import describe  # not at the top: see `load_tls`
+
+        return float(describe(self.reader.current().certificate)[0].not_after.timestamp())
+
     def server_credentials(self) -> grpc.ServerCredentials:
         """Credentials with which every caller must bring a certificate.
 

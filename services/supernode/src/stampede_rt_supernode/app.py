@@ -26,6 +26,7 @@ from stampede_rt_runtime.garbage import GarbageCollection
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
+from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
@@ -35,6 +36,7 @@ from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
 from stampede_rt_supernode.joining.volunteering import NEWER_RELEASE, volunteer
+from stampede_rt_supernode.metrics import SupernodeMetrics
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
@@ -86,6 +88,7 @@ async def serve(settings: SupernodeSettings) -> None:
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
         await server.start()
+        metrics = SupernodeMetrics(log, replica, parts.probe)
         work = [
             parts.leases.run(),
             parts.levels.run(),
@@ -102,7 +105,12 @@ async def serve(settings: SupernodeSettings) -> None:
             work.append(_for_good(own_address.watch(own_cluster.id)))
         if founding.token and settings.data_dir is not None:
             work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
-        async with GarbageCollection(), _background(server, *work):
+        listen_for_metrics = settings.metrics_address()
+        async with (
+            GarbageCollection(),
+            serving_metrics(listen_for_metrics, "supernode", server, metrics.collect),
+            _background(server, *work),
+        ):
             # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)

@@ -33,11 +33,15 @@ _SUBSCRIBE_RUNS = bytes((3 << 3 | _LENGTH_DELIMITED,))
 
 
 class EncodedMessage(NamedTuple):
-    """One message of an answer, and the number of payload bytes in it. `is_last`: the answer has no further message."""
+    """One message of an answer, and the numbers of payload bytes and items in it.
+
+    `is_last`: the answer has no further message.
+    """
 
     encoded: bytes
     payload_bytes: int
     is_last: bool
+    items: int = 0
 
 
 def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
@@ -58,22 +62,23 @@ def get_responses(
 ) -> Iterator[EncodedMessage]:
     """Yield the messages that answer a get. The last message has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
-    parts, runs, size, payload_bytes = [head], 0, 0, 0
+    parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
     next_time, rest = answer.next_time, drained(answer.slices)
     following = next(rest, None)
     while (part := following) is not None:
         following = next(rest, None)
         body = run_bytes(part, without_payloads=without_payloads)
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
-            yield EncodedMessage(b"".join(parts), payload_bytes, False)
-            parts, runs, size, payload_bytes = [head], 0, 0, 0
+            yield EncodedMessage(b"".join(parts), payload_bytes, False, items)
+            parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
         _add_run(parts, _GET_RUNS, body, None if following else next_time)
         runs += 1
+        items += part.items
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes
     encoded = summary.SerializeToString()
     parts += (_GET_SUMMARY, _varint(len(encoded)), encoded)
-    yield EncodedMessage(b"".join(parts), payload_bytes, True)
+    yield EncodedMessage(b"".join(parts), payload_bytes, True, items)
 
 
 def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:

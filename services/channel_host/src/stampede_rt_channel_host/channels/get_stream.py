@@ -342,5 +342,5 @@ class GetStream:
             self._idle.set()
 
 
-def _count_nothing(payload_bytes: int) -> None:
+def _count_nothing(items: int, payload_bytes: int) -> None:
     """Does nothing: an error message has no payload bytes to count."""

@@ -70,7 +70,7 @@ class HostedChannel:
         # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
         self.group_readers: dict[object, None] = {}
         self.deliveries = deliveries or SharedDeliveries()
-        self.delivered_bytes = 0
+        self.delivered_items = self.delivered_bytes = 0
         self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
         self.order = next(_orders)  # decides between channels that are due at the same time
         self._on_touched = on_touched
@@ -173,8 +173,9 @@ class HostedChannel:
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
 
-    def count_delivered(self, payload_bytes: int) -> None:
-        """Count the payload bytes of a message that was sent to a reader."""
+    def count_delivered(self, items: int, payload_bytes: int) -> None:
+        """Count the items and the payload bytes of a message that was sent to a reader."""
+        self.delivered_items += items
         self.delivered_bytes += payload_bytes
 
     def footprint_bytes(self) -> int:

@@ -25,16 +25,16 @@ COUNTED_BYTES_MAX = QUEUED_BYTES_MAX // 2
 class _Answer(NamedTuple):
     """The messages of one call. Each message is made when it is written.
 
-    `on_sent` gets the number of payload bytes of each written message. `kept_bytes`: the bytes of stored items that the
-    answer keeps in memory, even after retention has collected these items. `emptying` frees the items that were not
-    sent.
+    `on_sent` gets the numbers of items and of payload bytes of each written message. `kept_bytes`: the bytes of stored
+    items that the answer keeps in memory, even after retention has collected these items. `emptying` frees the items
+    that were not sent.
     """
 
     call_id: int
     kept_bytes: int
     emptying: Pieces[None]
     messages: Iterator[EncodedMessage]
-    on_sent: Callable[[int], None]
+    on_sent: Callable[[int, int], None]
 
 
 class Outbox:
@@ -76,8 +76,8 @@ class Outbox:
         return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
 
     def add(
-        self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
-        slices: Sequence[Slice] = (),
+        self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int, int], None],
+        kept_bytes: int = 0, slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
         """Queue an answer that was made of `slices`. `flush` or `kick` writes it.
 
@@ -177,7 +177,7 @@ class Outbox:
         self._note_sent(answer, message)
 
     def _note_sent(self, answer: _Answer, message: EncodedMessage) -> None:
-        answer.on_sent(message.payload_bytes)
+        answer.on_sent(message.items, message.payload_bytes)
         if message.is_last:
             self._release_bytes(answer)
             self._on_end(answer.call_id)

@@ -24,8 +24,10 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
+from stampede_rt_channel_host.channels.totals import ChannelTotals
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
@@ -85,6 +87,9 @@ class ChannelStore:
         self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
         self.consumers = IdOwners()
+        self.readers = Readers()
+        self.departed = ChannelTotals()
+        """The counters of the channels that this host served before."""
 
     def now(self) -> int:
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
@@ -224,6 +229,11 @@ class ChannelStore:
         behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
         return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
 
+    @property
+    def count(self) -> int:
+        """The number of channels that callers bound here."""
+        return len(self._channels)
+
     def all(self) -> list[HostedChannel]:
         """All channels that callers bound here."""
         return list(self._channels.values())
@@ -309,6 +319,7 @@ class ChannelStore:
         hosted = self._channels.pop(channel_id, None)
         if hosted is None:
             return []
+        self.departed.add_counts(hosted, hosted.channel.latest_counters())
         self._names.remove((hosted.record.name, channel_id))
         self._created_here.note(hosted.record.created_by, -1)
         self.sweep.forget(hosted)

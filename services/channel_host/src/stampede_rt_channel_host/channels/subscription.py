@@ -17,6 +17,7 @@ from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
+from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -104,6 +105,7 @@ class Subscription(ChangeObserver):
         self._work = current_work()
         self._owes_cursor = False  # whether the reader must get the next cursor as soon as there is one
         self._credit = Credit(self._look)
+        self._drops = ReaderDrops(hosted.record.name, "")  # `_serve` enters it in the host's table
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 
     def wake(self) -> None:
@@ -162,8 +164,9 @@ class Subscription(ChangeObserver):
         self._owes_progress = opening.HasField("start")
         try:
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._cursor_bytes(cursor))
-            while not self._credit.is_over:
-                await self._step(cursor, without_payloads=opening.without_payloads)
+            with self._store.readers.reading(self._hosted.record.name) as self._drops:
+                while not self._credit.is_over:
+                    await self._step(cursor, without_payloads=opening.without_payloads)
         finally:
             self._hosted.subscriptions.discard(self)
 
@@ -180,12 +183,16 @@ class Subscription(ChangeObserver):
         self.listen()
         now = self._store.now()
         part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
+        self._drops.skipped = cursor.skipped
+        if part.gap is not None:
+            self._drops.collected += part.gap.items
         if not part.is_empty:
+            items = sum(one.slice.items for one in part.slices)
             delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
             del part  # so that the runs are not kept in memory while the message is written
             self._work.spend(WRITE_NANOS)
             await self._write(delivery.encoded)
-            self._hosted.count_delivered(delivery.payload_bytes)
+            self._hosted.count_delivered(items, delivery.payload_bytes)
         elif part.more:
             await asyncio.sleep(0)
         elif self._owes_cursor and cursor.saved is not None:

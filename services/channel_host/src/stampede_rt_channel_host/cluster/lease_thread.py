@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any, NoReturn, TypeVar
 
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 
 logger = logging.getLogger(__name__)
@@ -65,8 +66,8 @@ class LeaseThread:
     """One host's place in the directory, kept on a thread of its own.
 
     Create the object on the loop that serves channels. Call `enter`, `keep` and `leave` on that loop, in this order.
-    Any thread may call `lease_held`. `make` gets the serving loop and makes the registration. The registration must
-    pass all work on channels to the serving loop.
+    Any thread may call `lease_held`, `fenced_in_nanos` and `clock`. `make` gets the serving loop and makes the
+    registration. The registration must pass all work on channels to the serving loop.
     """
 
     def __init__(self, make: Callable[[ServingLoop], Registration]) -> None:
@@ -78,6 +79,14 @@ class LeaseThread:
     def lease_held(self) -> bool:
         """Whether the host may serve its channels now."""
         return self._registration is not None and self._registration.lease_held()
+
+    def fenced_in_nanos(self) -> int:
+        """How long the host may still serve without a renewal, in nanoseconds; 0 if it may not."""
+        return 0 if self._registration is None else self._registration.fenced_in_nanos()
+
+    def clock(self) -> ClockOffset | None:
+        """How far this host's clock is ahead of the leader's, as of the last renewal; None before that."""
+        return None if self._registration is None else self._registration.clock
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """See `Registration.enter`."""

@@ -26,6 +26,7 @@ from stampede_rt.errors import (
     WrongCluster,
 )
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_channel_host.cluster.host_lease import RENEWALS_PER_TTL, HostLease
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
@@ -82,11 +83,17 @@ class Registration:
         self._has_ended = False  # whether the lease has ended and the host has not registered since
         self._target = ""
         self._has_left = False
+        self.clock: ClockOffset | None = None
+        """How far this host's clock is ahead of the leader's, as of the last renewal."""
         self._fence: asyncio.TimerHandle | None = None  # runs `_check_fence` when the lease has run out
 
     def lease_held(self) -> bool:
         """Whether the host may serve its channels now."""
         return self._lease.is_held(self._clock.boottime_nanos())
+
+    def fenced_in_nanos(self) -> int:
+        """How long the host may still serve without a renewal, in nanoseconds; 0 if it may not."""
+        return self._lease.fenced_in_nanos(self._clock.boottime_nanos())
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """Register for the first time, with a gatekeeper at `target`.
@@ -187,9 +194,16 @@ class Registration:
             boot_incarnation=self._identity.boot_incarnation,
             load=None if self._measure_load is None else self._measure_load(),
         )
-        sent = self._clock.boottime_nanos()
+        sent, sent_unix_nano = self._clock.boottime_nanos(), self._clock.time_unix_nano()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
         response = await self._supernodes.call("RenewHostLease", request, timeout_s)
+        if response.time_unix_nano:
+            self.clock = ClockOffset.measured(
+                sent_unix_nano=sent_unix_nano,
+                took_nanos=self._clock.boottime_nanos() - sent,
+                told_unix_nano=response.time_unix_nano,
+                supernode="leader",
+            )
         await self._note_cluster(response)
         self._grant(sent, response.lease_ttl_nanos)
 

@@ -16,6 +16,7 @@ from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
 from stampede_rt_channel_host.groups.frames import cut_part
@@ -65,6 +66,7 @@ class CutEvents:
         self._credit = Credit(self._waiter.wake)  # in events; not used if another host decides
         self._room = asyncio.Event()  # there is room for another boundary
         self._cut: int | None = None  # of the last event
+        self._drops = ReaderDrops("", "")  # `run` enters it in the host's table
 
     async def run(self) -> None:
         """Serve until the stream ends, or until the reader has closed its side and has got all that it asked for.
@@ -89,7 +91,8 @@ class CutEvents:
         reading = self._stream.spawn(self._read(group, decides=opening.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
-            await self._serve(group, opening)
+            with self._groups.channels.readers.reading(group.record.name) as self._drops:
+                await self._serve(group, opening)
         finally:
             reading.cancel()
             self._groups.stop_observing(group, self._waiter)
@@ -251,11 +254,15 @@ class CutEvents:
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:
                 about.loss.CopyFrom(loss_message(step.loss))
+                self._drops.collected += step.loss.items
             if step.is_last:
                 about.cursor.CopyFrom(followed.cursor())
             await self._writer.write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))
             if not without_payloads:
-                followed.hosted.count_delivered(sum(one.slice.payload_bytes for one in step.slices + step.late))
+                parts = [one.slice for one in step.slices + step.late]
+                followed.hosted.count_delivered(
+                    sum(one.items for one in parts), sum(one.payload_bytes for one in parts)
+                )
 
 
 def loss_message(loss: Loss) -> pb.CutLoss:

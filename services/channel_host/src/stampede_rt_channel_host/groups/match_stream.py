@@ -10,6 +10,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTrack, Track
@@ -76,7 +77,8 @@ class MatchStream:
         hosted.match_streams.add(self._waiter)
         reading = self._stream.spawn(self._read())
         try:
-            await self._serve(group, hosted, request)
+            with self._groups.channels.readers.reading(hosted.record.name) as drops:
+                await self._serve(group, hosted, request, drops)
         finally:
             reading.cancel()
             self._groups.stop_observing(group, self._waiter)
@@ -94,7 +96,9 @@ class MatchStream:
             self._credit.grant(request.credit_bytes)
         self._credit.end()
 
-    async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen) -> None:
+    async def _serve(
+        self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen, drops: ReaderDrops
+    ) -> None:
         now = self._groups.channels.now()
         matcher = _matcher(hosted, request, now)
         generation, incarnation = 0, group.record.incarnation
@@ -117,7 +121,7 @@ class MatchStream:
             if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
-            counted = matcher.unmatched, matcher.dropped
+            counted, drops.collected = (matcher.unmatched, matcher.dropped), matcher.dropped
             about = pb.SubscribeMatchesResponse(
                 unmatched=matcher.unmatched,
                 dropped=matcher.dropped,
@@ -189,10 +193,10 @@ class MatchStream:
         incarnations |= {channel_id: far.incarnation for channel_id, (far, _) in self._far.items() if far.incarnation}
         await self._writer.write(matches(about, found, incarnations, without_payloads=without_payloads))
         for one in found if not without_payloads else ():
-            hosted.count_delivered(one.item.slice.payload_bytes)
+            hosted.count_delivered(1, one.item.slice.payload_bytes)
             for channel_id, partner in one.matched.items():
                 if partner.item is not None:
-                    self._near[channel_id].count_delivered(partner.item.slice.payload_bytes)
+                    self._near[channel_id].count_delivered(1, partner.item.slice.payload_bytes)
 
 
 def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) -> Matcher:

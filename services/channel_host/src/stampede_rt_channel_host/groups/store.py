@@ -91,6 +91,10 @@ class GroupStore:
         """See `HostedGroups`."""
         self._table.stop_observing(group, observer)
 
+    def all(self) -> list[HostedGroup]:
+        """All groups that this host knows."""
+        return list(self._table.groups.values())
+
     def own(self, channel_id: bytes) -> OwnChannel | None:
         """The channel, if it is a member that this host owns and serves; else None."""
         return self._table.own.get(channel_id)

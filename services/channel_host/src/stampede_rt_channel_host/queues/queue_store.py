@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 
 from sortedcontainers import SortedDict
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_totals import add_counts
 from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
@@ -73,6 +75,8 @@ class QueueStore:
         self.in_use = asyncio.Event()  # set once a queue is used here
         self._created_here = CreatedHere(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
+        self.departed: Counter[str] = Counter()
+        """The counters of the queues that this host served before, by the names in QueueCounters."""
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH) or Unavailable (SHUTTING_DOWN)."""
@@ -186,6 +190,16 @@ class QueueStore:
                     yield from hosted.ending(error)
             yield
 
+    @property
+    def count(self) -> int:
+        """The number of queues that this host knows."""
+        return len(self._queues)
+
+    def in_parts(self) -> Iterator[list[HostedQueue]]:
+        """All queues that this host knows, in parts. Queues may come and go between two parts."""
+        for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
+            yield [self._queues[one] for one in ids if one in self._queues]
+
     def all(self) -> list[HostedQueue]:
         """All queues that this host knows."""
         return list(self._queues.values())
@@ -269,4 +283,5 @@ class QueueStore:
         if hosted is None:
             return []
         self._created_here.note(hosted.record.created_by, -1)
+        add_counts(self.departed, hosted)
         return rest_of(hosted.leaving(error))

@@ -59,7 +59,7 @@ class Account:
         limits: Mapping[Quota, int],
         clock_s: Callable[[], float] = lambda: 0.0,
         turns: Turns | None = None,
-        on_refused: Callable[[], None] = lambda: None,
+        on_refused: Callable[[Quota], None] = lambda quota: None,
     ) -> None:
         """`clock_s`: seconds of a clock that never goes back. `turns` None: the caller's work never waits."""
         self.turn = None if turns is None else Turn(turns, limits[Quota.CPU_PERCENT])
@@ -163,7 +163,7 @@ class Account:
     def count_refusal(self, quota: Quota) -> None:
         """Count a refusal."""
         self._refused[quota] += 1
-        self._on_refused()
+        self._on_refused(quota)
 
     def exceeded(self, quota: Quota, more: int) -> Overloaded:
         """Count a refusal, and return its error."""
@@ -224,6 +224,7 @@ class Accounts:
         self._recent: OrderedDict[str, Account] = OrderedDict()
         self._directory: Callable[[], Iterable[tuple[str, Quota, int]]] = tuple
         self.refusals = 0
+        self.refusals_of = dict.fromkeys(Quota, 0)
         self._refused_at_s = 0.0
 
     def __len__(self) -> int:
@@ -258,8 +259,9 @@ class Accounts:
         """The time since a caller was last refused something, in nanoseconds; None: no caller was."""
         return None if not self.refusals else round((self._clock_s() - self._refused_at_s) * 1e9)
 
-    def _note_refusal(self) -> None:
+    def _note_refusal(self, quota: Quota) -> None:
         self.refusals += 1
+        self.refusals_of[quota] += 1
         self._refused_at_s = self._clock_s()
 
     def draw_from(self, directory: Callable[[], Iterable[tuple[str, Quota, int]]]) -> None:

@@ -83,6 +83,11 @@ class SocketServer:
         self._sweep: asyncio.Task[None] | None = None
         self._path: Path | None = None
 
+    @property
+    def streams_open(self) -> int:
+        """The number of open connections, of which each carries one stream."""
+        return len(self._streams)
+
     def register(self, add_to: Callable[[Any], object]) -> None:
         """Serve what `add_to` adds to a grpc.aio.Server."""
         add_to(self)

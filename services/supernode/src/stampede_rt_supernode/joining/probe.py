@@ -12,6 +12,7 @@ import grpc
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.replication.interface import Member, ReplicatedLog
 
 logger = logging.getLogger(__name__)
@@ -25,11 +26,13 @@ PROBE_SECONDS = 1.0
 class Finding:
     """The result of the last probe of a member. `healthy`: the member has answered that it can serve.
 
-    `round_trip_nanos` is None if the member did not answer.
+    `round_trip_nanos` is None if the member did not answer. `clock`: how far this supernode's clock is ahead of the
+    member's.
     """
 
     healthy: bool
     round_trip_nanos: int | None
+    clock: ClockOffset | None = None
 
 
 class Probe:
@@ -56,6 +59,15 @@ class Probe:
         """The result of the last probe of a member; None before the first probe."""
         return self._findings.get(member_id)
 
+    def serves(self, member_id: str) -> bool:
+        """Whether another member answered the last probe, and can serve."""
+        found = self._findings.get(member_id)
+        return found is not None and found.healthy
+
+    def clocks(self) -> dict[str, ClockOffset]:
+        """How far this supernode's clock is ahead of that of each member, as of the last probe that it answered."""
+        return {name: found.clock for name, found in self._findings.items() if found.clock is not None}
+
     async def run(self) -> None:
         """Probe until cancelled, then close the connections."""
         try:
@@ -78,14 +90,21 @@ class Probe:
         if channel is None:
             channel = self._channels[member.address] = self._dial(member.address)
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-        began = time.monotonic_ns()
+        began, sent_unix_nano = time.monotonic_ns(), time.time_ns()
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
         except grpc.aio.AioRpcError:  # whatever the reason, this supernode cannot reach the member
             await self._tell_why(member)
             return Finding(False, None)
         self._logged.pop(member.address, None)
-        return Finding(pong.ready, time.monotonic_ns() - began)
+        took = time.monotonic_ns() - began
+        clock = ClockOffset.measured(
+            sent_unix_nano=sent_unix_nano,
+            took_nanos=took,
+            told_unix_nano=pong.time_unix_nano,
+            supernode=member.member_id,
+        )
+        return Finding(pong.ready, took, clock)
 
     async def _tell_why(self, member: Member) -> None:
         """Log once that certificates are the reason why the member does not answer, if they are the reason."""

@@ -10,6 +10,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from stampede_rt_runtime.metrics.families import Durations
+
 
 class StateMachine(Protocol):
     """The state machine that the log drives.
@@ -94,6 +96,9 @@ class ReplicationStatus:
     - `too_old`: the words by which the leader, or most others, say that this release does not know the cluster's
       feature level; empty if they do not say it.
     - `retired`: ids of former members, which are never used again.
+    - `commit_index`, `last_index`: the positions of the last committed entry that this replica knows of, and of the
+      last entry in its log.
+    - `lags`: if this replica leads, by id the number of entries that each other member does not have yet.
     """
 
     self_id: str
@@ -116,6 +121,9 @@ class ReplicationStatus:
     too_old: str = ""
     refused_by: Mapping[str, str] = field(default_factory=dict)
     retired: Collection[str] = ()
+    commit_index: int = 0
+    last_index: int = 0
+    lags: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def level_of_members(self) -> int:
@@ -237,6 +245,9 @@ class ReplicatedLog(Protocol):
 
     def status(self) -> ReplicationStatus:
         """This replica's present view. Never blocks."""
+
+    def write_times(self) -> Durations:
+        """How long the writes to the store took, each with its wait for the disk. Never blocks."""
 
     async def close(self) -> None:
         """Stop taking part. Afterwards the whole log is on stable storage."""

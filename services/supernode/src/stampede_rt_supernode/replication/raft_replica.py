@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.arrivals import Arrivals, taken_from
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
@@ -176,6 +177,10 @@ class RaftReplica:
         """The status as of the last step."""
         return self._status
 
+    def write_times(self) -> Durations:
+        """How long the writes to the store took."""
+        return self._log.write_times
+
     @property
     def highest_level(self) -> int:
         """The highest feature level that this release knows."""
@@ -314,7 +319,15 @@ class RaftReplica:
             doubts=node.doubts(),
             feature_level=self._state_machine.feature_level,
             highest_levels=node.known_levels(),
+            commit_index=node.commit_index,
+            last_index=self._log.last_index,
+            lags=self._lags() if leads else {},
         )
+
+    def _lags(self) -> dict[str, int]:
+        """By member, the number of entries that it does not have yet, as this leader knows."""
+        last = self._log.last_index
+        return {peer.id: max(0, last - match) for peer, match in self._node.match_index.items()}
 
     def _publish_roster(self) -> None:
         """Publish the members that this node knows, if they have changed."""

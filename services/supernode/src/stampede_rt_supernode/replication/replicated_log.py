@@ -12,6 +12,7 @@ from typing import TypeVar
 import grpc.aio
 
 from stampede_rt.v1.raft_service_pb2 import RaftHello
+from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     LogUnavailable,
@@ -143,6 +144,10 @@ class PySyncObjLog:
             refused=refused,
             refused_by=said,
         )
+
+    def write_times(self) -> Durations:
+        """See ReplicatedLog."""
+        return self._replica.write_times()
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """See ReplicatedLog."""

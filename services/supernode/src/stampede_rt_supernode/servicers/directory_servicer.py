@@ -230,7 +230,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             self._leases.loads.note(request.host_id, load_from(request.load))
         cluster_id, former = self._replica.read(lambda directory: (directory.cluster_id, directory.former_cluster_ids))
         return pb.RenewHostLeaseResponse(
-            lease_ttl_nanos=ttl_nanos, tenure=tenure, cluster_id=cluster_id, former_cluster_ids=former
+            lease_ttl_nanos=ttl_nanos,
+            tenure=tenure,
+            cluster_id=cluster_id,
+            former_cluster_ids=former,
+            time_unix_nano=self._clock.time_unix_nano(),
         )
 
     @errors_as_status

@@ -26,6 +26,7 @@ duties:
 offered again after every consume, too.
 """
 
+from stampede_rt_channel_host.core.channel.acceptance import REASONS
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumer_places import (
     CONSUMED_RANGE_BYTES,
@@ -38,6 +39,7 @@ from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, S
 from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collection, FeedPart, FeedPlace
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
+from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
 from stampede_rt_channel_host.core.channel.pieces import (
@@ -75,11 +77,13 @@ __all__ = [
     "ABSENT",
     "AFTER_ALL",
     "BEFORE_ALL",
+    "COLLECTED_FOR",
     "CONSUMED_RANGE_BYTES",
     "CONSUMER_BYTES",
     "ITEM_OVERHEAD_BYTES",
     "LEASE_NANOS",
     "LEASE_NANOS_MAX",
+    "REASONS",
     "SEQS_MAX",
     "AllCursor",
     "ChannelCore",

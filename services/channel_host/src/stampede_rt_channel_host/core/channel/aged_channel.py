@@ -83,6 +83,10 @@ class AgedChannel:
     def counters(self, now: int) -> Counters:
         """The present numbers of accepted, held, collected and refused items."""
         self._age_and_free(self._tick(now))
+        return self.latest_counters()
+
+    def latest_counters(self) -> Counters:
+        """As `counters`, as of the last call that took the time. Changes nothing."""
         held = self._held
         return Counters(
             accepted=held.accepted,
@@ -91,6 +95,7 @@ class AgedChannel:
             rejected=self._acceptance.rejected,
             accepted_bytes=held.accepted_bytes,
             held_bytes=held.payload_bytes,
+            late=held.late,
         )
 
     def look(self, now: int) -> tuple[Holdings, Retention]:

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.tally import Tally
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
 """The causes for which a channel collects items."""
 
 Cut = Callable[[bytes, int, int], bytes]
@@ -42,8 +43,8 @@ class HeldItems:
         "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open", "_newest_items_most",
         "_newest_longest", "_on_floor_reset", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
         "_stored_items", "_tally", "accepted", "accepted_bytes", "came_up_to", "collected", "collected_by",
-        "collected_end", "floor", "floor_resets", "freed_entries", "index", "items", "last_cause", "missed", "newest",
-        "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes", "shared_batches",
+        "collected_end", "floor", "floor_resets", "freed_entries", "index", "items", "last_cause", "late", "missed",
+        "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes", "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -58,6 +59,7 @@ class HeldItems:
         self.oldest: int | None = None
         self.accepted = 0
         self.accepted_bytes = 0
+        self.late = 0  # the items that came after an item with a later time
         self.collected = {AGE: 0, COUNT: 0, BYTES: 0, CONSUMPTION: 0}
         self.newest_collected: int | None = None
         self.collected_end: int | None = None

@@ -44,6 +44,8 @@ class Holdings(HeldItems):
         """Add a run. `low` and `high` are its least and greatest time."""
         if low < self.floor[0]:
             self._make_way()
+        if self.newest is not None and low < self.newest:
+            self.late += sum(time < self.newest for time in run.times)
         self.index.insert(run)
         self._stored_items += len(run)
         if isinstance(run, ColumnRun):
@@ -72,6 +74,8 @@ class Holdings(HeldItems):
         time = run.times[at]
         if time < self.floor[0]:
             self._make_way()
+        if self.newest is not None and time < self.newest:
+            self.late += 1
         self.index.insert_item(run, at)
         run.kept += 1
         self._stored_items += 1

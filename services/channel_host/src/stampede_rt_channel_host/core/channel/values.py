@@ -214,7 +214,8 @@ class Counters:
     """The counts of a channel's items at one moment. Always `accepted == held + sum(collected.values())`.
 
     `collected` has the keys age, count, bytes, consumption. `rejected` has the keys TOO_OLD, IN_FUTURE, ITEM_TOO_LARGE,
-    CHANNEL_FULL, MALFORMED_RUN and OVERLOADED. Bytes are payload bytes.
+    CHANNEL_FULL, MALFORMED_RUN and OVERLOADED. Bytes are payload bytes. `late` counts the accepted items that came
+    after an item with a later time.
     """
 
     accepted: int
@@ -223,3 +224,4 @@ class Counters:
     rejected: Mapping[str, int]
     accepted_bytes: int
     held_bytes: int
+    late: int

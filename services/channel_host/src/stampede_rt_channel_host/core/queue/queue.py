@@ -270,6 +270,10 @@ class QueueCore:
     def counters(self, now: int) -> QueueCounters:
         """The present counts."""
         self._due_work.tick(now)
+        return self.latest_counters()
+
+    def latest_counters(self) -> QueueCounters:
+        """As `counters`, as of the last call that took the time. Changes nothing."""
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
             held=queue_items.items,

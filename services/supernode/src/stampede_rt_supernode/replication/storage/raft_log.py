@@ -6,11 +6,13 @@ tick thread calls `sync` before any message or result leaves the process.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Mapping
 from itertools import chain, islice
 from typing import overload
 
+from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.configuration import Configuration, Configurations
 from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.store import (
@@ -23,6 +25,7 @@ from stampede_rt_supernode.replication.storage.store import (
 )
 from stampede_rt_supernode.replication.wire.records import decode_configuration
 
+WRITE_BOUNDS_SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 3.0)
 # The most promises that the log remembers. There are never so many members, so it drops only promises of non-members.
 PROMISES_MAX = 64
 # The memory that an entry takes beside its command, in bytes, as an estimate.
@@ -41,6 +44,8 @@ class RaftLog:
         state = store.load()
         self._kept_bytes_max = kept_bytes_max
         self._store = store
+        self.write_times = Durations(WRITE_BOUNDS_SECONDS)
+        """How long the writes to the store took, each with its wait for the disk."""
         self._entries = state.entries
         self._term = state.term
         self._voted_for = state.voted_for
@@ -249,7 +254,9 @@ class RaftLog:
         """Make all changes so far durable. Blocks on the disk. Returns True if there were any."""
         if not self._dirty:
             return False
+        began_s = time.monotonic()
         self._store.commit(self._changes())
+        self.write_times.add(time.monotonic() - began_s)
         self._replace_from, self._pending_trailer, self._dirty = None, None, False
         self._pending_pieces, self._promises_changed = [], False
         return True

@@ -1,0 +1,59 @@
+"""The sums of the counters of all channels of a host, those that have left included."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.channel import Counters
+
+CountKey = tuple[str, str]  # the name of a counter, and the cause; the cause is empty if the counter has none
+
+
+@dataclass(slots=True)
+class ChannelTotals:
+    """Sums over channels. `counts` only grow, while the other fields tell of the channels present."""
+
+    counts: Counter[CountKey] = field(default_factory=Counter)
+    held_items: int = 0
+    held_bytes: int = 0
+    subscriptions: int = 0
+    waiting_gets: int = 0
+    waiting_puts: int = 0
+
+    def add(self, hosted: HostedChannel, counted: Counters) -> None:
+        """Add a channel. `counted`: its counters."""
+        self.add_counts(hosted, counted)
+        self.held_items += counted.held
+        self.held_bytes += counted.held_bytes
+        self.subscriptions += len(hosted.subscriptions) + len(hosted.group_readers)
+        self.waiting_gets += hosted.waiting_gets
+        self.waiting_puts += len(hosted.puts)
+
+    def add_counts(self, hosted: HostedChannel, counted: Counters) -> None:
+        """Add only the counters, of a channel that leaves."""
+        for key, count in counts_of(hosted, counted):
+            if count:
+                self.counts[key] += count
+
+    def not_below(self, former: ChannelTotals) -> None:
+        """Raise each counter to its former value, at least.
+
+        The sums are made in pieces, and so may lack a channel that left meanwhile.
+        """
+        self.counts |= former.counts
+
+
+def counts_of(hosted: HostedChannel, counted: Counters) -> Iterator[tuple[CountKey, int]]:
+    """The counters of one channel, each with its name and cause."""
+    yield ("accepted", ""), counted.accepted
+    yield ("accepted_bytes", ""), counted.accepted_bytes
+    yield ("late", ""), counted.late
+    yield ("delivered", ""), hosted.delivered_items
+    yield ("delivered_bytes", ""), hosted.delivered_bytes
+    for cause, count in counted.collected.items():
+        yield ("collected", cause), count
+    for reason, count in counted.rejected.items():
+        yield ("rejected", reason.lower()), count

@@ -1,0 +1,58 @@
+"""All metrics of one channel host, besides those that every service has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from stampede_rt.values.peering import ClockOffset
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.lease_thread import LeaseThread
+from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_channel_host.metrics import catalog
+from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
+from stampede_rt_channel_host.metrics.group_metrics import GroupMetrics
+from stampede_rt_channel_host.metrics.queue_metrics import QueueMetrics
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_runtime.globs import matcher
+from stampede_rt_runtime.metrics.families import AnyFamily, Family
+from stampede_rt_runtime.metrics.service_metrics import of_clocks
+
+LEADER = "leader"
+
+
+class HostMetrics:
+    """The metrics of one host. `names`: the pattern of the channels, queues and groups with metrics of their own.
+
+    An empty pattern gives no such metrics.
+    """
+
+    def __init__(
+        self, store: ChannelStore, queues: QueueStore, groups: GroupStore, lease: LeaseThread, *, names: str
+    ) -> None:
+        shows = matcher(names) if names else _no_name
+        self._store, self._queues, self._lease = store, queues, lease
+        self._channels = ChannelMetrics(store, shows)
+        self._of_queues = QueueMetrics(queues, shows)
+        self._groups = GroupMetrics(groups, shows)
+
+    async def collect(self) -> list[AnyFamily]:
+        """All metrics, made in pieces of about a millisecond."""
+        families: list[AnyFamily] = [*self._of_host()]
+        for of_things in (self._channels, self._of_queues, self._groups):
+            families += await self._store.scheduler.do(of_things.families())
+        return families
+
+    def _of_host(self) -> Iterator[Family]:
+        memory = self._store.memory
+        yield catalog.LEASE_HELD.of(self._lease.lease_held())
+        yield catalog.LEASE_REMAINING.of(self._lease.fenced_in_nanos() / 1e9)
+        yield catalog.MEMORY_HELD.of(memory.used_bytes)
+        yield catalog.MEMORY_LIMIT.of(memory.bytes_max)
+        yield catalog.CHANNELS.of(self._store.count)
+        yield catalog.QUEUES.of(self._queues.count)
+        clock: ClockOffset | None = self._lease.clock()
+        yield from of_clocks({} if clock is None else {LEADER: clock})
+
+
+def _no_name(name: str) -> bool:
+    return False

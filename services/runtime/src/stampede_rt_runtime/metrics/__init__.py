@@ -1,0 +1,1 @@
+"""The metrics that a service serves to Prometheus (decision 0178)."""

@@ -1,0 +1,148 @@
+"""Prometheus scrapes a real cluster, also while its parts are killed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_channel_host.metrics import catalog as of_hosts
+from stampede_rt_frontend import metrics as of_frontends
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.ports import free_ports
+from stampede_rt_runtime.metrics import service_metrics
+from stampede_rt_supernode import metrics as of_supernodes
+from tests.support.cluster import running_cluster
+
+SECONDS = 60
+RULES = Path(__file__).parents[2] / "deploy" / "prometheus" / "alerts.yml"
+needs_prometheus = pytest.mark.skipif(shutil.which("prometheus") is None, reason="Debian's prometheus is not installed")
+needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="Debian's prometheus is not installed")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with running_cluster(hosts=2, supernodes=3, metrics="localhost:0") as made:
+        yield made
+
+
+def page(address: str) -> str:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        return str(answer.read().decode())
+
+
+class Prometheus:
+    """A Prometheus that scrapes the cluster each second."""
+
+    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
+        self.port = free_ports(1)[0]
+        targets = [{"targets": [where], "labels": {"part": name}} for name, where in cluster.metrics.items()]
+        jobs = [{"job_name": "stampede", "scrape_interval": "1s", "scrape_timeout": "1s", "static_configs": targets}]
+        config = {"global": {"evaluation_interval": "1s"}, "rule_files": [str(RULES)], "scrape_configs": jobs}
+        (folder / "prometheus.yml").write_text(json.dumps(config))  # JSON is YAML, too
+        self._process = subprocess.Popen(
+            [
+                "prometheus",
+                f"--config.file={folder / 'prometheus.yml'}",
+                f"--storage.tsdb.path={folder / 'data'}",
+                f"--web.listen-address=127.0.0.1:{self.port}",
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def ask(self, query: str) -> list[tuple[dict[str, str], float]]:
+        """The present values of an expression."""
+        url = f"http://127.0.0.1:{self.port}/api/v1/query?{urllib.parse.urlencode({'query': query})}"
+        with urllib.request.urlopen(url, timeout=10) as answer:
+            found = json.load(answer)["data"]["result"]
+        return [(one["metric"], float(one["value"][1])) for one in found]
+
+    def until(self, query: str, holds: Callable[[list[float]], bool]) -> list[float]:
+        """Ask until `holds`. Returns the values."""
+        end_s, values = time.monotonic() + SECONDS, list[float]()
+        while time.monotonic() < end_s:
+            try:
+                values = [value for _, value in self.ask(query)]
+            except OSError:  # it is still starting
+                values = []
+            if holds(values):
+                return values
+            time.sleep(0.1)
+        raise AssertionError(f"{query} is {values} after {SECONDS} s")
+
+    def stop(self) -> None:
+        self._process.terminate()
+        self._process.wait(10)
+
+
+@needs_promtool
+def test_every_page_passes_the_check_of_prometheus(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        rt.channel("metrics/checked").put(b"x")
+        rt.queue("metrics/queue").put(b"x")
+    for name, address in cluster.metrics.items():
+        done = subprocess.run(["promtool", "check", "metrics"], input=page(address), text=True, capture_output=True)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), name
+
+
+def test_each_service_tells_all_its_metrics(cluster: LocalCluster) -> None:
+    of_each = {"host": of_hosts.METRICS, "supernode": of_supernodes.METRICS, "front-end": of_frontends.METRICS}
+    only_with_certificates = {service_metrics.CERTIFICATE_EXPIRY}
+    for title, address in cluster.metrics.items():
+        lines = page(address).splitlines()
+        told = {line.split()[2] for line in lines if line.startswith("# TYPE ")}
+        own = of_each[title.split()[0]]
+        expected = {one.name for one in {*own, *service_metrics.METRICS} - only_with_certificates}
+        assert expected <= told, expected - told
+        assert {one for one in told if not one.startswith("process_")} == expected
+
+
+@needs_prometheus
+def test_prometheus_scrapes_every_part_and_its_counts_are_true(cluster: LocalCluster, tmp_path: Path) -> None:
+    prometheus = Prometheus(cluster, tmp_path)
+    try:
+        prometheus.until('sum(up{job="stampede"})', lambda values: values == [float(len(cluster.metrics))])
+        with st.connect(cluster.address) as rt:
+            channels = [rt.channel(f"metrics/true/{number}") for number in range(8)]
+            for channel in channels:
+                for _ in range(25):
+                    channel.put(b"12345678")
+            one = 'sum(stampede_channel_items_accepted_total{channel=~"metrics/true/.*"})'
+            prometheus.until(one, lambda values: values == [200.0])
+            assert (
+                prometheus.ask('sum(stampede_channel_items_accepted_bytes_total{channel=~"metrics/true/.*"})')[0][1]
+                == 1600
+            )
+        assert prometheus.ask("max(stampede_raft_members_serving)")[0][1] == 3
+        assert prometheus.ask("sum(stampede_host_lease_held)")[0][1] == 2
+        assert not [alert for alert, _ in prometheus.ask('ALERTS{alertstate="firing",severity="critical"}')]
+    finally:
+        prometheus.stop()
+
+
+@needs_prometheus
+def test_parts_that_are_killed_are_seen_to_go_and_to_come_back(tmp_path: Path) -> None:
+    with running_cluster(hosts=2, supernodes=3, metrics="localhost:0") as cluster:
+        prometheus = Prometheus(cluster, tmp_path)
+        try:
+            everybody = float(len(cluster.metrics))
+            prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
+            for process in (cluster.hosts[0], cluster.supernodes[0], cluster.frontends[0]):
+                process.kill()
+                prometheus.until(f'up{{part="{process.name}"}}', lambda values: values == [0.0])
+                process.start()
+                process.wait_ready(SECONDS)
+                prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
+            prometheus.until("max(stampede_raft_members_serving)", lambda values: values == [3.0])
+            prometheus.until("sum(stampede_ready)", lambda values: values == [everybody])
+        finally:
+            prometheus.stop()
