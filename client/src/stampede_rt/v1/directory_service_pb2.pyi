@@ -196,16 +196,18 @@ class RenewHostLeaseRequest(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., load: _Optional[_Union[_directory_pb2.HostLoad, _Mapping]] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
-    __slots__ = ("lease_ttl_nanos", "tenure", "cluster_id", "former_cluster_ids")
+    __slots__ = ("lease_ttl_nanos", "tenure", "cluster_id", "former_cluster_ids", "time_unix_nano")
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     lease_ttl_nanos: int
     tenure: int
     cluster_id: str
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    time_unix_nano: int
+    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., time_unix_nano: _Optional[int] = ...) -> None: ...
 
 class DeregisterHostRequest(_message.Message):
     __slots__ = ("request_id", "host_id", "boot_incarnation")

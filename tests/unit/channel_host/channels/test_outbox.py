@@ -42,7 +42,7 @@ class Box:
     def add(self, call_id: int, messages: int = 1) -> None:
         self.outbox.add(call_id, answer(call_id, messages), self.count)
 
-    def count(self, payload_bytes: int) -> None:
+    def count(self, items: int, payload_bytes: int) -> None:
         self.sent += payload_bytes
 
 

@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscription import Subscription
 from stampede_rt_channel_host.cluster.records import recorded_channel
@@ -27,6 +28,7 @@ ENOUGH = 2**62
 class Store:
     def __init__(self) -> None:
         self.scheduler = PieceScheduler()
+        self.readers = Readers()
 
     def now(self) -> int:
         return NOW

@@ -148,6 +148,9 @@ class SlowDirectory:
     def boottime_nanos(self) -> int:
         return self.now
 
+    def time_unix_nano(self) -> int:
+        return self.now
+
     async def call(self, method: str, request: object, timeout_s: float) -> object:
         self.asked.append(method)
         if len(self.asked) > 2:
