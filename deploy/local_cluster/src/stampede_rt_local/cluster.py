@@ -52,10 +52,7 @@ class LocalCluster:
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
-        if min(supernodes, frontends) < 1 or hosts < 0:
-            raise ValueError(
-                "a cluster needs at least one supernode and one front-end, and no negative number of hosts"
-            )
+        _check_counts(hosts, supernodes, frontends)
         if tls and host_namespaces:
             raise ValueError(
                 "certificates are of one address, and host_namespaces have several; leave out one of the two"
@@ -74,8 +71,7 @@ class LocalCluster:
             self._shared += ["--secret-file", str(self.secret.path)]
         if allow_insecure_anywhere:
             self._shared.append("--allow-insecure-anywhere")
-        self._next_metrics = parse_address(metrics) if metrics else None
-        self._free_metrics = self._next_metrics is not None and self._next_metrics.port == 0
+        self._metrics_place = parse_address(metrics) if metrics else None
         self.metrics: dict[str, str] = {}
         ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
         self.supernodes = self._plan_supernodes(ports[:supernodes])
@@ -165,14 +161,12 @@ class LocalCluster:
         return ServiceProcess(title, module, words, on_line=self._on_line, on_exit=self._on_exit, namespace=namespace)
 
     def _metrics_arguments(self, title: str) -> list[str]:
-        place = self._next_metrics
-        if place is None:
+        first = self._metrics_place
+        if first is None:
             return []
-        if self._free_metrics:
-            place = Address(place.host, free_ports(1, place.host)[0])
-        self._next_metrics = Address(place.host, place.port + 1)
-        self.metrics[title] = str(place)
-        return ["--metrics", str(place)]
+        port = first.port + len(self.metrics) if first.port else free_ports(1, first.host)[0]
+        self.metrics[title] = str(Address(first.host, port))
+        return ["--metrics", self.metrics[title]]
 
     def _tls_arguments(self, role: Role, name: str) -> list[str]:
         if self.certificates is None:
@@ -209,3 +203,8 @@ class LocalCluster:
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)
+
+
+def _check_counts(hosts: int, supernodes: int, frontends: int) -> None:
+    if min(supernodes, frontends) < 1 or hosts < 0:
+        raise ValueError("a cluster needs at least one supernode and one front-end, and no negative number of hosts")

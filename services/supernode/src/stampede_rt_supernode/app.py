@@ -88,27 +88,11 @@ async def serve(settings: SupernodeSettings) -> None:
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
         await server.start()
+        work = _work(settings, founding, parts, server, credentials)
         metrics = SupernodeMetrics(log, replica, parts.probe)
-        work = [
-            parts.leases.run(),
-            parts.levels.run(),
-            parts.probe.run(),
-            _follow_access(server),
-            _follow_readiness(server, parts.members),
-            _watch_state(server, parts),
-            _watch_removal(server, log, keeps=settings.data_dir is not None),
-            _watch_founding(server, parts, founding),
-        ]
-        if settings.data_dir is not None:
-            boot = parts.members.boot_incarnation
-            own_address = OwnAddress(founding.supernode_id, founding.address, boot, credentials)
-            work.append(_for_good(own_address.watch(own_cluster.id)))
-        if founding.token and settings.data_dir is not None:
-            work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
-        listen_for_metrics = settings.metrics_address()
         async with (
             GarbageCollection(),
-            serving_metrics(listen_for_metrics, "supernode", server, metrics.collect),
+            serving_metrics(settings.metrics_address(), "supernode", server, metrics.collect),
             _background(server, *work),
         ):
             # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
@@ -224,6 +208,29 @@ async def _open_log(
         yield log
     finally:
         await log.close()
+
+
+def _work(
+    settings: SupernodeSettings, founding: Founding, parts: _Parts, server: ServiceServer, credentials: Dialer
+) -> list[Coroutine[Any, Any, None]]:
+    """The work that goes on for as long as the supernode serves."""
+    work: list[Coroutine[Any, Any, None]] = [
+        parts.leases.run(),
+        parts.levels.run(),
+        parts.probe.run(),
+        _follow_access(server),
+        _follow_readiness(server, parts.members),
+        _watch_state(server, parts),
+        _watch_removal(server, parts.log, keeps=settings.data_dir is not None),
+        _watch_founding(server, parts, founding),
+    ]
+    if settings.data_dir is not None:
+        boot = parts.members.boot_incarnation
+        own_address = OwnAddress(founding.supernode_id, founding.address, boot, credentials)
+        work.append(_for_good(own_address.watch(parts.own_cluster.id)))
+    if founding.token and settings.data_dir is not None:
+        work.append(_for_good(volunteer(founding, settings.data_dir, parts.log, credentials, zone=settings.zone)))
+    return work
 
 
 async def _for_good(work: Coroutine[Any, Any, None]) -> None:
