@@ -29,6 +29,7 @@ from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
+from stampede_rt_supernode.background import background
 from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
 from stampede_rt_supernode.joining.copies import OwnAddress
 from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
@@ -93,7 +94,7 @@ async def serve(settings: SupernodeSettings) -> None:
         async with (
             GarbageCollection(),
             serving_metrics(settings.metrics_address(), "supernode", server, metrics.collect),
-            _background(server, *work),
+            background(server, *work),
         ):
             # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
@@ -317,28 +318,6 @@ async def _follow_readiness(server: ServiceServer, members: Members) -> None:
             serving = not serving
             await server.set_serving(serving)
         await asyncio.sleep(HEALTH_SECONDS)
-
-
-@contextlib.asynccontextmanager
-async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Run `work` beside the caller's `with` block. If any of it ends, the service stops.
-
-    Raises the StampedeError of the work, or an ExceptionGroup if the work has failed in another way.
-    """
-    tasks = [asyncio.create_task(one) for one in work]
-    for task in tasks:
-        task.add_done_callback(lambda _: server.stopping.set())
-    try:
-        yield
-    finally:
-        for task in tasks:
-            task.cancel()
-        outcomes = await asyncio.gather(*tasks, return_exceptions=True)
-        failures = [one for one in outcomes if isinstance(one, Exception)]
-    if len(failures) == 1 and isinstance(failures[0], StampedeError):
-        raise failures[0]
-    if failures:
-        raise ExceptionGroup("the supernode ends with a defect", failures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
