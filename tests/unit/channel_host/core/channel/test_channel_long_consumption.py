@@ -10,7 +10,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, seq_set
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, RANGES_PER_LOOK_MAX, Consumers
-from stampede_rt_channel_host.core.channel.retention import BACKLOG_ENTRIES_MAX, SLICES_CONSUMED_MAX
+from stampede_rt_channel_host.core.channel.retention import AFTER_READS_NANOS, BACKLOG_ENTRIES_MAX, SLICES_CONSUMED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import (
@@ -230,3 +230,34 @@ def test_a_late_item_during_a_long_read_copies_only_the_entries_of_the_consumed_
         channel.consume(1, [channel.next_seq - 1], CLOCK)
     for read in reads:
         assert sum(part.items for part in pieces.run_to_end(read).slices) == ITEMS
+
+
+def test_a_late_item_after_much_was_consumed_during_a_long_read_frees_a_bounded_number_of_entries(
+    looked: SliceCounter,
+) -> None:
+    """The read kept all consumed entries, and the put of the late item copied and freed all of them in one step."""
+    channel = a_channel(consumers=1, max_age_nanos=10**12)
+    channel.consume(1, [], CLOCK)
+    for time in range(ITEMS):
+        put(channel, CLOCK + 2 * time)
+    reads = [channel.reading(everything(newest_first=newest_first), CLOCK) for newest_first in (False, True)]
+    for read in reads:
+        next(read)
+    for first in range(1, ITEMS, 4096):
+        channel.consume(1, range(first, min(first + 4096, ITEMS)), CLOCK)
+        while channel.collect(CLOCK):
+            pass
+    assert channel.next_deadline(CLOCK) == CLOCK + AFTER_READS_NANOS
+    collected = channel.counters(CLOCK).collected["consumption"]
+    looked.slices, before = 0, channel.freed_entries
+    assert put(channel, CLOCK + 1).run is not None
+    assert channel.freed_entries - before <= BACKLOG_ENTRIES_MAX + SLICES_CONSUMED_MAX + 1
+    assert looked.slices <= 2 * (BACKLOG_ENTRIES_MAX + SLICES_CONSUMED_MAX) + 64
+    assert SLICES_CONSUMED_MAX < collected < ITEMS
+    for read in reads:
+        assert sum(part.items for part in pieces.run_to_end(read).slices) == ITEMS
+    channel.consume(1, [channel.next_seq - 1], CLOCK)
+    later = CLOCK + AFTER_READS_NANOS
+    while channel.next_deadline(later) == later:
+        channel.collect(later)
+    assert channel.counters(later).held == 1, "the newest item, which nobody has consumed"

@@ -119,6 +119,10 @@ class HeldItems:
         """Whether there are at least so many entries to free, now or after `report_gone`."""
         return self.index.has_below(self._below_snapshots(self.floor), entries)
 
+    def has_outdated(self, entries: int) -> bool:
+        """Whether there are at least so many entries of outdated items, also those that a snapshot keeps."""
+        return self.index.has_below(self.floor, entries)
+
     @property
     def _free_floor(self) -> ItemKey:
         """The key below which the channel may free items: no snapshot shows them, and the consumers know of them."""

@@ -12,6 +12,7 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
+from stampede_rt_channel_host.core.channel.earlier_items import EarlierItems
 from stampede_rt_channel_host.core.channel.front import before
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -22,9 +23,11 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
 BACKLOG_ENTRIES_MAX = 512
-"""While so many entries wait to be freed, consumption collects nothing: a late item may have to free all of them."""
-ENTRIES_PER_LOOK = 8
-"""The most index entries or ranges of seqs that one step of `report_collected` looks at."""
+"""While there are so many entries of outdated items, consumption collects nothing: a late item may have to free all of
+them, and to copy them for the reads that still show them.
+"""
+AFTER_READS_NANOS = 100 * 10**6
+"""If long reads keep these entries, consumption looks again after this time."""
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
 this check.
@@ -35,18 +38,19 @@ class Retention:
     """Applies limits to holdings. `consumers` is None if the limits have no consumer places."""
 
     __slots__ = (
-        "_consumed_to", "_has_more_consumed", "_has_more_to_age", "_held", "_owed_check_goes_on", "_unknown_from",
-        "_unknown_to", "consumers", "limits",
+        "_consumed_to", "_earlier", "_has_more_consumed", "_has_more_to_age", "_held", "_look_after_reads",
+        "_owed_check_goes_on", "consumers", "limits",
     )  # fmt: skip
 
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
+        # While consumption waits for long reads: when it looks again.
+        self._look_after_reads: int | None = None
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        # `consumers` does not know yet which seqs from the first number up to the second, exclusive, are collected.
-        self._unknown_from = self._unknown_to = 1
+        self._earlier = EarlierItems(held, end_seq=1)
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
@@ -63,10 +67,11 @@ class Retention:
             self.consumers = None
             self._held.tell(None)
             self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
+            self._look_after_reads = None
         elif self.consumers is None:
             self.consumers = Consumers(places)
             self._consumed_to = FIRST_KEY, 0
-            self._unknown_from, self._unknown_to = 1, self._held.next_seq
+            self._earlier = EarlierItems(self._held, self._held.next_seq)
             self._held.tell(self.consumers.note_collected)
         else:
             self.consumers.table.resize(places)
@@ -78,16 +83,7 @@ class Retention:
             return False
         if held.report_gone(slices_max):
             return True
-        seq, end = self._unknown_from, self._unknown_to
-        for _ in range(max(1, slices_max // 4) if seq < end else 0):
-            first = held.seq_from(seq, end, ENTRIES_PER_LOOK)
-            seq = consumers.note_some_collected(seq, first, ENTRIES_PER_LOOK)
-            if seq == first:
-                seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)
-            if seq >= end:
-                break
-        self._unknown_from = seq
-        return seq < end
+        return self._earlier.tell(consumers, max(1, slices_max // 4))
 
     @property
     def has_more(self) -> bool:
@@ -216,12 +212,16 @@ class Retention:
         return longest
 
     def next_due(self) -> int | None:
-        """The instant at which the passing of time next makes an item too old or ends a consumer's lease, or None."""
+        """The instant at which the passing of time next makes an item too old or ends a consumer's lease, or None.
+
+        An earlier instant if consumption waits for long reads.
+        """
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
-        if age is None or held.oldest is None or following is None:
-            return self._lease_end()
-        return self._or_lease_end(held.bucket_end(held.oldest, following) + age)
+        instants = [self._look_after_reads, self._lease_end()]
+        if age is not None and held.oldest is not None and following is not None:
+            instants.append(held.bucket_end(held.oldest, following) + age)
+        return min((one for one in instants if one is not None), default=None)
 
     def _lease_end(self) -> int | None:
         """The next end of a consumer's lease, or None if no lease keeps items."""
@@ -237,14 +237,15 @@ class Retention:
 
         Returns True if an item was collected. Looks at the items to collect and one slice more. So the cost of each
         item is the same, however many are collected together. If all leases have ended, collects all items except the
-        newest bucket, because a new consumer begins with the newest item. Collects nothing while the backlog is long.
+        newest bucket, because a new consumer begins with the newest item. Collects nothing beside BACKLOG_ENTRIES_MAX.
         """
-        self._has_more_consumed = False
+        self._has_more_consumed, self._look_after_reads = False, None
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.table.untaken or held.newest is None:
             return False
-        if held.has_backlog_of(BACKLOG_ENTRIES_MAX):
-            self._has_more_consumed = True
+        if held.has_outdated(BACKLOG_ENTRIES_MAX):
+            self._has_more_consumed = held.has_backlog_of(1)
+            self._look_after_reads = None if self._has_more_consumed else clock + AFTER_READS_NANOS
             return False
         count = consumers.done_with if consumers.table.live else before(held.newest)
         bounded = BoundedCount(SLICES_CONSUMED_MAX, count, consumers)
