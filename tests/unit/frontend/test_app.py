@@ -17,7 +17,7 @@ from stampede_rt_frontend.app import main
 def test_bad_settings_end_with_one_line_and_code_2(
     argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level: None)
+    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)
     assert main(argv) == 2
     said = capsys.readouterr().err
     assert said.startswith("stampede frontend: ")

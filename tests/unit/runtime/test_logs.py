@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import json
 import logging
 import re
 import sys
 
 import pytest
 
-from stampede_rt_runtime.logs import LineFormatter
+from stampede_rt_runtime.logs import JsonFormatter, LineFormatter
 
 
 def record(message: str, *args: object, **extra: object) -> logging.LogRecord:
@@ -15,9 +16,10 @@ def record(message: str, *args: object, **extra: object) -> logging.LogRecord:
 
 
 def test_a_record_is_one_line_of_keys_and_values_with_the_extras_last() -> None:
-    line = LineFormatter().format(record("lost %d of %d", 1, 2, host="h1", seq=7))
+    line = LineFormatter().format(record("lost %d of %d", 1, 2, event="lost", host="h1", seq=7))
     assert re.fullmatch(
-        r'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z level=warning logger=some\.module msg="lost 1 of 2" host=h1 seq=7',
+        r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z level=warning logger=some\.module event=lost "
+        r'msg="lost 1 of 2" host=h1 seq=7',
         line,
     )
 
@@ -50,3 +52,26 @@ def test_a_traceback_stays_on_the_line() -> None:
     line = LineFormatter().format(failed)
     assert "\n" not in line
     assert "RuntimeError: the cause" in line
+
+
+def test_a_record_is_one_json_object_with_its_event_and_numbers_as_numbers() -> None:
+    line = JsonFormatter().format(record("lost %d", 1, event="lost", host="h1", seq=7, late=0.5, far=float("inf")))
+    fields = json.loads(line)
+    assert fields.pop("time").endswith("Z")
+    assert fields == {
+        "level": "warning", "logger": "some.module", "event": "lost", "msg": "lost 1", "host": "h1", "seq": 7,
+        "late": 0.5, "far": "inf",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("value", ["a\nb", "\x1b[31m", '"}', "\ud800", b"\x00", None, object()])
+def test_a_json_line_has_no_control_character_whatever_its_values(value: object) -> None:
+    line = JsonFormatter().format(record("m %s", "\r\n\x9b", value=value))
+    assert line.isascii()
+    assert line.isprintable()
+    json.loads(line)
+
+
+def test_a_record_without_an_event_is_an_other_one() -> None:
+    assert json.loads(JsonFormatter().format(record("m")))["event"] == "other"
+    assert " event=other " in LineFormatter().format(record("m"))

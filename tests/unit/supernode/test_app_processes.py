@@ -185,7 +185,7 @@ async def host_gone(supernode: Supernode, number: int) -> None:
 def test_bad_settings_end_with_one_line_and_code_2(
     argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level: None)
+    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)
     assert main(argv) == 2
     said = capsys.readouterr().err
     assert message in said
@@ -202,7 +202,7 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
         await cluster.close()
 
     asyncio.run(found())
-    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level: None)
+    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     assert main(("--listen", "localhost:0", "--id", "stranger", "--data-dir", str(tmp_path / "s1"))) == 1

@@ -101,7 +101,11 @@ class SecretReader:
         try:
             self._secret = read_secret(self.path) or self._secret
         except PermissionDenied as error:
-            logger.warning("the secret file has changed, but cannot be used; the earlier secret counts: %s", error)
+            logger.warning(
+                "the secret file has changed, but cannot be used; the earlier secret counts: %s",
+                error,
+                extra={"event": "secret_file_unusable"},
+            )
         self._stamp = stamp
 
 

@@ -101,10 +101,14 @@ class TlsReader:
             return
         try:
             self._stamp, self._material = _read(self.files)
-            logger.info("new certificates from now on: %s", self.files.certificate)
+            logger.info(
+                "new certificates from now on: %s", self.files.certificate, extra={"event": "certificate_renewed"}
+            )
         except (PermissionDenied, OSError) as error:
             logger.warning(
-                "the certificate files have changed, but cannot be used; the earlier contents stay in use: %s", error
+                "the certificate files have changed, but cannot be used; the earlier contents stay in use: %s",
+                error,
+                extra={"event": "certificate_files_unusable"},
             )
             self._refused = stamp
 

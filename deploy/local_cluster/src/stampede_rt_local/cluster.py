@@ -48,6 +48,7 @@ class LocalCluster:
         allow_insecure_anywhere: bool = False,
         host_namespaces: Sequence[NetworkNamespace] = (),
         log_level: str = "info",
+        log_format: str = "text",
         metrics: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
@@ -66,7 +67,7 @@ class LocalCluster:
         self._host_namespaces = tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
-        self._shared = ["--log-level", log_level]
+        self._shared = ["--log-level", log_level, "--log-format", log_format]
         if secret_file is not None or not tls:
             self._shared += ["--secret-file", str(self.secret.path)]
         if allow_insecure_anywhere:

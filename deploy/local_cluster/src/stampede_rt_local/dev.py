@@ -19,7 +19,7 @@ from stampede_rt.security.credentials import secret_file
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
-from stampede_rt_runtime.logs import LEVELS
+from stampede_rt_runtime.logs import FORMATS, LEVELS
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
 from stampede_rt_runtime.values import parse_address, parse_address_text
 
@@ -57,6 +57,10 @@ class DevSettings:
         metadata=setting(
             help="listen beyond this machine without encryption, although the whole network can read the items"
         ),
+    )
+    log_format: str = field(
+        default="text",
+        metadata=setting(metavar="FORMAT", choices=FORMATS, help="the form of the log"),
     )
     metrics: str = field(
         default="",
@@ -111,7 +115,8 @@ def _run(settings: DevSettings, began: float) -> int:
 
     def pass_on(process: ServiceProcess, line: str) -> None:
         if ready.is_set():  # during the start, services log errors about each other
-            print(escaped(f"{process.name}: {line}"), file=sys.stderr)
+            shown = line if line.startswith("{") else f"{process.name}: {line}"  # a line of JSON stays one
+            print(escaped(shown), file=sys.stderr)
 
     cluster = LocalCluster(
         hosts=settings.hosts,
@@ -121,6 +126,7 @@ def _run(settings: DevSettings, began: float) -> int:
         secret_file=settings.secret_file or secret_file(),
         allow_insecure_anywhere=settings.allow_insecure_anywhere,
         log_level=settings.log_level,
+        log_format=settings.log_format,
         metrics=settings.metrics,
         on_line=pass_on,
         on_exit=ended.put,

@@ -100,7 +100,9 @@ class _Service:
         try:
             return await self._server.sockets.listen_locally()
         except CannotListen as error:
-            logger.warning("callers of this machine use gRPC only: %s", error)
+            logger.warning(
+                "callers of this machine use gRPC only: %s", error, extra={"event": "local_socket_unavailable"}
+            )
             return ""
 
     def _make_host(self) -> ChannelHost:

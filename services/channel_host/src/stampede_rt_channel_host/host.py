@@ -197,7 +197,11 @@ class ChannelHost:
 
     def _check(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (failure := task.exception()) is not None:
-            logger.error("a task of the host ended with a defect", exc_info=failure, extra={"task": task.get_name()})
+            logger.error(
+                "a task of the host ended with a defect",
+                exc_info=failure,
+                extra={"event": "task_defect", "task": task.get_name()},
+            )
             self._on_defect(failure)
 
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:

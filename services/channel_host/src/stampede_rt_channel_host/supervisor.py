@@ -88,7 +88,10 @@ class Supervisor:
         try:
             process = await self._start(number)
         except OSError as error:  # such as a lack of memory or of process ids
-            logger.warning("a host process cannot start", extra={"number": number, "why": str(error)})
+            logger.warning(
+                "a host process cannot start",
+                extra={"event": "host_process_start_failed", "number": number, "why": str(error)},
+            )
             return EXIT_FAILED, False
         was_ready = await self._pass_on_lines(process)
         status = await process.wait()
@@ -105,7 +108,9 @@ class Supervisor:
             stdout=PIPE,
             start_new_session=True,  # only the supervisor gets Ctrl-C of the terminal
         )
-        logger.info("started a host process", extra={"number": number, "pid": process.pid})
+        logger.info(
+            "started a host process", extra={"event": "host_process_started", "number": number, "pid": process.pid}
+        )
         if self._stopping.is_set():  # the stop came during the start
             _signal(process, signal.SIGTERM)
         return process
@@ -127,7 +132,7 @@ class Supervisor:
     async def _pause(self, number: int, status: int, pause_s: float) -> None:
         logger.warning(
             "a host process has ended; it is started again after a pause",
-            extra={"number": number, "exit_status": status, "pause_s": pause_s},
+            extra={"event": "host_process_ended", "number": number, "exit_status": status, "pause_s": pause_s},
         )
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._stopping.wait(), pause_s)
@@ -149,7 +154,10 @@ class Supervisor:
 
     def _kill_the_rest(self) -> None:
         for number, process in self._running.items():
-            logger.warning("a host process did not end in time; it is killed", extra={"number": number})
+            logger.warning(
+                "a host process did not end in time; it is killed",
+                extra={"event": "host_process_killed", "number": number},
+            )
             _signal(process, signal.SIGKILL)
 
     @contextlib.contextmanager

@@ -37,7 +37,10 @@ class AccessFollower:
                 stub = access_service_pb2_grpc.AccessServiceStub(channel)
                 state = state_from(await stub.GetAccessState(_REQUEST, timeout=CALL_SECONDS_MAX))
             except grpc.aio.AioRpcError as error:
-                logger.info("a supernode did not send the access state", extra={"why": error.details()})
+                logger.info(
+                    "a supernode did not send the access state",
+                    extra={"event": "access_rules_unavailable", "why": error.details()},
+                )
                 return
         if self._is_news(state.cluster_id, state.version):  # another supernode may have sent a later state meanwhile
             self._known = state

@@ -130,14 +130,17 @@ class Prober:
             accepted = self._roster.answered(target, answer)
             if not accepted and self._foreign.get(target) != answer.cluster_id:
                 self._foreign[target] = answer.cluster_id
-                logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
+                logger.warning(
+                    "another cluster's supernode",
+                    extra={"event": "other_cluster_supernode", "target": target, "cluster_id": answer.cluster_id},
+                )
             if answer.ready and accepted:
                 self._roster.listed(await _list(stub))
                 await self._access.heard(answer.cluster_id, answer.access_version, channel)
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
             why = str(await self._explained(target, from_rpc_error(error, target)))
-            logger.debug("probe failed", extra={"target": target, "why": why})
+            logger.debug("probe failed", extra={"event": "supernode_probe_failed", "target": target, "why": why})
             self._roster.failed(target, why)
             return False
         return answer.ready and accepted
@@ -149,7 +152,11 @@ class Prober:
         """
         for change in self._status_log.changes(self._roster, asyncio.get_running_loop().time()):
             is_quiet = change.is_well and not change.is_return
-            logger.log(logging.INFO if is_quiet else logging.WARNING, change.text, extra=change.facts)
+            logger.log(
+                logging.INFO if is_quiet else logging.WARNING,
+                change.text,
+                extra={"event": change.event, **change.facts},
+            )
 
     async def _explained(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):
@@ -159,7 +166,11 @@ class Prober:
 
 def _log_defect(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
-        logger.error("the probe of the supernodes ended with a defect", exc_info=error, extra={"task": task.get_name()})
+        logger.error(
+            "the probe of the supernodes ended with a defect",
+            exc_info=error,
+            extra={"event": "task_defect", "task": task.get_name()},
+        )
 
 
 async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> ProbeAnswer:

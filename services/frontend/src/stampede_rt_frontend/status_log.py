@@ -12,12 +12,13 @@ START_SECONDS = 5.0
 
 
 class Note(NamedTuple):
-    """One line of the log.
+    """One line of the log, with the name of its event.
 
     `is_well`: the line reports a good state. `is_return`: the line reports the end of a bad state that an earlier line
     has reported.
     """
 
+    event: str
     text: str
     is_well: bool
     is_return: bool
@@ -61,13 +62,17 @@ class StatusLog:
 
 def _of_one(target: str, why: str | None, *, is_return: bool) -> Note:
     if why is None:
-        return Note("a supernode can serve", True, is_return, {"supernode": target})
-    return Note("a supernode cannot serve", False, False, {"supernode": target, "why": why})
+        return Note("supernode_serves", "a supernode can serve", True, is_return, {"supernode": target})
+    return Note("supernode_cannot_serve", "a supernode cannot serve", False, False, {"supernode": target, "why": why})
 
 
 def _of_all(any_serves: bool, *, is_return: bool) -> Note:
     if any_serves:
-        return Note("the directory can serve: callers can connect", True, is_return, {})
+        return Note("directory_serves", "the directory can serve: callers can connect", True, is_return, {})
     return Note(
-        "no supernode can serve this front-end: no client can connect through it until one can", False, False, {}
+        "directory_cannot_serve",
+        "no supernode can serve this front-end: no client can connect through it until one can",
+        False,
+        False,
+        {},
     )

@@ -1,30 +1,60 @@
-"""Writes one line per event on standard error, in `key=value` form, through the standard library's logging.
+"""Writes one line per event on standard error, as `key=value` text or as JSON, through the standard library's logging.
 
-Write `logger.info("lease renewed", extra={"host": name, "ttl_nanos": ttl})`: the extras follow the message.
+Write `logger.info("lease renewed", extra={"event": "lease_renewed", "host": name})`: the extras follow the message.
+The name of the event stays the same in later releases, and the message may change. docs/observing.md lists the events.
 """
 
 from __future__ import annotations
 
+import json
 import logging
+import math
 import sys
 from datetime import UTC, datetime
 
 LEVELS = ("debug", "info", "warning", "error")
+FORMATS = ("text", "json")
+UNNAMED = "other"
+"""The event of a record that names none, such as one of a library."""
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 
 class LineFormatter(logging.Formatter):
-    """Formats a record as one line. A traceback becomes one quoted value, so that each record stays one line."""
+    """Formats a record as one line of text. A traceback becomes one quoted value, so the record stays one line."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The line, without its end."""
-        moment = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        fields = self._fields(record)
+        return " ".join([_moment(record), *(f"{key}={_quoted(value)}" for key, value in fields.items())])
+
+    def _fields(self, record: logging.LogRecord) -> dict[str, object]:
         fields: dict[str, object] = {"level": record.levelname.lower(), "logger": record.name}
-        fields["msg"] = record.getMessage()
-        fields |= {key: value for key, value in vars(record).items() if key not in _STANDARD}
+        fields |= {"event": getattr(record, "event", UNNAMED), "msg": record.getMessage()}
+        fields |= {key: value for key, value in vars(record).items() if key not in _STANDARD and key not in fields}
         if record.exc_info:
             fields["traceback"] = self.formatException(record.exc_info)
-        return " ".join([moment.replace("+00:00", "Z"), *(f"{key}={_quoted(value)}" for key, value in fields.items())])
+        return fields
+
+
+class JsonFormatter(LineFormatter):
+    """Formats a record as one line of JSON, in ASCII. Numbers and truth values stay as they are."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line, without its end."""
+        fields = {key: _json_value(value) for key, value in self._fields(record).items()}
+        return json.dumps({"time": _moment(record), **fields}, allow_nan=False)
+
+
+def _moment(record: logging.LogRecord) -> str:
+    return datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _json_value(value: object) -> object:
+    if value is None or isinstance(value, bool | int | str):
+        return value.encode("utf-8", "backslashreplace").decode() if type(value) is str else value
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    return value.hex() if isinstance(value, bytes) else str(value).encode("utf-8", "backslashreplace").decode()
 
 
 def _quoted(value: object) -> str:
@@ -35,9 +65,12 @@ def _quoted(value: object) -> str:
     return '"' + "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in escaped) + '"'
 
 
-def set_up_logging(level: str) -> None:
-    """Send records of `level` (one of LEVELS) and above to standard error. Replaces an earlier set-up."""
+def set_up_logging(level: str, form: str = "text") -> None:
+    """Send records of `level` (one of LEVELS) and above to standard error, in `form` (one of FORMATS).
+
+    Replaces an earlier set-up.
+    """
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(LineFormatter())
+    handler.setFormatter(JsonFormatter() if form == "json" else LineFormatter())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would hide ours

@@ -22,7 +22,7 @@ from stampede_rt_runtime.auth import Secret, load_client_secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
-from stampede_rt_runtime.logs import LEVELS, set_up_logging
+from stampede_rt_runtime.logs import FORMATS, LEVELS, set_up_logging
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
 from stampede_rt_runtime.tls import ServiceTls, load_tls
 from stampede_rt_runtime.values import Address, parse_address, parse_address_text
@@ -79,6 +79,14 @@ class ServiceSettings:
         default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
     )
 
+    log_format: str = field(
+        default="text",
+        metadata=setting(
+            metavar="FORMAT",
+            choices=FORMATS,
+            help="the form of the log: lines of key=value, or one JSON object in each line",
+        ),
+    )
     metrics: str = field(
         default="",
         metadata=setting(
@@ -139,7 +147,7 @@ def run_service(
         return 0
     except SettingsError as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)
-    set_up_logging(settings.log_level)
+    set_up_logging(settings.log_level, settings.log_format)
     open_files.raise_limit()
     allocator.give_back_memory()
     _tell_of_clients_certificates(settings, service)
@@ -169,6 +177,7 @@ def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> No
             "and --tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
             ", ".join(named),
             service.replace("-", "_").upper(),
+            extra={"event": "client_certificates_ignored"},
         )
 
 

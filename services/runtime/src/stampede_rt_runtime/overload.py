@@ -51,7 +51,9 @@ class RefusedCalls:
         """Count a refusal. Writes a log line every 10 s at most."""
         unlogged = self._overload.note(1, self._steady_nanos())
         if unlogged is not None:
-            logger.warning("calls are refused", extra={"calls": unlogged, "why": error.message})
+            logger.warning(
+                "calls are refused", extra={"event": "calls_refused", "calls": unlogged, "why": error.message}
+            )
 
     @property
     def count(self) -> int:

@@ -133,7 +133,7 @@ class ServiceServer:
         """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal ends calls."""
         with _signals_set(self.stopping):
             await self.stopping.wait()
-        logger.info("stopping", extra={"address": self.address})
+        logger.info("stopping", extra={"event": "stopping", "address": self.address})
         hurry = asyncio.Event()
         with _signals_set(hurry):
             drain = asyncio.create_task(self.stop(end_streams))
@@ -161,7 +161,10 @@ async def _bounded(work: Awaitable[Any]) -> None:
     try:
         await asyncio.wait_for(work, DRAIN_SECONDS)
     except TimeoutError:
-        logger.warning("streams did not end in time; the server ends them", extra={"seconds": DRAIN_SECONDS})
+        logger.warning(
+            "streams did not end in time; the server ends them",
+            extra={"event": "streams_cut_off", "seconds": DRAIN_SECONDS},
+        )
 
 
 @contextlib.contextmanager

@@ -97,5 +97,7 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
     now = datetime.now(UTC)
     if own.ends_soon(now, SOON):
         left = str(own.not_after - now).partition(".")[0]
-        logger.warning("the certificate %s ends in %s; renew it", files.certificate, left)
+        logger.warning(
+            "the certificate %s ends in %s; renew it", files.certificate, left, extra={"event": "certificate_ends_soon"}
+        )
     return ServiceTls(reader, own.identity, own.addresses)

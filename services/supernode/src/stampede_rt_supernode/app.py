@@ -81,10 +81,13 @@ async def serve(settings: SupernodeSettings) -> None:
     founding = settings.founding(address)
     own_cluster.learn(founding.log_cluster_id)
     if wrong := misplaced(founding, address, settings.advertise):
-        logger.warning(wrong)
+        logger.warning(wrong, extra={"event": "address_misplaced"})
         await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:
-        logger.info("alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir")
+        logger.info(
+            "alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir",
+            extra={"event": "kept_in_memory"},
+        )
     async with _open_log(settings, founding, server, credentials, replica) as log:
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
@@ -286,6 +289,7 @@ async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
             "%s; it no longer serves callers: remove it (stampede supernode remove %s), empty its folder, and let it "
             "join under a new id",
             *(why_diverged(parts.log.status()), name),
+            extra={"event": "state_diverged"},
         )
 
 

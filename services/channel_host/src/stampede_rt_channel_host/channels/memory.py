@@ -71,7 +71,10 @@ class MemoryBudget:
         """
         unreported = self.overload.note(items, self._steady_nanos())
         if unreported is not None:
-            logger.warning("puts are refused", extra={"items": unreported, "last_for": name, "why": error.message})
+            logger.warning(
+                "puts are refused",
+                extra={"event": "puts_refused", "items": unreported, "last_for": name, "why": error.message},
+            )
 
     def refused_ago_nanos(self) -> int | None:
         """The time since the last refusal, in nanoseconds; None: there was no refusal."""

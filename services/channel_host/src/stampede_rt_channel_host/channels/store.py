@@ -139,7 +139,10 @@ class ChannelStore:
         try:
             await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
-            logger.info("the channel is deleted already", extra={"channel": hosted.record.name})
+            logger.info(
+                "the channel is deleted already",
+                extra={"event": "channel_already_deleted", "channel": hosted.record.name},
+            )
         self._deletions.note(request_id, own_name())
         self._forget(channel_id, refusals.deleted(hosted.record.name))
 
@@ -196,7 +199,7 @@ class ChannelStore:
         if record is not None:
             self._adopt(record)
         elif is_complete:
-            logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
+            logger.warning("channel went elsewhere", extra={"event": "channel_moved", "channel": hosted.record.name})
             error = refusals.not_here(self._identity.name, hosted.record.channel_id)
             left += self._drop(hosted.record.channel_id, error)
         else:

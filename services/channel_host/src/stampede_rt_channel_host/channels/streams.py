@@ -60,7 +60,7 @@ class OpenStream:
         elif isinstance(failure, StampedeError):
             self.end(failure)
         else:
-            logger.error("a stream failed", exc_info=failure)
+            logger.error("a stream failed", exc_info=failure, extra={"event": "stream_defect"})
             self.end(StampedeError(f"the host failed to serve the stream ({failure!r}); please report it"))
 
 
@@ -86,7 +86,7 @@ class OpenStreams:
         except StampedeError as error:
             await _end(context, error)
         except InternalError as error:
-            logger.debug("the caller left during a write", extra={"why": str(error)})
+            logger.debug("the caller left during a write", extra={"event": "caller_left", "why": str(error)})
             raise asyncio.CancelledError from error  # there is no caller left for a status
         except asyncio.CancelledError:
             if stream.error is None:
@@ -117,5 +117,5 @@ async def _end(context: Context, error: StampedeError) -> None:
     try:
         await abort(context, error)
     except InternalError as failure:
-        logger.debug("the caller left before the status was sent", extra={"why": str(failure)})
+        logger.debug("the caller left before the status was sent", extra={"event": "caller_left", "why": str(failure)})
         raise asyncio.CancelledError from failure

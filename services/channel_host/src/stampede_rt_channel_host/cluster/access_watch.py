@@ -55,7 +55,10 @@ class AccessWatch:
             try:
                 await self.missed()
             except StampedeError as error:
-                logger.info("the rules of access are not available yet", extra={"why": str(error)})
+                logger.info(
+                    "the rules of access are not available yet",
+                    extra={"event": "access_rules_unavailable", "why": str(error)},
+                )
                 self._due.set()
                 await asyncio.sleep(PAUSE_SECONDS)
 

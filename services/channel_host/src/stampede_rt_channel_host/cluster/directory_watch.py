@@ -47,7 +47,7 @@ async def watch_forever(
                 pause_s = _PAUSE_SECONDS_MIN
                 await _pass_on(responses, watched)
         except StampedeError as error:
-            logger.info("a watch of the directory broke", extra={"why": str(error)})
+            logger.info("a watch of the directory broke", extra={"event": "directory_watch_broken", "why": str(error)})
         await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
         pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 

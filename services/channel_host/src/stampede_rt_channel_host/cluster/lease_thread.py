@@ -58,7 +58,10 @@ class ServingLoop:
         """The callback that `has_hung` schedules: notes that the loop runs. Runs on the serving loop's own thread."""
         late_s = time.monotonic() - scheduled_s
         if late_s > LOOP_LATE_SECONDS:
-            logger.warning("the event loop that serves channels was blocked", extra={"seconds": round(late_s, 3)})
+            logger.warning(
+                "the event loop that serves channels was blocked",
+                extra={"event": "event_loop_blocked", "seconds": round(late_s, 3)},
+            )
         self._scheduled_s = None
 
 

@@ -112,7 +112,10 @@ class Registration:
                 stays = isinstance(error, WrongCluster) or not (may_pass(error) or isinstance(error, HostExists))
                 if stays or time.monotonic() + pause_s > deadline_s:
                     raise
-                logger.warning("cannot register yet", extra={"host": self._identity.name, "why": str(error)})
+                logger.warning(
+                    "cannot register yet",
+                    extra={"event": "registration_failed", "host": self._identity.name, "why": str(error)},
+                )
             pause_s = await _pause(pause_s)
 
     async def keep(self) -> NoReturn:
@@ -137,18 +140,22 @@ class Registration:
         if self._unrenewed_since_s is None:
             self._unrenewed_since_s = time.monotonic()
             logger.warning(
-                "the lease could not be renewed; trying again", extra={"host": self._identity.name, "why": str(error)}
+                "the lease could not be renewed; trying again",
+                extra={"event": "lease_renewal_failed", "host": self._identity.name, "why": str(error)},
             )
         else:
             logger.debug(
                 "the lease still cannot be renewed; trying again",
-                extra={"host": self._identity.name, "why": str(error)},
+                extra={"event": "lease_renewal_failed", "host": self._identity.name, "why": str(error)},
             )
 
     def _note_renewed(self) -> None:
         if self._unrenewed_since_s is not None:
             after = f"{time.monotonic() - self._unrenewed_since_s:.1f}"
-            logger.warning("the lease is renewed again", extra={"host": self._identity.name, "after_s": after})
+            logger.warning(
+                "the lease is renewed again",
+                extra={"event": "lease_renewed", "host": self._identity.name, "after_s": after},
+            )
             self._unrenewed_since_s = None
 
     async def leave(self) -> None:
@@ -171,7 +178,11 @@ class Registration:
             level = (
                 logging.WARNING if self._lease.ttl_nanos else logging.DEBUG
             )  # a host that never entered has nothing to leave
-            logger.log(level, "left without deregistering", extra={"host": self._identity.name, "why": str(error)})
+            logger.log(
+                level,
+                "left without deregistering",
+                extra={"event": "left_without_deregistering", "host": self._identity.name, "why": str(error)},
+            )
 
     async def aclose(self) -> None:
         """Close the connections to the directory."""
@@ -182,7 +193,11 @@ class Registration:
             await self._renew()
         except (LeaseExpired, HostNotFound) as error:
             level = logging.DEBUG if self._has_ended else logging.WARNING
-            logger.log(level, "the lease has ended", extra={"host": self._identity.name, "why": str(error)})
+            logger.log(
+                level,
+                "the lease has ended",
+                extra={"event": "lease_ended", "host": self._identity.name, "why": str(error)},
+            )
             self._lease.give_up()
             self._check_fence()
             self._has_ended = True
@@ -257,7 +272,8 @@ class Registration:
     def _note_registered(self, channels: int) -> None:
         """Log the registration: as a warning if the host lost its lease before, else as information."""
         level, text = (logging.WARNING, "registered again") if self._has_ended else (logging.INFO, "registered")
-        logger.log(level, text, extra={"host": self._identity.name, "channels": channels})
+        facts = {"event": "registered", "host": self._identity.name, "channels": channels}
+        logger.log(level, text, extra=facts)
         self._has_ended = False
 
     def _grant(self, sent: int, ttl_nanos: int) -> None:
@@ -287,7 +303,7 @@ class Registration:
                 text = (
                     "fenced: the lease was not renewed in time; this host refuses all calls until the lease is renewed"
                 )
-                logger.warning(text, extra={"host": self._identity.name})
+                logger.warning(text, extra={"event": "fenced", "host": self._identity.name})
             self._on_lease(held)
 
 

@@ -96,7 +96,10 @@ class Supernodes:
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
                     raise
-                logger.debug("directory call failed", extra={"method": method, "why": str(error)})
+                logger.debug(
+                    "directory call failed",
+                    extra={"event": "directory_call_failed", "method": method, "why": str(error)},
+                )
             await asyncio.sleep(delay_s)
             await self._rebind(backoff.deadline_s)
 
@@ -191,7 +194,7 @@ class Supernodes:
         except StampedeError as error:
             if not may_pass(error):
                 raise
-            logger.debug("no front-end answers", extra={"why": str(error)})
+            logger.debug("no front-end answers", extra={"event": "no_frontend", "why": str(error)})
 
     async def _call_each(self, call: _Call, rounds: DirectoryCall) -> Any:
         rounds.begin_round(self._targets, TRY_SECONDS_MAX)

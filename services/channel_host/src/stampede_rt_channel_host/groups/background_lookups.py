@@ -48,5 +48,7 @@ async def _paced(work: Coroutine[Any, Any, None]) -> None:
     try:
         await work
     except StampedeError as error:
-        logger.debug("the directory gives no answer about a group", extra={"why": str(error)})
+        logger.debug(
+            "the directory gives no answer about a group", extra={"event": "group_lookup_failed", "why": str(error)}
+        )
     await asyncio.sleep(PAUSE_SECONDS)

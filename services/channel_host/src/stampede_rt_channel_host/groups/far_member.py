@@ -55,7 +55,10 @@ class FarMember:
                 try:
                     await self._listen(dial, on_news)
                 except StampedeError as error:
-                    logger.debug("cannot follow a member", extra={"target": self.target, "why": str(error)})
+                    logger.debug(
+                        "cannot follow a member",
+                        extra={"event": "group_member_unreachable", "target": self.target, "why": str(error)},
+                    )
                     if isinstance(error, IncarnationLost):
                         self._begin_anew()
             await asyncio.sleep(PAUSE_SECONDS)

@@ -163,7 +163,12 @@ class PeerHosts:
     def _want(self, peer: PeerHost, wanted: frozenset[bytes]) -> None:
         if wanted != peer.wanted:
             if len(wanted) > INTEREST_MAX:
-                extra = {"host": peer.host_id.hex(), "channels": len(wanted), "most": INTEREST_MAX}
+                extra = {
+                    "event": "group_too_large",
+                    "host": peer.host_id.hex(),
+                    "channels": len(wanted),
+                    "most": INTEREST_MAX,
+                }
                 logger.warning("groups have more channels of one host than one request can name", extra=extra)
             peer.wanted = wanted
             if peer.link is not None:
@@ -186,7 +191,10 @@ class PeerHosts:
                     opens = self._identity.host_id < peer.host_id
                     await (self._open(peer) if opens else self._ask_for_link(peer))
                 except StampedeError as error:
-                    logger.debug("no link to a host", extra={"host": peer.host_id.hex(), "why": str(error)})
+                    logger.debug(
+                        "no link to a host",
+                        extra={"event": "no_host_link", "host": peer.host_id.hex(), "why": str(error)},
+                    )
             if peer.link is not None:  # the peer has opened the stream
                 pause_s = PAUSE_SECONDS_MIN
                 await peer.unlinked.wait()
@@ -229,7 +237,11 @@ class PeerHosts:
 
 def _check(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (failure := task.exception()) is not None:
-        logger.error("a link between hosts has ended with a defect", exc_info=failure, extra={"task": task.get_name()})
+        logger.error(
+            "a link between hosts has ended with a defect",
+            exc_info=failure,
+            extra={"event": "host_link_defect", "task": task.get_name()},
+        )
 
 
 async def _unwrapped(work: Any) -> None:

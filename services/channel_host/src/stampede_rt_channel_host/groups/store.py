@@ -200,7 +200,10 @@ class GroupStore:
         try:
             await self._look_up(group_id, only_new=False)
         except StampedeError as error:
-            logger.debug("cannot look up a group", extra={"group": group_id.hex(), "why": str(error)})
+            logger.debug(
+                "cannot look up a group",
+                extra={"event": "group_lookup_failed", "group": group_id.hex(), "why": str(error)},
+            )
 
     async def _look_up(self, group_id: bytes, *, only_new: bool) -> None:
         async with self._single_flight.about(group_id):
@@ -275,7 +278,10 @@ class GroupStore:
             try:
                 hosted = await self.channels.bind(channel_id, record.epoch)
             except StampedeError as error:
-                logger.debug("cannot serve a member", extra={"channel": record.name, "why": str(error)})
+                logger.debug(
+                    "cannot serve a member",
+                    extra={"event": "group_member_not_served", "channel": record.name, "why": str(error)},
+                )
                 group.is_stale = True
                 continue
             self._follow(channel_id, hosted)

@@ -83,7 +83,9 @@ class DeadLetterMover:
     def _ended(self, hosted: HostedQueue, task: asyncio.Task[None]) -> None:
         del self._tasks[hosted]
         if not task.cancelled() and (failure := task.exception()) is not None:
-            logger.error("the task that moves dead letters ended with a defect", exc_info=failure)
+            logger.error(
+                "the task that moves dead letters ended with a defect", exc_info=failure, extra={"event": "task_defect"}
+            )
             self._on_defect(failure)
 
     async def _move_all(self, hosted: HostedQueue) -> None:
@@ -94,7 +96,7 @@ class DeadLetterMover:
                 await self._attempt(hosted, refusals)
                 pause_s = _PAUSE_SECONDS_MIN
             except StampedeError as error:
-                extra = {"queue": display_name(hosted.record), "why": str(error)}
+                extra = {"event": "dead_letters_wait", "queue": display_name(hosted.record), "why": str(error)}
                 logger.warning("dead letters cannot be moved yet; trying again", extra=extra)
                 await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)

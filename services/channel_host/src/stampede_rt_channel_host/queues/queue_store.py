@@ -136,7 +136,7 @@ class QueueStore:
         if record is not None:
             self._adopt(record)
         elif is_complete:
-            logger.warning("queue went elsewhere", extra={"queue": display_name(hosted.record)})
+            logger.warning("queue went elsewhere", extra={"event": "queue_moved", "queue": display_name(hosted.record)})
             error = refusals.not_here(self._identity.name, hosted.record.queue_id)
             left += self._drop(hosted.record.queue_id, error)
         else:
@@ -161,7 +161,10 @@ class QueueStore:
                 try:
                     await self._ask(queue_id)
                 except (QueueNotFound, StaleBinding) as error:
-                    logger.info("this host no longer has the queue", extra={"queue": queue_id.hex(), "why": str(error)})
+                    logger.info(
+                        "this host no longer has the queue",
+                        extra={"event": "queue_moved", "queue": queue_id.hex(), "why": str(error)},
+                    )
 
     def changed_in_directory(self, change: RecordedChange) -> None:
         """See `Watched`."""

@@ -39,14 +39,16 @@ class AuditLog:
         self._denied_s = self._clock_s()
         left_out = self._turn(address.rpartition(":")[0] if caller is None else caller.name)
         if left_out is not None:
-            logger.warning("denied", extra=_facts(caller, address, verb, name, "denied") | {"left_out": left_out})
+            facts = {"event": "access_denied", **_facts(caller, address, verb, name, "denied"), "left_out": left_out}
+            logger.warning("denied", extra=facts)
 
     def changed(self, caller: Caller | None, address: str, verb: str, name: str, *, done: bool = True) -> None:
         """Log a change of rules, quotas, credentials or members, or the takeover of a peer. Logs each such change.
 
         `done` False: everything was so already.
         """
-        logger.info("changed", extra=_facts(caller, address, verb, name, "done" if done else "unchanged"))
+        result = "done" if done else "unchanged"
+        logger.info("changed", extra={"event": "access_changed", **_facts(caller, address, verb, name, result)})
 
     def _turn(self, subject: str) -> int | None:
         """The number of denials left out since the last line; None: it is too early for the next line."""

@@ -121,7 +121,10 @@ class SocketServer:
                     self._changed.clear()
                     await self._changed.wait()
         except TimeoutError:
-            logger.warning("streams did not end in time; the server ends them", extra={"seconds": grace_s})
+            logger.warning(
+                "streams did not end in time; the server ends them",
+                extra={"event": "streams_cut_off", "seconds": grace_s},
+            )
         for number, connection in enumerate(tuple(self._streams), start=1):
             connection.abort()
             if number % ENDED_PER_TURN == 0:
@@ -228,7 +231,7 @@ class SocketServer:
             if not connection.is_over:
                 connection.abort()
         except Exception as defect:
-            logger.exception("a method failed", extra={"method": opening.method})
+            logger.exception("a method failed", extra={"event": "method_defect", "method": opening.method})
             connection.end(status_of(grpc.StatusCode.UNKNOWN, f"Unexpected {type(defect)}: {defect}"))
 
     async def _method(self, details: _CallDetails) -> Any:

@@ -111,7 +111,12 @@ class Probe:
         refusal = await self._explain(member.address) if self._explain else None
         if refusal is not None and self._logged.get(member.address) != refusal.message:
             self._logged[member.address] = refusal.message
-            logger.warning("no certificates in common with member %s: %s", member.member_id, refusal.message)
+            logger.warning(
+                "no certificates in common with member %s: %s",
+                member.member_id,
+                refusal.message,
+                extra={"event": "member_certificate_refused"},
+            )
 
     async def _hang_up(self, addresses: Sequence[str]) -> None:
         for address in addresses:

@@ -65,20 +65,23 @@ async def volunteer(
                 logged_message = error.message
                 logger.info(
                     "waiting for the members to let this supernode join",
-                    extra={"asked": addresses[0], "cause": logged_message},
+                    extra={"event": "join_waits", "asked": addresses[0], "cause": logged_message},
                 )
             addresses = _next(addresses)
             pause_seconds = min(2 * pause_seconds, PAUSE_SECONDS_MAX)
         await sleep(pause_seconds * random.uniform(0.5, 1.0))
     write_founding(data_dir, replace(founding, token="", started=True, refused="", refusals=0))
-    logger.info("joined", extra={"supernode": founding.supernode_id})
+    logger.info("joined", extra={"event": "joined", "supernode": founding.supernode_id})
 
 
 async def _wait_after_refusals(founding: Founding, sleep: Callable[[float], Awaitable[None]]) -> None:
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)
         logger.warning(
-            "the members refused this supernode before; it asks again in %.0f s: %s", pause_seconds, founding.refused
+            "the members refused this supernode before; it asks again in %.0f s: %s",
+            pause_seconds,
+            founding.refused,
+            extra={"event": "join_refused"},
         )
         await sleep(pause_seconds)
 

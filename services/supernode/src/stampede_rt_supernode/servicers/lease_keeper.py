@@ -114,7 +114,9 @@ class LeaseKeeper:
                 await self._end_due_peers()
                 await self.loads.tick(self._hosts.tenure)
         except StampedeError as error:
-            logger.warning("leases wait", extra={"reason": error.reason, "cause": error.message})
+            logger.warning(
+                "leases wait", extra={"event": "leases_wait", "reason": error.reason, "cause": error.message}
+            )
 
     def _resign(self) -> None:
         self._hosts.resign()
@@ -146,9 +148,10 @@ class LeaseKeeper:
         self._peers.lead(status.tenure, (), now, ttl_nanos=ttl_nanos)
         await self._followed_peers.follow(now)
         peers = self._replica.read(lambda directory: directory.tables.peers.live_count)
-        logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": peers})
+        logger.info("leading", extra={"event": "leading", "tenure": status.tenure, "hosts": len(hosts), "peers": peers})
         if ttl_nanos != self._founding_ttl_nanos:
-            extra = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
+            ttls = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
+            extra = {"event": "lease_ttl_ignored", **ttls}
             logger.warning(
                 "the cluster was founded with another lease TTL; this supernode ignores its own setting", extra=extra
             )
@@ -178,7 +181,7 @@ class LeaseKeeper:
             tenure=self._hosts.tenure,
         )
         ended = await self._submission.submit(operation, HostExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
-        logger.info("lease ended", extra={"host_id": host_id, "expired": ended.expired})
+        logger.info("lease ended", extra={"event": "host_lease_ended", "host_id": host_id, "expired": ended.expired})
 
     async def _end_due_peers(self) -> None:
         now = self._clock.boottime_nanos()
@@ -192,7 +195,10 @@ class LeaseKeeper:
             part = tuple(leases[start : start + PEERS_PER_ENTRY_MAX])
             operation = ExpirePeers(leases=part, tenure=self._peers.tenure)
             ended = await self._submission.submit(operation, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
-            logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
+            logger.info(
+                "leases of peers ended",
+                extra={"event": "peer_leases_ended", "due": len(operation.leases), "expired": ended.expired},
+            )
 
     @staticmethod
     async def _give_way() -> None:

@@ -50,6 +50,12 @@ class LevelKeeper:
                 operation, FeatureLevelRaised, op_id=secrets.token_bytes(ID_BYTES), seconds=PROPOSAL_SECONDS
             )
         except StampedeError as error:
-            logger.warning("the feature level waits", extra={"reason": error.reason, "cause": error.message})
+            logger.warning(
+                "the feature level waits",
+                extra={"event": "feature_level_waits", "reason": error.reason, "cause": error.message},
+            )
         else:
-            logger.info("all supernodes know a higher feature level", extra={"feature_level": raised.feature_level})
+            logger.info(
+                "all supernodes know a higher feature level",
+                extra={"event": "feature_level_raised", "feature_level": raised.feature_level},
+            )

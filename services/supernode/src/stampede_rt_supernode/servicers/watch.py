@@ -262,7 +262,7 @@ class _Notifier:
         try:
             self._loop.call_soon_threadsafe(self.wake)
         except RuntimeError:
-            logger.debug("a change came after the event loop had closed")
+            logger.debug("a change came after the event loop had closed", extra={"event": "change_after_end"})
 
     def wake(self) -> None:
         """Begin to wake the coroutines that wait. Call it on the loop."""

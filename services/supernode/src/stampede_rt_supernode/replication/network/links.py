@@ -148,6 +148,7 @@ class PeerLinks:
                 "%s refuses this member: %s. %s once the leader or most of the others refuse it, too. If %s is "
                 "mistaken, stop %s and start this member again",
                 *(member_id, why, what_follows, member_id, member_id),
+                extra={"event": "refused_by_member"},
             )
             self._ask_the_others(refusals)
         return is_confirmed and not was_confirmed

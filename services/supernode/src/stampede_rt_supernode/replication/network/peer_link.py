@@ -132,7 +132,14 @@ class PeerLink:
         # Compares the grounds of a refusal, because its text may contain log positions, which differ each time.
         if self._reports.is_due((self._member.member_id, grounds_of(reason) or reason), time.monotonic()):
             level = logging.INFO if UNKNOWN in reason else logging.WARNING
-            logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
+            logger.log(
+                level,
+                "no link to member %s at %s: %s",
+                self._member.member_id,
+                self._member.address,
+                reason,
+                extra={"event": "no_member_link"},
+            )
 
     async def _hold_stream(self) -> None:
         channel = self._dial(self._member.address)

@@ -107,6 +107,7 @@ class RaftServicer:
                 "%s: this breaks the protocol, and this supernode refuses the member for %.0f s; if it happens again, "
                 "stop the member, remove it (stampede supernode remove %s), and find out what runs there",
                 *(why, EXPELLED_SECONDS, member_id),
+                extra={"event": "member_expelled"},
             )
         if (reader := self._readers.get(member_id)) is not None:
             reader.cancel()
@@ -191,7 +192,7 @@ class RaftServicer:
             )
         else:
             advice = "remove it (stampede supernode remove), and join under a new id"
-        logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)
+        logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice, extra={"event": "member_refused"})
 
     def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
         """Log that a member of another cluster calls. For example, this member was started without its folder."""
@@ -201,6 +202,7 @@ class RaftServicer:
                 "member %s of another cluster (%s) calls this address, and takes it for its member %s; this is %s of "
                 "cluster %s: if it was meant to be that member, stop it, and start it with that member's --data-dir",
                 *(hello.member_id, hello.cluster_id, hello.peer_member_id, own, self._settings.cluster_id),
+                extra={"event": "other_cluster_member"},
             )
 
     async def _receive(self, member_id: str, context: Context) -> None:

@@ -133,7 +133,12 @@ class TickThread:
                     "changes and no reads until it does; the others go on without it. Mend the disk; if it does not "
                     "come back, remove this member and join a new one",
                     STUCK_SECONDS,
+                    extra={"event": "disk_silent"},
                 )
             elif stuck_since is not None and began != stuck_since:
-                logger.warning("the disk of the data folder answers again, after %.1f s", now - stuck_since)
+                logger.warning(
+                    "the disk of the data folder answers again, after %.1f s",
+                    now - stuck_since,
+                    extra={"event": "disk_answers"},
+                )
                 stuck_since = None
