@@ -186,7 +186,7 @@ async def test_who_brings_no_secret_is_refused_before_anything_is_read(method: s
         await raw.aclose()
 
 
-async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_or_wait() -> None:
+async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_much_or_wait_long() -> None:
     async with port(SECRET, brings=False, limits=Limits(concurrent_rpcs_max=4, refusals_max=4)) as one:
         raw = await RawConnection.open(one.address)
         streams = [await raw.call(CHECK) for _ in range(500)]

@@ -49,6 +49,7 @@ class LocalCluster:
         host_namespaces: Sequence[NetworkNamespace] = (),
         log_level: str = "info",
         log_format: str = "text",
+        reflection: bool = False,
         metrics: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
@@ -67,7 +68,7 @@ class LocalCluster:
         self._host_namespaces = tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
-        self._shared = ["--log-level", log_level, "--log-format", log_format]
+        self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
         if secret_file is not None or not tls:
             self._shared += ["--secret-file", str(self.secret.path)]
         if allow_insecure_anywhere:

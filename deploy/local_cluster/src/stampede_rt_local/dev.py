@@ -58,6 +58,10 @@ class DevSettings:
             help="listen beyond this machine without encryption, although the whole network can read the items"
         ),
     )
+    reflection: bool = field(
+        default=False,
+        metadata=setting(help="describe the services of each port to callers with a credential, as for grpcurl"),
+    )
     log_format: str = field(
         default="text",
         metadata=setting(metavar="FORMAT", choices=FORMATS, help="the form of the log"),
@@ -127,6 +131,7 @@ def _run(settings: DevSettings, began: float) -> int:
         allow_insecure_anywhere=settings.allow_insecure_anywhere,
         log_level=settings.log_level,
         log_format=settings.log_format,
+        reflection=settings.reflection,
         metrics=settings.metrics,
         on_line=pass_on,
         on_exit=ended.put,

@@ -50,6 +50,7 @@ class _Service:
             client_secret=credentials.client_secret,
             tls=credentials.tls,
             judge_cluster=self._home.judge,
+            reflection=settings.reflection,
         )
         self._failed = False
         # kept here, because the loop keeps only weak references to its tasks

@@ -53,7 +53,11 @@ async def serve(settings: FrontendSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
     credentials = settings.load_credentials(Role.FRONTEND)
     server = ServiceServer(
-        secret=credentials.secret, client_secret=credentials.client_secret, tls=credentials.tls, limits=CONTROL_LIMITS
+        secret=credentials.secret,
+        client_secret=credentials.client_secret,
+        tls=credentials.tls,
+        limits=CONTROL_LIMITS,
+        reflection=settings.reflection,
     )
     roster = SupernodeRoster(tuple(dict.fromkeys(settings.supernodes)))
     async with Prober(roster, credentials, explain=credentials.explain, access=server.access) as prober:

@@ -1,4 +1,9 @@
-"""Asks a service on this machine whether it serves: `python -m stampede_rt_runtime.health_check [HOST:PORT]`.
+"""Asks a service on this machine whether it serves.
+
+Usage: `python -m stampede_rt_runtime.health_check [--live] [HOST:PORT]`.
+
+With `--live` it asks whether the process answers at all. A host without its lease and a supernode without a leader live,
+and are not ready.
 
 Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
 needs no secret. With certificates, this program uses those of the service beside it: $STAMPEDE_HOST_TLS_CA,
@@ -19,9 +24,11 @@ from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles, TlsReader, files_from_environment
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.certificates import CertificateError, describe
+from stampede_rt_runtime.health import LIVENESS, READINESS
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.values import Address, parse_address
 
+LIVE = "--live"
 EXIT_SERVING, EXIT_NOT_SERVING, EXIT_BAD_ADDRESS = 0, 1, 2
 TIMEOUT_SECONDS = 3.0
 # a service can listen at a wildcard address, but nobody can call one
@@ -61,8 +68,12 @@ def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
     return grpc.secure_channel(target, channel_credentials(material), options=options)
 
 
-def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsFiles | None = None) -> str:
+def status_of(
+    target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsFiles | None = None, *, name: str = READINESS
+) -> str:
     """The answer of the service at `target`: `SERVING`, `NOT_SERVING`, or the reason why there is none.
+
+    `name`: READINESS or LIVENESS.
 
     Blocks for `timeout_seconds` at most. A failed call raises nothing: such a service is not healthy. For the errors of
     unusable `files` see `open_channel`.
@@ -70,7 +81,7 @@ def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsF
     with open_channel(target, files) as channel:
         stub = health_pb2_grpc.HealthStub(channel)
         try:
-            answer = stub.Check(health_pb2.HealthCheckRequest(), timeout=timeout_seconds)
+            answer = stub.Check(health_pb2.HealthCheckRequest(service=name), timeout=timeout_seconds)
         except grpc.RpcError as error:
             return f"{error.code().name}: {error.details()}"
     return str(health_pb2.HealthCheckResponse.ServingStatus.Name(answer.status))
@@ -89,17 +100,19 @@ def _files_of_service(environ: Mapping[str, str]) -> TlsFiles | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Returns the exit code. 0: the service serves; 1: it does not; 2: its address is unusable.
+    """Returns the exit code. 0: the service serves (with `--live`: lives); 1: it does not; 2: its address is unusable.
 
     Prints a line with the reason on stdout or stderr.
     """
+    words = list(sys.argv[1:] if argv is None else argv)
+    name = LIVENESS if LIVE in words else READINESS
     try:
-        target = own_address(sys.argv[1:] if argv is None else argv, os.environ)
+        target = own_address([one for one in words if one != LIVE], os.environ)
     except ValueError as error:
         sys.stderr.write(f"health check: {escaped(str(error))}\n")
         return EXIT_BAD_ADDRESS
     try:
-        status = status_of(target, files=_files_of_service(os.environ))
+        status = status_of(target, files=_files_of_service(os.environ), name=name)
     except (StampedeError, CertificateError) as error:
         status = str(error)
     sys.stdout.write(escaped(f"{target}: {status}") + "\n")

@@ -79,6 +79,12 @@ class ServiceSettings:
         default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
     )
 
+    reflection: bool = field(
+        default=False,
+        metadata=setting(
+            help="describe the services of this port to every caller with a credential, for tools such as grpcurl"
+        ),
+    )
     log_format: str = field(
         default="text",
         metadata=setting(

@@ -25,6 +25,7 @@ from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.pacing import PacingInterceptor
 from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
+from stampede_rt_runtime.reflecting import describe_services, noting_names
 from stampede_rt_runtime.sockets.server import SocketServer
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
@@ -44,6 +45,8 @@ class ServiceServer:
     `client_secret` the calls of clients. If a caller brings a secret and a certificate, the role of the
     certificate decides. If it brings a token, the roles of the token decide. Without `secret` and `tls` the server
     admits every caller. `judge_cluster` decides about callers of another cluster; without it the server serves them.
+    `reflection`: whether the server describes its services to every caller with a credential, as tools such as grpcurl
+    ask.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class ServiceServer:
         limits: Limits | None = None,
         tls: ServiceTls | None = None,
         judge_cluster: JudgeCluster | None = None,
+        reflection: bool = False,
     ) -> None:
         limits = limits or Limits()
         self.access = AccessControl()  # the service gives it the directory's rules by `tell` or `draw_from`
@@ -81,6 +85,8 @@ class ServiceServer:
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),
         )
+        self._reflection = reflection
+        self._service_names = noting_names(self.grpc)
         self.address = ""
         self.stopping = asyncio.Event()
         self._health = Health()
@@ -104,10 +110,12 @@ class ServiceServer:
         return self.address
 
     async def start(self) -> None:
-        """Serve the registered services at the bound address.
+        """Serve the registered services at the bound address. With `reflection` also describe them to callers.
 
         Health answers NOT_SERVING until `set_serving` is called.
         """
+        if self._reflection:
+            describe_services(self.grpc, self._service_names)
         await self.set_serving(False)
         await self.grpc.start()
 

@@ -75,7 +75,7 @@ async def serve(settings: SupernodeSettings) -> None:
     credentials = settings.load_credentials(Role.SUPERNODE)
     replica = DirectoryReplica()
     own_cluster = OwnCluster(replica)
-    server = _make_server(credentials, own_cluster)
+    server = _make_server(credentials, own_cluster, reflection=settings.reflection)
     # Bound before anything else, because the log and the other members need the address.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
@@ -105,13 +105,14 @@ async def serve(settings: SupernodeSettings) -> None:
             await server.run(parts.end_streams)
 
 
-def _make_server(credentials: Dialer, own_cluster: OwnCluster) -> ServiceServer:
+def _make_server(credentials: Dialer, own_cluster: OwnCluster, *, reflection: bool) -> ServiceServer:
     return ServiceServer(
         secret=credentials.secret,
         client_secret=credentials.client_secret,
         tls=credentials.tls,
         limits=CONTROL_LIMITS,
         judge_cluster=own_cluster.judge,
+        reflection=reflection,
     )
 
 
