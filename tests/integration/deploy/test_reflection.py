@@ -9,6 +9,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoRe
 
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.server import serving
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=1, supernodes=1, reflection=True)
@@ -29,7 +30,7 @@ class WithSecret(grpc.UnaryUnaryClientInterceptor, grpc.StreamStreamClientInterc
 
 def address_of(cluster: LocalCluster, part: str) -> str:
     process = {"host": cluster.hosts[0], "supernode": cluster.supernodes[0], "frontend": cluster.frontends[0]}[part]
-    return str(process.ready_line).rsplit(" ", 1)[1]
+    return process.wait_ready(0)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,7 @@ def test_a_tool_without_proto_files_finds_every_service_and_its_methods(
     cluster: LocalCluster, part: str, service: str, method: str
 ) -> None:
     plain = grpc.insecure_channel(address_of(cluster, part))
-    with grpc.intercept_channel(plain, WithSecret(cluster.secret.value)) as channel:
+    with grpc.intercept_channel(plain, WithSecret(cluster.secret.text)) as channel:
         found = ProtoReflectionDescriptorDatabase(channel)
         assert {service, "grpc.health.v1.Health"} <= set(found.get_services())
         described = DescriptorPool(found).FindServiceByName(service)
@@ -60,7 +61,7 @@ def test_a_caller_without_a_credential_is_told_nothing(cluster: LocalCluster) ->
         assert caught.value.code() in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED)
 
 
-def test_a_service_without_the_setting_describes_nothing() -> None:
-    from stampede_rt_channel_host.settings import HostSettings
-
-    assert HostSettings().reflection is False
+async def test_a_server_without_the_setting_describes_nothing() -> None:
+    async with serving(lambda server: None) as server, grpc.aio.insecure_channel(server.address) as channel:
+        call = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(timeout=10)
+        assert await call.code() is grpc.StatusCode.UNIMPLEMENTED

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import Any
 
 import grpc
 import pytest
@@ -34,6 +35,10 @@ async def status(server: ServiceServer, name: str) -> int:
         return int(answer.status)
 
 
+async def _answer(call: Any) -> bytes:
+    return bytes(await call)
+
+
 async def test_a_service_that_cannot_serve_lives_and_is_not_ready(server: ServiceServer) -> None:
     assert [await status(server, name) for name in (LIVENESS, READINESS, "")] == [SERVING, NOT_SERVING, NOT_SERVING]
     await server.set_serving(True)
@@ -59,11 +64,14 @@ async def test_callers_that_send_no_request_make_way_for_one_that_does(
     monkeypatch.setattr(health, "READ_SECONDS_MAX", 3600.0)
     async with grpc.aio.insecure_channel(server.address) as channel:
         silent = [channel.stream_unary(CHECK)(timeout=60) for _ in range(READS_MAX + 3)]
-        for call in silent[:3]:  # as many as are too many
-            assert health_pb2.HealthCheckResponse.FromString(await call).status == NOT_SERVING
+        answers = [asyncio.ensure_future(_answer(call)) for call in silent]
+        first = asyncio.as_completed(answers)
+        for _ in range(3):  # as many as are too many
+            assert health_pb2.HealthCheckResponse.FromString(await next(first)).status == NOT_SERVING
         assert await status(server, LIVENESS) == SERVING
         for call in silent:
             call.cancel()
+        await asyncio.gather(*answers, return_exceptions=True)
 
 
 async def test_a_request_that_is_no_request_is_answered_for_readiness(server: ServiceServer) -> None:

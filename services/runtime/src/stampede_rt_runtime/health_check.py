@@ -1,9 +1,7 @@
-"""Asks a service on this machine whether it serves.
+"""Asks a service on this machine whether it serves: `python -m stampede_rt_runtime.health_check [HOST:PORT]`.
 
-Usage: `python -m stampede_rt_runtime.health_check [--live] [HOST:PORT]`.
-
-With `--live` it asks whether the process answers at all. A host without its lease and a supernode without a leader live,
-and are not ready.
+With `--live` it asks whether the process answers at all. A host without its lease and a supernode without a leader are
+alive, and not ready.
 
 Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
 needs no secret. With certificates, this program uses those of the service beside it: $STAMPEDE_HOST_TLS_CA,

@@ -16,7 +16,7 @@ from stampede_rt_runtime.metrics import service_metrics
 from stampede_rt_runtime.metrics.families import MetricKind
 from stampede_rt_supernode import metrics as of_supernodes
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "deploy" / "prometheus"
 ALL = [*of_hosts.METRICS, *of_supernodes.METRICS, *of_frontends.METRICS, *service_metrics.METRICS]
 EXISTING = {

@@ -23,7 +23,7 @@ from stampede_rt_supernode import metrics as of_supernodes
 from tests.support.cluster import running_cluster
 
 SECONDS = 60
-RULES = Path(__file__).parents[2] / "deploy" / "prometheus" / "alerts.yml"
+RULES = Path(__file__).parents[3] / "deploy" / "prometheus" / "alerts.yml"
 needs_prometheus = pytest.mark.skipif(shutil.which("prometheus") is None, reason="Debian's prometheus is not installed")
 needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="Debian's prometheus is not installed")
 
