@@ -48,7 +48,10 @@ class Acceptor:
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:
-                logger.warning("connections cannot be accepted: %s", error.strerror or error)
+                logger.warning(
+                    "connections cannot be accepted",
+                    extra={"event": "accept_failed", "why": error.strerror or str(error)},
+                )
                 self._pause(RETRY_SECONDS)
                 return
             accepted.setblocking(False)
