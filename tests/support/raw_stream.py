@@ -22,13 +22,16 @@ class RawStream:
         self._frames = FrameReader({FrameKind.MESSAGE: 2**25, FrameKind.STATUS: 2**16, FrameKind.ALIVE: 0})
         self._came: deque[tuple[int, bytes]] = deque()
 
-    async def begin(self, method: str, *, version: int = PROTOCOL_VERSION, secret: str = "", cluster: str = "") -> None:
+    async def begin(
+        self, method: str, *, version: int = PROTOCOL_VERSION, secret: str = "", cluster: str = "", ticket: bytes = b""
+    ) -> None:
         """Send the opening."""
         opening = socket_stream_pb2.StreamOpening(
             method=method,
             protocol_version=version,
             authorization=f"Bearer {secret}" if secret else "",
             cluster_id=cluster,
+            ticket=ticket,
         )
         await self.send(FrameKind.OPENING, opening.SerializeToString())
 

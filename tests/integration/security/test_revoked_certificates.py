@@ -32,6 +32,13 @@ def issued(cluster: LocalCluster, role: Role, name: str) -> TlsFiles:
     return files
 
 
+@pytest.fixture(params=["grpc", "socket"])
+def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The transport of each client of a test."""
+    monkeypatch.setenv("STAMPEDE_TRANSPORT", request.param)
+    return str(request.param)
+
+
 @pytest.fixture
 def operator(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands of this process use the certificate of an operator."""
@@ -41,17 +48,18 @@ def operator(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("operator")
-def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(cluster: LocalCluster) -> None:
-    files = issued(cluster, Role.CLIENT, "lost")
+def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(cluster: LocalCluster, transport: str) -> None:
+    files = issued(cluster, Role.CLIENT, f"lost-{transport}")
     with st.connect(cluster.address, tls=files) as rt:
         channel = rt.channel("revoked")
         with channel.subscribe() as items:
             channel.put(b"x")
             assert next(items).payload == b"x"
+            assert channel.stats().transport == transport
             assert certs(["revoke", str(files.certificate), "--url", cluster.address]) == 0
-            with pytest.raises(PermissionDenied, match="of client lost was revoked"):
+            with pytest.raises(PermissionDenied, match=f"of client lost-{transport} was revoked"):
                 next(items)
-        with pytest.raises(PermissionDenied, match="of client lost was revoked"):
+        with pytest.raises(PermissionDenied, match=f"of client lost-{transport} was revoked"):
             rt.channel("revoked-too")
 
 

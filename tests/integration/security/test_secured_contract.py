@@ -73,12 +73,12 @@ async def scene(request: pytest.FixtureRequest, operator: Operator) -> AsyncIter
         yield made
 
 
-@pytest.fixture(params=["aio", "sync"])
+@pytest.fixture(params=["aio-grpc", "aio-socket", "sync-grpc", "sync-socket"])
 async def surface(request: pytest.FixtureRequest, cluster: LocalCluster) -> AsyncIterator[Surface]:
-    tls = cluster.tls_files()
-    if request.param == "aio":
-        async with aio.connect(cluster.address, tls=tls) as connection:
+    tls, (client, _, transport) = cluster.tls_files(), request.param.partition("-")
+    if client == "aio":
+        async with aio.connect(cluster.address, tls=tls, transport=transport) as connection:
             yield Surface(connection)
         return
-    with st.connect(cluster.address, tls=tls) as blocking, ThreadPoolExecutor(16) as pool:
+    with st.connect(cluster.address, tls=tls, transport=transport) as blocking, ThreadPoolExecutor(16) as pool:
         yield Surface(blocking, pool)

@@ -37,8 +37,15 @@ def certificates(cluster: LocalCluster) -> ClusterCertificates:
     return cluster.certificates
 
 
+@pytest.fixture(params=["grpc", "socket"])
+def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The transport of each client of a test."""
+    monkeypatch.setenv("STAMPEDE_TRANSPORT", request.param)
+    return str(request.param)
+
+
 def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
-    cluster: LocalCluster, certificates: ClusterCertificates
+    cluster: LocalCluster, certificates: ClusterCertificates, transport: str
 ) -> None:
     files = certificates.issue(Role.CLIENT, "cam", lifetime=SHORT)
     with st.connect(cluster.address, tls=files) as rt, rt.queue("jobs") as jobs:
@@ -46,6 +53,7 @@ def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
         with channel.subscribe() as items:
             channel.put(b"first")
             assert next(items).payload == b"first"
+            assert channel.stats().transport == transport
             assert jobs.get(timeout=0) is None
             certificates.issue(Role.CLIENT, "cam")
             heard: list[bytes] = []

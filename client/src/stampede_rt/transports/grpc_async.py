@@ -59,7 +59,7 @@ class ServerEndpoint(Stubs):
         transport: Transport = Transport.GRPC,
     ) -> None:
         self.target = target
-        self.route = SocketRoute(target, transport, is_secured=tls is not None)
+        self.route = SocketRoute(target, transport)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         methods = BidiMethods(self._channel)
@@ -158,7 +158,7 @@ class ServerEndpoint(Stubs):
         connected = await connect(self.route, self._ask_for_sockets)
         if connected is None:
             return self._begin(method)
-        return await SocketCall.begun(connected, method, opening_of(method.name, self._metadata()))
+        return await SocketCall.begun(connected, method, opening_of(method.name, self._metadata(), self.route.ticket))
 
     async def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
         request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())

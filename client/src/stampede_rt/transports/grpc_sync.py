@@ -58,7 +58,7 @@ class ServerEndpoint(Stubs):
         transport: Transport = Transport.GRPC,
     ) -> None:
         self.target = target
-        self.route = SocketRoute(target, transport, is_secured=tls is not None)
+        self.route = SocketRoute(target, transport)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         methods = BidiMethods(self._channel)
@@ -115,7 +115,9 @@ class ServerEndpoint(Stubs):
         connected = connect(self.route, self._ask_for_sockets)
         if connected is None:
             return self._begin_over_grpc(method, reads_on=reads_on)
-        call = SocketCall(connected, method, opening_of(method.name, self._metadata()), in_turn=in_turn)
+        call = SocketCall(
+            connected, method, opening_of(method.name, self._metadata(), self.route.ticket), in_turn=in_turn
+        )
         with self._mutex:
             self._socket_calls.add(call)
             over = self._closed

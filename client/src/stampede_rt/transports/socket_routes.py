@@ -19,6 +19,7 @@ from stampede_rt.wire.stream_frames import PROTOCOL_VERSION
 
 LOCAL_PREFIX = "unix:"
 TARGETS_MAX = 4
+TICKET_BYTES_MAX = 1024
 _OF_HOSTS = re.compile(r"unix:/[^\0]*/[0-9a-f]{16}\.sock")
 """The paths that hosts make. A false host must not lead the client to the socket of another program of its user."""
 
@@ -26,18 +27,21 @@ _OF_HOSTS = re.compile(r"unix:/[^\0]*/[0-9a-f]{16}\.sock")
 class SocketRoute:
     """The sockets of the host at one address."""
 
-    def __init__(self, target: str, transport: Transport, *, is_secured: bool) -> None:
-        """`is_secured`: the connection needs certificates, which prove nothing over sockets."""
+    def __init__(self, target: str, transport: Transport) -> None:
         self._target = target
         self._transport = transport
-        self._may_use = sys.platform == "linux" and transport is not Transport.GRPC and not is_secured
+        self._may_use = sys.platform == "linux" and transport is not Transport.GRPC
+        self.ticket = b""
+        """Proves this client's certificate at the sockets; empty without certificates."""
         self._targets: tuple[str, ...] | None = None  # None: unknown
         self._not_before_s = 0.0
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
         """Keep what the gatekeeper has answered: at most TARGETS_MAX paths of the form that hosts make."""
-        told = (one.target for one in endpoints if one.transport == pb.TRANSPORT_SOCKET)
-        self._targets = tuple(islice((one for one in told if _OF_HOSTS.fullmatch(one)), TARGETS_MAX))
+        told = (one for one in endpoints if one.transport == pb.TRANSPORT_SOCKET and _OF_HOSTS.fullmatch(one.target))
+        sockets = tuple(islice(told, TARGETS_MAX))
+        self._targets = tuple(one.target for one in sockets)
+        self.ticket = sockets[0].ticket[:TICKET_BYTES_MAX] if sockets else b""
 
     @property
     def may_lead(self) -> bool:
@@ -70,12 +74,13 @@ class SocketRoute:
             )
 
 
-def opening_of(method: str, metadata: Iterable[tuple[str, str]]) -> bytes:
-    """Return the encoded StreamOpening of a call with the metadata of gRPC calls."""
+def opening_of(method: str, metadata: Iterable[tuple[str, str]], ticket: bytes) -> bytes:
+    """Return the encoded StreamOpening of a call with the metadata of gRPC calls, and the ticket of its endpoint."""
     named: dict[str, Any] = dict(metadata)
     return socket_stream_pb2.StreamOpening(
         method=method,
         protocol_version=PROTOCOL_VERSION,
         cluster_id=named.get(CLUSTER_KEY, ""),
         authorization=named.get("authorization", ""),
+        ticket=ticket,
     ).SerializeToString()

@@ -53,12 +53,14 @@ class GatekeeperServicePingResponse(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
-    __slots__ = ("transport", "target")
+    __slots__ = ("transport", "target", "ticket")
     TRANSPORT_FIELD_NUMBER: _ClassVar[int]
     TARGET_FIELD_NUMBER: _ClassVar[int]
+    TICKET_FIELD_NUMBER: _ClassVar[int]
     transport: Transport
     target: str
-    def __init__(self, transport: _Optional[_Union[Transport, str]] = ..., target: _Optional[str] = ...) -> None: ...
+    ticket: bytes
+    def __init__(self, transport: _Optional[_Union[Transport, str]] = ..., target: _Optional[str] = ..., ticket: _Optional[bytes] = ...) -> None: ...
 
 class ListDataEndpointsRequest(_message.Message):
     __slots__ = ("machine",)

@@ -5,13 +5,15 @@ from typing import ClassVar as _ClassVar, Optional as _Optional
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class StreamOpening(_message.Message):
-    __slots__ = ("method", "protocol_version", "cluster_id", "authorization")
+    __slots__ = ("method", "protocol_version", "cluster_id", "authorization", "ticket")
     METHOD_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     AUTHORIZATION_FIELD_NUMBER: _ClassVar[int]
+    TICKET_FIELD_NUMBER: _ClassVar[int]
     method: str
     protocol_version: int
     cluster_id: str
     authorization: str
-    def __init__(self, method: _Optional[str] = ..., protocol_version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., authorization: _Optional[str] = ...) -> None: ...
+    ticket: bytes
+    def __init__(self, method: _Optional[str] = ..., protocol_version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., authorization: _Optional[str] = ..., ticket: _Optional[bytes] = ...) -> None: ...

@@ -92,11 +92,8 @@ class _Service:
         return EXIT_FAILED if self._failed else 0
 
     async def _listen_locally(self) -> str:
-        """Listen at a Unix socket, too. Returns its target; empty if the service has certificates, or cannot.
-
-        A stream over a socket proves no certificate.
-        """
-        if self._credentials.tls is not None or not this_machine():
+        """Listen at a Unix socket, too. Returns its target; empty if the system does not let it."""
+        if not this_machine():
             return ""
         try:
             return await self._server.sockets.listen_locally()
@@ -126,6 +123,7 @@ class _Service:
             on_defect=self._end,
             home=self._home,
             access=self._server.access,
+            tickets=self._server.sockets.tickets,
             refused_calls=self._server.refused_calls,
         )
 

@@ -43,20 +43,28 @@ from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import naming_cluster
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.sockets.tickets import SocketTickets
 
 logger = logging.getLogger(__name__)
 
 CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the answer to a registration names at most so many of each
 
 
+def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
+    """The control, set up for the callers of a host."""
+    access.takes_ids = True
+    access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
+    return access
+
+
 class ChannelHost:
     """Order of use, on one event loop: make it, `add_to` a server, `enter` once that server listens, `leave`.
 
     `dial` opens connections for that loop. `dial_for_lease` opens the connections of the lease, which has a thread of
-    its own. `access` judges the callers of the server; the host gives it the directory's rules. `refused_calls` counts
-    the calls that the server refuses. `on_serving` gets True when the host starts to serve, and False when it stops.
-    If a task of the host fails, `on_defect` gets the error, and must end the host. `explain`: see `Supernodes`.
-    `home` is the cluster of the host.
+    its own. `access` judges the callers of the server; the host gives it the directory's rules. `tickets` are those of
+    the server's sockets. `refused_calls` counts the calls that the server refuses. `on_serving` gets True when the host
+    starts to serve, and False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the
+    host. `explain`: see `Supernodes`. `home` is the cluster of the host.
     """
 
     def __init__(
@@ -73,6 +81,7 @@ class ChannelHost:
         explain: Explain | None = None,
         home: HomeCluster | None = None,
         access: AccessControl | None = None,
+        tickets: SocketTickets | None = None,
         refused_calls: RefusedCalls | None = None,
     ) -> None:
         self.identity = identity
@@ -83,9 +92,7 @@ class ChannelHost:
         of_lease = Supernodes(frontends, dial_for_lease, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._known_by_lease = of_lease.known
         self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
-        access = access or AccessControl()
-        access.takes_ids = True
-        access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
+        access = _of_a_host(access or AccessControl(), memory_bytes_max)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         self.store = ChannelStore(
             identity,
@@ -96,10 +103,11 @@ class ChannelHost:
             refused_calls=refused_calls,
         )
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
-        groups = GroupDirectory(self._supernodes)
-        self.groups = GroupStore(identity, self.store, groups, dial, lambda: of_lease.cluster_id)
+        self.groups = GroupStore(
+            identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
+        )
         self._access = AccessWatch(self._supernodes, access)
-        self._gatekeeper = GatekeeperServicer(self.store, identity, access)
+        self._gatekeeper = GatekeeperServicer(self.store, identity, access, tickets)
         self._streams = OpenStreams()
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []

@@ -12,7 +12,7 @@ OF_A_HOST = "unix:/run/user/1000/stampede/0123456789abcdef.sock"
 
 
 def learned(*targets: str) -> tuple[str, ...]:
-    route = SocketRoute("h1:7590", Transport.BEST, is_secured=False)
+    route = SocketRoute("h1:7590", Transport.BEST)
     route.learn(pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=target) for target in targets)
     return route.targets
 

@@ -18,6 +18,7 @@ from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.globs import matcher
 from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_runtime.sockets.tickets import SocketTickets
 from stampede_rt_runtime.version import software_version
 
 PAGE_SIZE_MAX = 1000
@@ -27,7 +28,11 @@ GLOB_LENGTH_MAX = 256
 class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     """Binds callers to channels, and changes channels at the host and in the directory."""
 
-    def __init__(self, store: ChannelStore, identity: HostIdentity, access: AccessControl) -> None:
+    def __init__(
+        self, store: ChannelStore, identity: HostIdentity, access: AccessControl, tickets: SocketTickets | None = None
+    ) -> None:
+        """`tickets`: those of the host's sockets; None if no caller has a certificate."""
+        self._tickets = tickets or SocketTickets()
         self._store = store
         self._identity = identity
         self._access = access
@@ -64,7 +69,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         check_known(AccessKind.CHANNEL, hosted.record.name)
-        endpoints = self._sockets(request.machine)
+        endpoints = self._sockets(request.machine, context)
         endpoints.append(pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target))
         return pb.BindChannelResponse(endpoints=endpoints, channel=channel_message(hosted.record))
 
@@ -72,13 +77,16 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self, request: pb.ListDataEndpointsRequest, context: Context
     ) -> pb.ListDataEndpointsResponse:
         """The sockets of this host that the caller can use."""
-        return pb.ListDataEndpointsResponse(endpoints=self._sockets(request.machine))
+        return pb.ListDataEndpointsResponse(endpoints=self._sockets(request.machine, context))
 
-    def _sockets(self, machine: str) -> list[pb.DataEndpoint]:
+    def _sockets(self, machine: str, context: Context) -> list[pb.DataEndpoint]:
         """The sockets for a caller on that machine, best first."""
         if not self.local_target or not machine or machine != this_machine():
             return []
-        return [pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self.local_target)]
+        ticket = self._tickets.issue(context.auth_context())
+        if ticket is None:
+            return []
+        return [pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self.local_target, ticket=ticket)]
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802

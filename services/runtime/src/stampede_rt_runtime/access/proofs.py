@@ -61,7 +61,8 @@ def _certified(accepted: Accepted, certificate: Certified | None) -> Caller:
     if certificate is None:
         raise PermissionDenied(
             "the caller's certificate does not name exactly one role of a cluster (one URI "
-            "stampede://CLUSTER/ROLE/NAME); make one with `stampede certs issue`"
+            "stampede://CLUSTER/ROLE/NAME); make one with `stampede certs issue`. A stream over a socket brings a "
+            "certificate by the ticket of its endpoint"
         )
     if certificate.identity.cluster != accepted.cluster:
         raise PermissionDenied(

@@ -29,6 +29,7 @@ from stampede_rt_runtime.sockets.context import OK, Metadata, SocketContext, sta
 from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
 from stampede_rt_runtime.sockets.hangups import Hangups
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from stampede_rt_runtime.sockets.tickets import SocketTickets
 from stampede_rt_runtime.sockets.unix_socket import listen_at_new_path
 
 logger = logging.getLogger(__name__)
@@ -66,6 +67,7 @@ class SocketServer:
     def __init__(
         self, interceptors: Sequence[grpc.aio.ServerInterceptor], limits: Limits, refused: RefusedCalls
     ) -> None:
+        self.tickets = SocketTickets()
         self._limits, self._refused = limits, refused
         self._methods: dict[str, Any] = {}
         find: Any = self._method
@@ -222,7 +224,7 @@ class SocketServer:
         connection, metadata = stream.connection, _metadata(opening)
         try:
             handler = await self._find(_CallDetails(opening.method, metadata))
-            context = SocketContext(connection, metadata, "unix:", {}, handler)
+            context = SocketContext(connection, metadata, "unix:", self.tickets.proof_of(opening.ticket), handler)
             await handler.stream_stream(context, context)
             connection.end(OK)
         except AbortError:
