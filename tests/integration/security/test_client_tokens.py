@@ -13,6 +13,7 @@ from stampede_rt.errors import PermissionDenied
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
+pytestmark = pytest.mark.without_rules("it acts as an operator")
 cluster = cluster_fixture()
 
 

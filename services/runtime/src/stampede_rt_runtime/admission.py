@@ -21,7 +21,9 @@ from stampede_rt_runtime.rpc import Context
 
 CERTIFICATES_KEPT_MAX = 4096  # the most certificates whose serial number and end this process remembers
 STATE_SECONDS_MAX = 2.0
-"""How long a call waits after the start of this process until the service has heard of the rules of access."""
+"""How long a call waits after the start of this process until the service has heard of the rules and of the keys of
+tokens.
+"""
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and container runtimes call it
 
 
@@ -54,8 +56,8 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         @contextlib.asynccontextmanager
         async def admitted(context: Context) -> AsyncIterator[None]:
             try:
-                if self._control.lacks_state and self._needs_state(method, context):
-                    await self._control.wait_for_state(STATE_SECONDS_MAX)
+                if self._control.lacks_keys:
+                    await self._control.wait_while(lambda: self._is_too_early(method, context), STATE_SECONDS_MAX)
                 caller = self._admit(method, context)
             except StampedeError as error:
                 await abort(context, error)
@@ -97,15 +99,15 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
             raise
         return caller
 
-    def _needs_state(self, method: str, context: Context) -> bool:
-        """Whether this service can admit the caller only once it has heard of the rules of access."""
+    def _is_too_early(self, method: str, context: Context) -> bool:
+        """Whether this service can admit the caller only once it has heard of the rules, or of the keys of tokens."""
         try:
             caller = self._caller(method, context)
-            return caller.is_judged and not why_refused(method, caller)
         except Unavailable:  # it brings a token, and the service does not know the keys of tokens yet
             return True
         except PermissionDenied:
             return False
+        return self._control.lacks_state and caller.is_judged and not why_refused(method, caller)
 
     def _caller(self, method: str, context: Context) -> Caller:
         certificate = _certified(context) if self._accepted.cluster else None

@@ -106,26 +106,47 @@ async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_ju
         assert await said(begin(CLIENTS), "x") == b"1"
 
 
-async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_does_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A client that connected just after the start of a front-end was told that the front-end cannot serve."""
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
+    """Is set once a call waits for the rules or for the keys of tokens."""
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 20.0)
+    event, wait_while = asyncio.Event(), AccessControl.wait_while
+
+    async def noted(self: AccessControl, lacks: Callable[[], bool], seconds_max: float) -> None:
+        if lacks():
+            event.set()
+        await wait_while(self, lacks, seconds_max)
+
+    monkeypatch.setattr(AccessControl, "wait_while", noted)
+    return event
+
+
+async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_does_not(waits: asyncio.Event) -> None:
+    """A client that connected just after the start of a front-end was told that the front-end cannot serve."""
     async with port() as (server, begin):
-        waits = asyncio.Event()
-        wait_for_state = server.access.wait_for_state
-
-        async def noted(seconds_max: float) -> None:
-            waits.set()
-            await wait_for_state(seconds_max)
-
-        monkeypatch.setattr(server.access, "wait_for_state", noted)
         assert await said(begin(CLUSTER), "x") == b"1"
         assert not waits.is_set()
         early = begin(CLIENTS)
         await early.write(b"x")
         await waits.wait()
         server.access.set_state(state(0))
+        assert await early.read() == b"1"
+
+
+async def test_a_caller_with_a_token_waits_for_the_keys_of_tokens_too_and_others_do_not(waits: asyncio.Event) -> None:
+    """A front-end may hear of a new cluster before the cluster has made its key."""
+    key = b"k" * 32
+    ends = time.time_ns() + 3600 * 10**9
+    claims = TokenClaims(cluster_id="c", name="cam", roles=(Role.CLIENT,), serial="1", ends_unix_nano=ends)
+    token = Secret(text=make_token(key, claims), path=Path("token"))
+    async with port() as (server, begin), dial(server.address, secret=token) as cameras:
+        server.access.set_state(state(0))
+        assert await said(begin(CLIENTS), "x") == b"1"
+        assert not waits.is_set()
+        early = cameras.stream_stream(READ)(timeout=20)
+        await early.write(b"x")
+        await waits.wait()
+        server.access.set_state(replace(state(1), token_keys=(public_key(key),)))
         assert await early.read() == b"1"
 
 

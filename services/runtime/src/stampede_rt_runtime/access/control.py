@@ -49,7 +49,7 @@ class AccessControl:
     ) -> None:
         self._source = source
         self._state: AccessState | None = None
-        self._has_state = asyncio.Event()
+        self._told = asyncio.Event()  # set at each change of the state
         self._time_unix_nano = time_unix_nano
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
@@ -71,7 +71,7 @@ class AccessControl:
         Ends the open calls whose caller has lost the credential, or a right that the call has used.
         """
         former, self._state = self._state, state
-        self._has_state.set()
+        self._told.set()
         if former is None or former.quotas is not state.quotas:
             self.accounts.set_table(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
@@ -101,10 +101,18 @@ class AccessControl:
         """Whether the directory has not told the state yet."""
         return self._state is None and self._source is None
 
-    async def wait_for_state(self, seconds_max: float) -> None:
-        """Wait until there is a state, for `seconds_max` at most."""
+    @property
+    def lacks_keys(self) -> bool:
+        """Whether the directory has not told the keys of tokens yet. A new cluster has none for a moment."""
+        return self._source is None and (self._state is None or not self._state.token_keys)
+
+    async def wait_while(self, lacks: Callable[[], bool], seconds_max: float) -> None:
+        """Wait for changes of the state until `lacks` returns False, for `seconds_max` at most."""
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._has_state.wait(), seconds_max)
+            async with asyncio.timeout(seconds_max):
+                while lacks():
+                    self._told.clear()
+                    await self._told.wait()
 
     @property
     def version(self) -> int:
