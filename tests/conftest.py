@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from stampede_rt_local import ports
-
 # The suite plays the same stories each time: it fails by a change, not by a draw. `make explore` plays others.
 settings.register_profile("suite", derandomize=True, database=None, deadline=None)
 settings.register_profile("explore", database=None, deadline=None, print_blob=True)
@@ -64,8 +62,3 @@ for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL"):
 # each of them would compile all its modules again, which takes half of its CPU time. They keep bytecode below `.make`.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")
-
-# A cluster looks for free ports before its services listen there, and a supernode that restarts takes its port again.
-# So each of pytest's workers ("gw0", "gw1", ...) has ports of its own, and no other worker takes them meanwhile.
-WORKERS_MAX = 4
-ports.PORTS = ports.PORTS[int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % WORKERS_MAX :: WORKERS_MAX]

@@ -7,14 +7,17 @@ import queue
 import select
 import signal
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
 from stampede_rt_local import process
-from stampede_rt_local.ports import free_ports
+from stampede_rt_local.ports import BLOCK_PORTS, PORTS, PortBlocks, free_ports
 from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
 from stampede_rt_runtime import parent_watch
 from tests.support.processes import started
@@ -148,3 +151,32 @@ def test_free_ports_are_different_and_can_be_listened_at() -> None:
     assert 20_000 not in ports
     for port in ports:
         socket.create_server(("localhost", port)).close()
+
+
+def test_two_processes_get_no_port_of_each_other(tmp_path: Path) -> None:
+    """They took random ports that were free at the moment: of two test runs, one got the other's restarting port."""
+    path = tmp_path / "ports"
+    script = (
+        "import sys; from pathlib import Path; from itertools import islice\n"
+        "from stampede_rt_local.ports import PortBlocks\n"
+        "print(*islice(PortBlocks(Path(sys.argv[1])).ports(), int(sys.argv[2])), flush=True); sys.stdin.read()"
+    )
+    with ExitStack() as ends:
+        taken: list[str] = []
+        for _ in range(3):
+            command = [sys.executable, "-c", script, str(path), str(2 * BLOCK_PORTS)]
+            process = ends.enter_context(subprocess.Popen(command, stdin=PIPE, stdout=PIPE, text=True))
+            assert process.stdin is not None
+            assert process.stdout is not None
+            ends.callback(process.stdin.close)
+            taken += process.stdout.readline().split()
+        assert len(set(taken)) == len(taken) == 6 * BLOCK_PORTS
+        everything = [*PortBlocks(path).ports()]
+        assert not set(everything) & set(map(int, taken))
+        assert len(everything) == len(PORTS) - len(taken)
+    assert len([*PortBlocks(path).ports()]) == len(PORTS), "the ports are free again when their processes have ended"
+
+
+def test_a_port_is_taken_again_as_late_as_possible() -> None:
+    first = free_ports(1)[0]
+    assert first not in free_ports(BLOCK_PORTS // 2)
