@@ -13,7 +13,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupDefinition
-from stampede_rt_channel_host.core.group.times import Heard
+from stampede_rt_channel_host.core.group.times import KnownTimes
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.table import HostedGroups
@@ -21,7 +21,7 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 HOST, NOW, GROUPS = b"h" * 16, 1_000_000, 100
 
 
-class Walked(dict[bytes, Heard]):
+class Walked(dict[bytes, KnownTimes]):
     """Counts how often somebody walks all of it."""
 
     walks = 0
@@ -54,19 +54,19 @@ def ignored(one: bytes) -> None: ...
 
 async def test_a_group_that_loses_members_forgets_these_and_looks_at_no_others() -> None:
     table = HostedGroups()
-    table.board._heard = heard = Walked()
+    table.board._known = known = Walked()
     begin = PieceScheduler().begin
     for number in range(GROUPS):
         one = told(number, number, number + 1)
         table.enter(HostedGroup(one, table.board, lambda: NOW, on_moved=ignored, on_idle=ignored, begin=begin))
         table.board.hear(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
-    heard.walks = 0
+    known.walks = 0
     table.adopt(table.groups[(7).to_bytes(16)], told(7, 8))
     assert table.board.find(channel(7)) is not None, "another group has it"
     table.forget((6).to_bytes(16))
     assert table.board.find(channel(7)) is None
     assert table.board.find(channel(8)) is not None
-    assert heard.walks == 0
+    assert known.walks == 0
 
 
 class Shown:

@@ -99,10 +99,10 @@ class Exchange:
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         """See `LinkHandler`."""
-        own, heard = self._table.own.get(channel_id), self._table.board.find(channel_id)
-        if own is None or heard is None:
+        own, known = self._table.own.get(channel_id), self._table.board.find(channel_id)
+        if own is None or known is None:
             return None
-        return times_to_message(channel_id, heard.times, heard.silent_nanos(self._channels.now()))
+        return times_to_message(channel_id, known.times, known.silent_nanos(self._channels.now()))
 
     def floor_of(self, group_id: bytes) -> CutFloor | None:
         """See `LinkHandler`."""

@@ -23,20 +23,20 @@ def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatu
 
 
 def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int) -> group_pb2.GroupMemberStatus:
-    cut, heard, own = group.cut.cut, member.heard, groups.own(member.channel_id)
-    if heard is None:
+    cut, known, own = group.cut.cut, member.known, groups.own(member.channel_id)
+    if known is None:
         return group_pb2.GroupMemberStatus(times=group_pb2.ChannelTimes(channel_id=member.channel_id))
-    newest = heard.times.newest
+    newest = known.times.newest
     lead = None if cut is None or newest is None else newest - cut
     view = None if own is None else VisibleChannel(own.hosted.channel)
     return group_pb2.GroupMemberStatus(
-        times=times_to_message(member.channel_id, heard.times, heard.silent_nanos(now)),
+        times=times_to_message(member.channel_id, known.times, known.silent_nanos(now)),
         cut_unix_nano=member.cut,
         lead_nanos=lead,
         hidden_items=None if view is None else view.hidden_items(cut, now),
         idle=member.is_idle,
         window_too_short=_is_too_short(member, group, lead) if view is None else view.window_too_short(cut, now),
-        heard_ago_nanos=heard.heard_ago_nanos(now),
+        heard_ago_nanos=known.heard_ago_nanos(now),
     )
 
 

@@ -257,7 +257,7 @@ class HostedGroup:
     def _idle(self) -> None:
         self._idle_timer = None
         for member in self.members():
-            if member.is_idle and member.heard is not None and member.heard.known_until is None:
+            if member.is_idle and member.known is not None and member.known.known_until is None:
                 self._on_idle(member.channel_id)
         self.changed()
 

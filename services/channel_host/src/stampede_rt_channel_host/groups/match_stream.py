@@ -178,7 +178,7 @@ class MatchStream:
             return True
         if channel_id in self._far:
             return self._far[channel_id][0].has_passed(instant, lateness_nanos)
-        return member.heard is not None and member.heard.times.has_passed(instant, lateness_nanos)
+        return member.known is not None and member.known.times.has_passed(instant, lateness_nanos)
 
     async def _send(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import Boundary, CutFollower, CutMember, EventDecider, Heard, OwnTimes
+from stampede_rt_channel_host.core.group import Boundary, CutFollower, CutMember, EventDecider, KnownTimes, OwnTimes
 from stampede_rt_channel_host.core.group.deciding import PENDING_MAX
 from stampede_rt_channel_host.core.group.times import ChannelTimes
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put, times
@@ -13,8 +13,8 @@ WAIT = 100
 
 
 def member(name: bytes, newest: int | None, *, idle: bool = False) -> CutMember:
-    heard = None if newest is None else Heard(ChannelTimes(1, 1, newest), 0, None)
-    return CutMember(name, heard, newest, idle)
+    known = None if newest is None else KnownTimes(ChannelTimes(1, 1, newest), 0, None)
+    return CutMember(name, known, newest, idle)
 
 
 def test_an_event_is_due_when_every_member_is_as_far_as_the_cut() -> None:
@@ -39,7 +39,7 @@ def test_with_a_lateness_every_member_has_to_be_so_much_farther_or_advanced_to_t
     assert decider.due([member(b"a", 70), member(b"b", None)], 126) is None
     assert decider.due([member(b"a", 70), member(b"b", 69)], 126) == Boundary(49), "the cut has jumped over it"
     assert decider.due([member(b"a", 70), member(b"b", 69)], 126) is None
-    advanced = CutMember(b"b", Heard(ChannelTimes(1, 1, 40, advance=50), 0, None), 50, is_idle=False)
+    advanced = CutMember(b"b", KnownTimes(ChannelTimes(1, 1, 40, advance=50), 0, None), 50, is_idle=False)
     assert decider.due([member(b"a", 70), advanced], 126) == Boundary(50)
     decider.note(60, now=8)
     assert decider.due([member(b"a", 80), member(b"b", 1)], 127) is None
@@ -190,7 +190,7 @@ def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is
 
 def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
     """Were the duration believed and wrong, what came in order would count as late."""
-    until_133 = CutMember(b"a", Heard(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
+    until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
     decider.note(133, now=0)
     assert decider.due([until_133], 0) is None

@@ -82,17 +82,17 @@ def test_of_one_life_all_that_was_told_counts_and_of_another_only_what_is_told_o
 def test_whether_a_channel_is_silent_is_known_up_to_the_last_sign_of_life() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
-    heard = board.find(A)
-    assert heard is not None
-    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (5, 100)
+    known = board.find(A)
+    assert known is not None
+    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (5, 100)
     board.confirm([A, b"unheard of"], 150)
-    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (55, 50)
+    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (55, 50)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50), silent_since=160)
-    heard = board.find(A)
-    assert heard is not None
-    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (40, 0)
+    known = board.find(A)
+    assert known is not None
+    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (40, 0)
     board.disown(A, 210)
-    assert (heard.silent_nanos(300), heard.heard_ago_nanos(300)) == (50, 90)
+    assert (known.silent_nanos(300), known.heard_ago_nanos(300)) == (50, 90)
     board.forget(A)
     board.forget(A)
     assert board.find(A) is None
@@ -106,5 +106,5 @@ def test_a_time_is_passed_by_an_item_there_or_later_and_by_an_advance_beyond_it(
 
 
 def _known(board: TimesBoard) -> ChannelTimes | None:
-    heard = board.find(A)
-    return None if heard is None else heard.times
+    known = board.find(A)
+    return None if known is None else known.times

@@ -32,7 +32,7 @@ from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT,
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, StepPart
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
-from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
 from stampede_rt_channel_host.core.group.tracks import FarTrack, Nearest, OwnTrack, Track
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel, polling
 
@@ -50,8 +50,8 @@ __all__ = [
     "FoundMatch",
     "GroupCut",
     "GroupDefinition",
-    "Heard",
     "Horizon",
+    "KnownTimes",
     "Loss",
     "Matcher",
     "Nearest",

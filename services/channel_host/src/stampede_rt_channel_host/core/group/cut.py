@@ -8,7 +8,7 @@ from heapq import heapreplace
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, TimesBoard
+from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, TimesBoard
 
 MAX_LEAD_NANOS_DEFAULT = 5_000_000_000
 """The default of `GroupDefinition.max_lead_nanos`."""
@@ -57,18 +57,18 @@ class CutFloor(NamedTuple):
 class CutMember(NamedTuple):
     """One member at one moment.
 
-    `heard` is None if its owner has reported nothing yet. `cut` is its own cut, or None if it has none.
+    `known` is None if its owner has reported nothing yet. `cut` is its own cut, or None if it has none.
     """
 
     channel_id: bytes
-    heard: Heard | None
+    known: KnownTimes | None
     cut: int | None
     is_idle: bool
 
     @property
     def mark(self) -> int | None:
         """The later of its newest item's time and its advance, or None if it has neither."""
-        return None if self.heard is None else self.heard.times.mark
+        return None if self.known is None else self.known.times.mark
 
 
 class GroupCut:
@@ -147,9 +147,9 @@ class GroupCut:
 
     def member(self, channel_id: bytes, now: int) -> CutMember:
         """One member at this moment."""
-        heard = self._board.find(channel_id)
-        cut = None if heard is None else self._definition.cut_of(heard.times)
-        return CutMember(channel_id, heard, cut, self._is_idle(heard, now))
+        known = self._board.find(channel_id)
+        cut = None if known is None else self._definition.cut_of(known.times)
+        return CutMember(channel_id, known, cut, self._is_idle(known, now))
 
     def members(self, now: int) -> Iterator[CutMember]:
         """All members, in the order of their ids."""
@@ -171,8 +171,8 @@ class GroupCut:
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
             return None
-        heard = (self._board.find(channel_id) for channel_id in self._definition.members)
-        own = (one for one in heard if one is not None and one.known_until is None)
+        known = (self._board.find(channel_id) for channel_id in self._definition.members)
+        own = (one for one in known if one is not None and one.known_until is None)
         return min((one.silent_since + after for one in own if one.silent_nanos(now) < after), default=None)
 
     def _reached(self, now: int) -> int | None:
@@ -196,8 +196,8 @@ class GroupCut:
 
     def _still_holds(self, now: int) -> bool:
         """Whether the member that held the cut back still does. Most changes concern other members."""
-        heard = self._board.find(self._holder)
-        if self._is_idle(heard, now):
+        known = self._board.find(self._holder)
+        if self._is_idle(known, now):
             return False
         cut = self._own_cut(self._holder)
         return cut is None or (self._floor is not None and cut <= self._floor)
@@ -222,8 +222,8 @@ class GroupCut:
 
     def _own_cut(self, channel_id: bytes) -> int | None:
         """The cut of one member alone, or None if it has none."""
-        heard = self._board.find(channel_id)
-        return None if heard is None else self._definition.cut_of(heard.times)
+        known = self._board.find(channel_id)
+        return None if known is None else self._definition.cut_of(known.times)
 
     def _counting(self, now: int) -> Iterable[bytes]:
         """The members whose cuts decide the group's cut: the reference, or all members that are not idle.
@@ -236,14 +236,14 @@ class GroupCut:
             return (definition.reference,)
         if definition.idle_after_nanos is None:
             return definition.members
-        known = {channel_id: self._board.find(channel_id) for channel_id in definition.members}
-        awake = [channel_id for channel_id, heard in known.items() if not self._is_idle(heard, now)]
+        members = {channel_id: self._board.find(channel_id) for channel_id in definition.members}
+        awake = [channel_id for channel_id, known in members.items() if not self._is_idle(known, now)]
         if awake:
             return awake
-        silences = {channel_id: heard.silent_since for channel_id, heard in known.items() if heard is not None}
+        silences = {channel_id: known.silent_since for channel_id, known in members.items() if known is not None}
         last = max(silences.values(), default=None)
         return [channel_id for channel_id, since in silences.items() if since == last]
 
-    def _is_idle(self, heard: Heard | None, now: int) -> bool:
+    def _is_idle(self, known: KnownTimes | None, now: int) -> bool:
         after = self._definition.idle_after_nanos
-        return after is not None and heard is not None and heard.silent_nanos(now) >= after
+        return after is not None and known is not None and known.silent_nanos(now) >= after

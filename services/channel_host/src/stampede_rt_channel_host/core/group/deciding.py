@@ -119,8 +119,8 @@ class EventDecider:
 
     def _come(self, member: CutMember) -> int | None:
         """The time up to which all items of a member have come, or None if it is not known."""
-        if member.heard is None:
+        if member.known is None:
             return None
-        newest, advance = member.heard.times.newest, member.heard.times.advance
+        newest, advance = member.known.times.newest, member.known.times.advance
         known = [] if newest is None else [clamp(newest - self._lateness_nanos)]
         return max(known if advance is None else [*known, advance], default=None)

@@ -120,7 +120,7 @@ class OwnTimes:
 
 
 @dataclass(slots=True)
-class Heard:
+class KnownTimes:
     """A host's knowledge of one channel. `silent_since` and `known_until` are instants of that host's clock.
 
     The channel had no put and no advance from `silent_since` to `known_until`. Later ones are not known yet. If
@@ -149,22 +149,22 @@ class TimesBoard:
 
     def __init__(self) -> None:
         self.setbacks = 0
-        self._heard: dict[bytes, Heard] = {}
+        self._known: dict[bytes, KnownTimes] = {}
 
-    def find(self, channel_id: bytes) -> Heard | None:
+    def find(self, channel_id: bytes) -> KnownTimes | None:
         """The host's knowledge of the channel, or None if the host knows nothing of it."""
-        return self._heard.get(channel_id)
+        return self._known.get(channel_id)
 
     def enter_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
         """Enter the times of a channel that the host owns. Changes nothing if the host has heard of a later owner."""
-        held = self._heard.get(channel_id)
+        held = self._known.get(channel_id)
         if held is not None and times.epoch < held.times.epoch:
             return
-        self._heard[channel_id] = Heard(times if held is None else self._merged(held, times), silent_since, None)
+        self._known[channel_id] = KnownTimes(times if held is None else self._merged(held, times), silent_since, None)
 
     def disown(self, channel_id: bytes, now: int) -> None:
         """Note that the host does not own the channel any more. From now on another host must tell its times."""
-        held = self._heard.get(channel_id)
+        held = self._known.get(channel_id)
         if held is not None and held.known_until is None:
             held.known_until = now
 
@@ -173,9 +173,9 @@ class TimesBoard:
 
         Returns True if the times of the channel have changed. A report of a former owner changes nothing.
         """
-        held = self._heard.get(channel_id)
+        held = self._known.get(channel_id)
         if held is None:
-            self._heard[channel_id] = Heard(times, now - silent_nanos, now)
+            self._known[channel_id] = KnownTimes(times, now - silent_nanos, now)
             return True
         if times.epoch < held.times.epoch or (held.known_until is None and times.epoch == held.times.epoch):
             return False
@@ -187,15 +187,15 @@ class TimesBoard:
     def confirm(self, channel_ids: Iterable[bytes], now: int) -> None:
         """Note a sign of life of the channels' owner, which means that their times have not changed."""
         for channel_id in channel_ids:
-            held = self._heard.get(channel_id)
+            held = self._known.get(channel_id)
             if held is not None and held.known_until is not None:
                 held.known_until = max(held.known_until, now)
 
     def forget(self, channel_id: bytes) -> None:
         """Forget a channel that no group has any more. Idempotent."""
-        self._heard.pop(channel_id, None)
+        self._known.pop(channel_id, None)
 
-    def _merged(self, held: Heard, reported: ChannelTimes) -> ChannelTimes:
+    def _merged(self, held: KnownTimes, reported: ChannelTimes) -> ChannelTimes:
         """The times joined with `reported`. Counts a setback if `reported` is of another incarnation."""
         self.setbacks += reported.incarnation != held.times.incarnation
         return held.times.merged(reported)
