@@ -24,23 +24,23 @@ After such a call the host serves other callers.
 """
 DELIVERY_BYTES = 16
 """The most bytes that a message's delivery id and number take on the wire."""
-VIEWS_MAX = 4096
-"""The most views that a queue keeps. If it has forgotten the view of a taker, that view begins anew."""
+TAKER_CURSORS_MAX = 4096
+"""The most cursors that a queue keeps. If it has forgotten the cursor of a taker, that taker's cursor begins anew."""
 RETURNS_PER_LOOK_MAX = 1024
-"""The most returned messages at which a view looks in one step."""
+"""The most returned messages at which a cursor looks in one step."""
 
 
-class View:
+class TakerCursor:
     """The position of one taker in a queue with copies, which gives each message only to some of its takers.
 
-    The taker got no message with the seq `cursor` or a later one. `passed` is a heap with the seqs of earlier messages
-    that came back and that this taker may get. `returns_seen` is the number of the last return that the view knows.
+    The taker got no message with `next_seq` or a later seq. `passed` is a heap with the seqs of earlier messages that
+    came back and that this taker may get. `returns_seen` is the number of the last return that this object knows.
     """
 
-    __slots__ = ("cursor", "passed", "returns_seen")
+    __slots__ = ("next_seq", "passed", "returns_seen")
 
     def __init__(self, returns_seen: int) -> None:
-        self.cursor = 0
+        self.next_seq = 0
         self.returns_seen = returns_seen
         self.passed: list[int] = []
 
@@ -58,15 +58,15 @@ class View:
                 heappop(self.passed)
             if not is_behind:
                 break
-        while (ahead := queue_items.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
-            self.cursor = ahead.seq + 1  # happens only if the queue had forgotten the view
+        while (ahead := queue_items.first_available(self.next_seq)) is not None and not ahead.may_go_to(taker_id):
+            self.next_seq = ahead.seq + 1  # happens only if the queue had forgotten the cursor
         return ahead
 
     def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
         """Look at some of the messages that came back, each once. Returns True if more are left."""
         for item in islice(queue_items.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
             self.returns_seen = item.return_number
-            if item.seq < self.cursor and item.may_go_to(taker_id):
+            if item.seq < self.next_seq and item.may_go_to(taker_id):
                 heappush(self.passed, item.seq)
         is_behind = queue_items.latest_return > self.returns_seen
         if not is_behind:
@@ -119,7 +119,9 @@ class Dispatcher:
         self._queue_items = queue_items
         self._leasing = leasing
         self._line: OrderedDict[TakerState, None] = OrderedDict()
-        self._views: OrderedDict[int, View] = OrderedDict()  # taker id -> view, the least recently used first
+        self._cursors: OrderedDict[int, TakerCursor] = (
+            OrderedDict()
+        )  # taker id -> cursor, the least recently used first
         self.batches: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
         self._left = ITEMS_DISPATCHED_MAX  # how many messages this call of the queue may still give to takers
@@ -183,8 +185,8 @@ class Dispatcher:
     def _give_next(self, taker: TakerState, draft: _Draft, now: int, expires: int) -> bool:
         """Add the next message for the taker to the batch, and lease it. Returns False if no message fits."""
         queue_items = self._queue_items
-        view = self._view(taker.taker_id) if queue_items.limits.copies > 1 else None
-        item = view.next_for(taker.taker_id, queue_items) if view else queue_items.first_available()
+        cursor = self._cursor_of(taker.taker_id) if queue_items.limits.copies > 1 else None
+        item = cursor.next_for(taker.taker_id, queue_items) if cursor else queue_items.first_available()
         if item is None:
             run = queue_items.fresh_run()
             if run is None or not draft.has_room(run, queue_items.fresh_position):
@@ -192,17 +194,17 @@ class Dispatcher:
             item = queue_items.touch_fresh()
         elif not draft.has_room(item.run, item.position):
             return False
-        if view is not None:
-            view.cursor = max(view.cursor, item.seq + 1)
+        if cursor is not None:
+            cursor.next_seq = max(cursor.next_seq, item.seq + 1)
         draft.add(item.run, item.position, self._leasing.deliver(item, taker, now, expires))
         return True
 
-    def _view(self, taker_id: int) -> View:
-        """The view of a taker. Makes it if needed, and forgets the least recently used one above VIEWS_MAX."""
-        view = self._views.get(taker_id)
-        if view is None:
-            view = self._views[taker_id] = View(self._queue_items.returns_logged)
-        self._views.move_to_end(taker_id)
-        if len(self._views) > VIEWS_MAX:
-            self._views.popitem(last=False)
-        return view
+    def _cursor_of(self, taker_id: int) -> TakerCursor:
+        """The cursor of a taker. Makes it if needed. Above TAKER_CURSORS_MAX forgets the least recently used cursor."""
+        cursor = self._cursors.get(taker_id)
+        if cursor is None:
+            cursor = self._cursors[taker_id] = TakerCursor(self._queue_items.returns_logged)
+        self._cursors.move_to_end(taker_id)
+        if len(self._cursors) > TAKER_CURSORS_MAX:
+            self._cursors.popitem(last=False)
+        return cursor
