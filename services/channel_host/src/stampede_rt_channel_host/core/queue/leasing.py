@@ -13,7 +13,7 @@ from itertools import islice
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
-from stampede_rt_channel_host.core.queue.blocks import Blocks
+from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import (
     GIVEN_BACK,
     LEASE_EXPIRED,
@@ -63,7 +63,7 @@ class Leasing:
         self._queue_items = queue_items
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
-        self.leases: Blocks[Lease] = Blocks()  # by delivery id
+        self.leases: ChunkedMap[Lease] = ChunkedMap()  # by delivery id
         # The takers that let a lease end, and have sent nothing since that lease began. The caller empties the list.
         self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id

@@ -15,7 +15,7 @@ from typing import Any
 from sortedcontainers import SortedDict, SortedList
 
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue.blocks import Blocks
+from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
 
@@ -55,7 +55,7 @@ class QueueItems:
         self.next_seq = 1
         self.items = self.payload_bytes = self.stored_bytes = 0
         self.fresh_items = self.leased = 0
-        self.touched: Blocks[TouchedItem] = Blocks()
+        self.touched: ChunkedMap[TouchedItem] = ChunkedMap()
         self.leaving: OrderedDict[int, TouchedItem] = OrderedDict()
         self.delays: Deadlines[TouchedItem] = Deadlines()  # the messages that the queue holds back
         self.returns_logged = 0  # the number of the latest return; see `log_return`

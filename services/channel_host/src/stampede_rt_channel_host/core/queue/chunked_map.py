@@ -11,18 +11,18 @@ from typing import Any, Generic, TypeVar
 
 from sortedcontainers import SortedDict
 
-_BITS = 10  # a block has the numbers that differ only in so many lowest bits
+_BITS = 10  # a chunk has the numbers that differ only in so many lowest bits
 
 Thing = TypeVar("Thing")
 
 
-class Blocks(Generic[Thing]):
+class ChunkedMap(Generic[Thing]):
     """A map with one table for each 1024 consecutive numbers."""
 
-    __slots__ = ("_blocks", "_size")
+    __slots__ = ("_chunks", "_size")
 
     def __init__(self) -> None:
-        self._blocks: Any = SortedDict()  # number >> _BITS -> a dictionary from numbers to things
+        self._chunks: Any = SortedDict()  # number >> _BITS -> a dictionary from numbers to things
         self._size = 0
 
     def __len__(self) -> int:
@@ -31,36 +31,36 @@ class Blocks(Generic[Thing]):
 
     def __getitem__(self, number: int) -> Thing:
         """The thing of a number. Raises KeyError."""
-        return self._blocks[number >> _BITS][number]  # type: ignore[no-any-return]
+        return self._chunks[number >> _BITS][number]  # type: ignore[no-any-return]
 
     def __setitem__(self, number: int, thing: Thing) -> None:
         """Add an entry, or replace its thing."""
-        block = self._blocks.get(number >> _BITS)
-        if block is None:
-            block = self._blocks[number >> _BITS] = {}
-        self._size += number not in block
-        block[number] = thing
+        chunk = self._chunks.get(number >> _BITS)
+        if chunk is None:
+            chunk = self._chunks[number >> _BITS] = {}
+        self._size += number not in chunk
+        chunk[number] = thing
 
     def __delitem__(self, number: int) -> None:
         """Remove an entry. Raises KeyError."""
-        block = self._blocks[number >> _BITS]
-        del block[number]
+        chunk = self._chunks[number >> _BITS]
+        del chunk[number]
         self._size -= 1
-        if not block:
-            del self._blocks[number >> _BITS]
+        if not chunk:
+            del self._chunks[number >> _BITS]
 
     def get(self, number: int) -> Thing | None:
         """The thing of a number, or None if there is no such entry."""
-        block = self._blocks.get(number >> _BITS)
-        return None if block is None else block.get(number)
+        chunk = self._chunks.get(number >> _BITS)
+        return None if chunk is None else chunk.get(number)
 
     def values(self, from_number: int | None = None) -> Iterator[Thing]:
         """The things in the order of their numbers, from `from_number` on.
 
         The entries must not change during the iteration.
         """
-        for at in self._blocks.irange(minimum=None if from_number is None else from_number >> _BITS):
-            block = self._blocks[at]
-            for number in sorted(block):
+        for at in self._chunks.irange(minimum=None if from_number is None else from_number >> _BITS):
+            chunk = self._chunks[at]
+            for number in sorted(chunk):
                 if from_number is None or number >= from_number:
-                    yield block[number]
+                    yield chunk[number]
