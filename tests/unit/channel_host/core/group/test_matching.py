@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Position
 from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack
-from stampede_rt_channel_host.core.group.ledger import Ledger
+from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
@@ -44,13 +44,13 @@ def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(mo
     far.add((time, time) for time in range(10, 120))
     matcher.set_tracks({RIGHT: OwnTrack(right), b"far": far})
     settled: list[int] = []
-    mark_read = Ledger.mark_read
+    mark_read = LossCounter.mark_read
 
-    def counting(self: Ledger, *args: Any, **named: Any) -> int:
+    def counting(self: LossCounter, *args: Any, **named: Any) -> int:
         settled.append(1)
         return mark_read(self, *args, **named)
 
-    monkeypatch.setattr(Ledger, "mark_read", counting)
+    monkeypatch.setattr(LossCounter, "mark_read", counting)
     taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
     assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
     each = taken[0].charge_bytes

@@ -14,7 +14,7 @@ from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Pieces, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
-from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
+from stampede_rt_channel_host.core.group.loss_counter import LossCounter, newest_gone, split_at
 from stampede_rt_channel_host.core.merging import Merge
 
 
@@ -82,19 +82,19 @@ class CutFollower:
         self._late = Merge(_order)  # the found late items that are not given yet, in the order (time, seq)
         self._is_searched = False  # the search for late items is over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
-        # Numbers of items in the present step, for `Ledger.mark_read`: above and below the former cut.
+        # Numbers of items in the present step, for `LossCounter.mark_read`: above and below the former cut.
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)
             next_seq = 1
         elif next_seq is not None and _reaches(held, cut):
             self._unreported = _collected(channel, held, 0, 1, is_exact=False)
-        self._ledger = Ledger(held, _key(cut), channel.next_seq if next_seq is None else next_seq)
+        self._loss_counter = LossCounter(held, _key(cut), channel.next_seq if next_seq is None else next_seq)
 
     @property
     def next_seq(self) -> int:
         """The reader is done with the items before the cut that have a lower seq than this. It can resume from here."""
-        return self._ledger.next_seq
+        return self._loss_counter.next_seq
 
     def lowest_owed_seq(self, now: int) -> int:
         """A seq such that the reader is done with every item of a lower seq, whatever its time.
@@ -102,7 +102,7 @@ class CutFollower:
         Looks at a bounded number of items, so the seq may be lower than necessary.
         """
         held, _ = self._channel.look(now)
-        return self._ledger.lowest_owed(held)
+        return self._loss_counter.lowest_owed(held)
 
     def has_news(self, cut: int) -> bool:
         """Whether a step to `cut` may bring items."""
@@ -203,8 +203,8 @@ class CutFollower:
 
     def _finish(self, held: Holdings) -> Loss | None:
         """End the step. Returns the loss that it reports, or None."""
-        first_seq = self._ledger.lowest_seq
-        lost = self._ledger.mark_read(
+        first_seq = self._loss_counter.lowest_seq
+        lost = self._loss_counter.mark_read(
             held,
             self._target,
             self._seq_end,

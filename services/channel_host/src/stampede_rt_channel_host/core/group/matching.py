@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Slice
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
-from stampede_rt_channel_host.core.group.ledger import Ledger
+from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
 from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
@@ -66,7 +66,7 @@ class Matcher:
         known = channel.next_seq if next_seq is None else min(next_seq, channel.next_seq)
         if next_seq is not None and after is not None and after.incarnation not in (0, channel.incarnation):
             known = 1
-        self._ledger = Ledger(held, self._low, known)
+        self._loss_counter = LossCounter(held, self._low, known)
         self._own = OwnTrack(channel)
         self._partners = None if partners is None else dict(partners)
         self.unmatched = 0
@@ -85,7 +85,7 @@ class Matcher:
     @property
     def next_seq(self) -> int:
         """The matcher is done with all items up to `position` that have a lower seq than this."""
-        return self._ledger.next_seq
+        return self._loss_counter.next_seq
 
     @property
     def partners(self) -> Mapping[bytes, ItemKey]:
@@ -127,7 +127,7 @@ class Matcher:
             taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
             credit_bytes -= taken[-1].charge_bytes
             self._low = time, one.end_seq
-        self.dropped += self._ledger.mark_read(
+        self.dropped += self._loss_counter.mark_read(
             held, self._low, self._channel.next_seq, given_above=len(taken), given_below=0
         )
         for track in self._tracks.values():

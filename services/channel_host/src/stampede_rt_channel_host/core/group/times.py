@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
-from stampede_rt_channel_host.core.group.ledger import newest_gone
+from stampede_rt_channel_host.core.group.loss_counter import newest_gone
 
 
 class ChannelTimes(NamedTuple):

@@ -20,7 +20,7 @@ LOOKED_AT_MAX = 4096
 """The most items or slices at which a search for the lowest owed seq looks."""
 
 
-class Ledger:
+class LossCounter:
     """Counts the owed and the lost items of one reader of one channel.
 
     Most calls look only at the items that came, or that the reader got, after the last call. All items that the next
