@@ -55,7 +55,7 @@ class Ack:
 
 
 @dataclass(frozen=True)
-class Judged:
+class RunOutcome:
     """What was known of a run when it was last dealt with: the verdicts up to the first item that had none."""
 
     producer_id: int
@@ -74,9 +74,9 @@ class OracleRetries:
     which only the front was judged goes on behind it. One that shares only some numbers with a former run is refused
     whole. One of which nothing came in is judged anew. A producer without an id is never recognised."""
 
-    judged: list[Judged] = field(default_factory=list)
+    judged: list[RunOutcome] = field(default_factory=list)
 
-    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> Judged | Refused | None:
+    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> RunOutcome | Refused | None:
         """What became of a run that is known; None: it is new, or was forgotten."""
         numbers = range(first_number, first_number + items)
         for one in reversed(self.judged):
@@ -93,4 +93,4 @@ class OracleRetries:
         """The run was dealt with, or nobody waits for it any more."""
         if any(isinstance(one, Item) for one in verdicts):
             numbers = range(first_number, first_number + items)
-            self.judged.append(Judged(producer_id, numbers, tuple(verdicts), clock))
+            self.judged.append(RunOutcome(producer_id, numbers, tuple(verdicts), clock))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.judging import Judged
 from stampede_rt_channel_host.core.queue import (
     Acknowledge,
     Batch,
@@ -21,6 +20,7 @@ from stampede_rt_channel_host.core.queue import (
     TakerState,
     Terminate,
 )
+from stampede_rt_channel_host.core.run_outcome import RunOutcome
 from tests.oracle import queue as oracle
 
 Verdict = tuple[str, int, int]
@@ -241,7 +241,7 @@ def _raises(step: object) -> bool:
     return False
 
 
-def _seqs(judged: Judged) -> tuple[tuple[int, int], ...]:
+def _seqs(judged: RunOutcome) -> tuple[tuple[int, int], ...]:
     """The accepted positions with their seqs."""
     refused = {one.position for one in judged.refusals}
     bounds = [*(part.position for part in judged.parts[1:]), judged.items]

@@ -17,7 +17,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt_channel_host.core.channel import consumer_places
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged
+from stampede_rt_channel_host.core.run_outcome import RunOutcome
 from stampede_rt_runtime.access import control
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
@@ -229,7 +229,7 @@ async def test_the_memory_of_retries_knows_the_caller_of_each_producer(
     owners: list[str] = []
     record = RetryWindow.record
 
-    def noting(window: RetryWindow, producer_id: int, first_number: int, outcome: Judged, owner: str = "") -> None:
+    def noting(window: RetryWindow, producer_id: int, first_number: int, outcome: RunOutcome, owner: str = "") -> None:
         owners.append(owner)
         record(window, producer_id, first_number, outcome, owner)
 

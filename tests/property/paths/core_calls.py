@@ -7,7 +7,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt_channel_host.core.channel import PutOutcome
-from stampede_rt_channel_host.core.judging import Judged, Judging
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 from tests.oracle import Ack
 from tests.property.paths.values import Run
 
@@ -52,40 +52,40 @@ class WaitingPut:
         self.run, self.call = run, call
         self.offer = run.offer
         self.retry_at: int | None = None
-        self.judging = Judging(len(run.payloads))
+        self.progress = RunProgress(len(run.payloads))
 
     @property
     def payloads(self) -> Sequence[bytes]:
-        return self.run.payloads[self.judging.judged_items :]
+        return self.run.payloads[self.progress.judged_items :]
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """True if none of its items has to wait."""
-        judged_items = self.judging.judged_items
+        judged_items = self.progress.judged_items
         for one in outcome.rejections:
-            self.judging.refuse(judged_items + one.index, one.error)
-        self.judging.judged_items = len(self.run.payloads)
+            self.progress.refuse(judged_items + one.index, one.error)
+        self.progress.judged_items = len(self.run.payloads)
         if outcome.waiting is not None:
             self.offer, self.retry_at = self.offer.rest(outcome.waiting, now), outcome.retry_at
-            self.judging.judged_items = judged_items + outcome.waiting
+            self.progress.judged_items = judged_items + outcome.waiting
         return outcome.waiting is None
 
-    def resume(self, known: Judged, now: int) -> None:
+    def resume(self, known: RunOutcome, now: int) -> None:
         """The run came before, and its front was judged then."""
-        judged_items = self.judging.judged_items
-        if self.judging.resume(known) and not known.is_whole:
+        judged_items = self.progress.judged_items
+        if self.progress.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.judged_items - judged_items, now)
 
     def fail(self, error: st.StampedeError, now: int) -> None:
         """The rest is not taken; if nothing was, the run is refused as a whole."""
-        if not self.judging.accepted_any:
+        if not self.progress.accepted_any:
             self.call.finish(error)
         else:
-            for position in range(self.judging.judged_items, len(self.run.payloads)):
-                self.judging.refuse(position, error)
-            self.call.finish(ack_of(self.judging.outcome(now)))
+            for position in range(self.progress.judged_items, len(self.run.payloads)):
+                self.progress.refuse(position, error)
+            self.call.finish(ack_of(self.progress.outcome(now)))
 
 
-def ack_of(judged: Judged) -> Ack:
+def ack_of(judged: RunOutcome) -> Ack:
     """What the run's producer is told."""
     refused = {one.position: one.error.reason for one in judged.refusals}
     bounds = [*(part.position for part in judged.parts[1:]), judged.items]

@@ -66,7 +66,7 @@ class CoreOwner:
             positions = range(len(put.payloads)) if kept is None else kept
             for seq, position in enumerate(positions, first_seq):
                 self._payloads[seq] = put.payloads[position]
-            put.judging.accept(put.judging.judged_items + positions[0], first_seq, len(positions), stamped_time)
+            put.progress.accept(put.progress.judged_items + positions[0], first_seq, len(positions), stamped_time)
             return b""
 
         outcome = self.channel.put(put.offer, self._now(), seal)
@@ -79,10 +79,10 @@ class CoreOwner:
 
     def _finish(self, put: WaitingPut) -> None:
         self._remember(put)
-        put.call.finish(ack_of(put.judging.outcome(self._now())))
+        put.call.finish(ack_of(put.progress.outcome(self._now())))
 
     def _remember(self, put: WaitingPut) -> None:
-        self._retries.record(put.run.producer_id, put.run.first_number, put.judging.outcome(self._now()))
+        self._retries.record(put.run.producer_id, put.run.first_number, put.progress.outcome(self._now()))
 
     def _give_up_put(self, put: WaitingPut) -> None:
         self.line.remove(put)

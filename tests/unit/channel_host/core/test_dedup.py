@@ -12,17 +12,17 @@ from stampede_rt_channel_host.core.dedup import (
     RUNS_MAX,
     RetryWindow,
 )
-from stampede_rt_channel_host.core.judging import ItemRefusal, Judged, Judging, RunPart
+from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart, RunProgress
 
 PRODUCER = 0xABC
 
 
-def accepted(items: int, first_seq: int, now: int = 0, stamped: int | None = None) -> Judged:
-    return Judged(items, items, (RunPart(0, first_seq, items, stamped),), (), now)
+def accepted(items: int, first_seq: int, now: int = 0, stamped: int | None = None) -> RunOutcome:
+    return RunOutcome(items, items, (RunPart(0, first_seq, items, stamped),), (), now)
 
 
-def half(items: int, judged_items: int, first_seq: int, now: int = 0) -> Judged:
-    return Judged(items, judged_items, (RunPart(0, first_seq, judged_items, None),), (), now)
+def half(items: int, judged_items: int, first_seq: int, now: int = 0) -> RunOutcome:
+    return RunOutcome(items, judged_items, (RunPart(0, first_seq, judged_items, None),), (), now)
 
 
 def test_a_retried_run_is_answered_as_before() -> None:
@@ -56,14 +56,14 @@ def test_a_run_that_was_accepted_in_part_is_recognised_with_what_is_settled_of_i
 
 def test_refusals_of_a_run_that_was_accepted_in_part_are_kept_with_their_reasons() -> None:
     window = RetryWindow()
-    refused = Judged(2, 2, (RunPart(0, 1, 1, None),), (ItemRefusal(1, ChannelFull("full")),), 0)
+    refused = RunOutcome(2, 2, (RunPart(0, 1, 1, None),), (ItemRefusal(1, ChannelFull("full")),), 0)
     window.record(PRODUCER, 1, refused)
     assert window.find(PRODUCER, 1, 2, now=0) == refused
 
 
 def test_a_run_of_which_nothing_was_accepted_is_not_kept() -> None:
     window = RetryWindow()
-    window.record(PRODUCER, 1, Judged(1, 1, (), (ItemRefusal(0, ChannelFull("full")),), 0))
+    window.record(PRODUCER, 1, RunOutcome(1, 1, (), (ItemRefusal(0, ChannelFull("full")),), 0))
     assert window.find(PRODUCER, 1, 1, now=0) is None
     assert window.footprint_bytes == 0
 
@@ -145,7 +145,7 @@ def test_what_is_kept_of_one_producer_has_a_bound_however_many_refusals_it_is_to
     window = RetryWindow()
     refusals = [ItemRefusal(place, ChannelFull("full " * 100)) for place in range(1, 256)]
     for run in range(50):
-        window.record(PRODUCER, 1 + run * 256, Judged(256, 256, (RunPart(0, 1 + run, 1, None),), refusals, 0))
+        window.record(PRODUCER, 1 + run * 256, RunOutcome(256, 256, (RunPart(0, 1 + run, 1, None),), refusals, 0))
     assert window.footprint_bytes <= 2 * PRODUCER_BYTES_MAX
     assert window.find(PRODUCER, 1 + 49 * 256, 256, now=0) is not None
 
@@ -200,12 +200,12 @@ def test_what_is_remembered_goes_to_another_owner_as_values() -> None:
 
 
 def test_parts_whose_seqs_follow_each_other_are_one() -> None:
-    judging = Judging(5)
-    judging.accept(0, 1, 2, None)
-    judging.accept(2, 3, 1, None)
-    judging.accept(3, 9, 2, None)
-    judging.judged_items = 5
-    assert judging.outcome(0).parts == (RunPart(0, 1, 3, None), RunPart(3, 9, 2, None))
+    progress = RunProgress(5)
+    progress.accept(0, 1, 2, None)
+    progress.accept(2, 3, 1, None)
+    progress.accept(3, 9, 2, None)
+    progress.judged_items = 5
+    assert progress.outcome(0).parts == (RunPart(0, 1, 3, None), RunPart(3, 9, 2, None))
 
 
 @pytest.mark.parametrize("bounds", [{"producers_max": 200}, {"bytes_max": 100_000}])

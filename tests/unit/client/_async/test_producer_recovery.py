@@ -19,7 +19,7 @@ from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.wire.batching import REQUEST_RUNS_MAX
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, RunPart
+from stampede_rt_channel_host.core.run_outcome import Judged, RunPart
 
 LIMIT_S = 5.0
 

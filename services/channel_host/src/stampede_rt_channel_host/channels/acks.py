@@ -5,10 +5,10 @@ from __future__ import annotations
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.core.judging import Judged
+from stampede_rt_channel_host.core.run_outcome import RunOutcome
 
 
-def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
+def ack_of(first_number: int, judged: RunOutcome, incarnation: int) -> pb.PutAck:
     """The ack of a run of which the host has judged every item: accepted or refused it."""
     ack = pb.PutAck(
         first_number=first_number,

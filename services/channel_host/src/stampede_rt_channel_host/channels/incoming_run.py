@@ -10,14 +10,14 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.memory import own_bytes
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Offer, PutOutcome
-from stampede_rt_channel_host.core.judging import Judged, Judging
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 
 
 class IncomingRun:
     """One run that a producer puts, until the run has its ack. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
-        "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "owner", "producer_id",
+        "_done", "_encoded", "_timer", "ack", "first_number", "items", "offer", "owner", "producer_id", "progress",
         "wait_nanos",
     )  # fmt: skip
 
@@ -37,7 +37,7 @@ class IncomingRun:
         columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
         self.items = len(columns.lengths)
-        self.judging = Judging(self.items)
+        self.progress = RunProgress(self.items)
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
@@ -58,40 +58,40 @@ class IncomingRun:
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """Note that the core accepts items, and return the bytes to store for these items (see `core.Seal`)."""
-        rest = range(self.judging.judged_items, self.items)
+        rest = range(self.progress.judged_items, self.items)
         positions = rest if kept is None else [rest[position] for position in kept]
-        self.judging.accept(positions[0], first_seq, len(positions), stamped_time)
+        self.progress.accept(positions[0], first_seq, len(positions), stamped_time)
         encoded = self._encoded if len(positions) == self.items else select_items(self._encoded, positions)
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(positions))
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """Note which items the core has refused, and which have to wait. Returns True if no item has to wait."""
-        offered = self.judging.judged_items
+        offered = self.progress.judged_items
         for one in outcome.rejections:
-            self.judging.refuse(offered + one.index, one.error)
+            self.progress.refuse(offered + one.index, one.error)
         if outcome.waiting is None:
-            self.judging.judged_items = self.items
+            self.progress.judged_items = self.items
             return True
-        self.judging.judged_items += outcome.waiting
+        self.progress.judged_items += outcome.waiting
         self.offer = self.offer.rest(outcome.waiting, now)
         return False
 
-    def resume(self, known: Judged, now: int) -> None:
+    def resume(self, known: RunOutcome, now: int) -> None:
         """Continue a repeated run: offer only the items that were neither accepted nor refused before."""
-        offered = self.judging.judged_items
-        if self.judging.resume(known) and not known.is_whole:
+        offered = self.progress.judged_items
+        if self.progress.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.judged_items - offered, now)
 
     @property
     def undecided_items(self) -> int:
         """The number of items that are neither accepted nor refused yet."""
-        return self.items - self.judging.judged_items
+        return self.items - self.progress.judged_items
 
     def refuse_rest(self, error: StampedeError) -> None:
         """Refuse the items that are neither accepted nor refused yet."""
-        for index in range(self.judging.judged_items, self.items):
-            self.judging.refuse(index, error)
-        self.judging.judged_items = self.items
+        for index in range(self.progress.judged_items, self.items):
+            self.progress.refuse(index, error)
+        self.progress.judged_items = self.items
 
     def finish(self, ack: pb.PutAck) -> None:
         """Store the run's ack, and wake the coroutine that waits for the ack."""

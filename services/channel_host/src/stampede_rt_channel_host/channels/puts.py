@@ -14,7 +14,7 @@ from stampede_rt_channel_host.channels.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Pieces
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged
+from stampede_rt_channel_host.core.run_outcome import RunOutcome
 
 WAITING_PUTS_MAX = 10_000
 PUTS_PER_PIECE = 128
@@ -206,7 +206,7 @@ class ChannelPuts:
         If some items are accepted and the producer will not repeat the run, only the other items are refused. Else the
         run as a whole gets the error, and a repetition continues after the accepted items.
         """
-        if run.judging.accepted_any and not (error.retryable and run.producer_id):
+        if run.progress.accepted_any and not (error.retryable and run.producer_id):
             run.refuse_rest(error)
             self._finish(run, now)
         else:
@@ -252,8 +252,8 @@ class ChannelPuts:
         run.finish(ack)
         return ack
 
-    def _remember(self, run: IncomingRun, now: int) -> Judged:
-        judged = run.judging.outcome(now)
+    def _remember(self, run: IncomingRun, now: int) -> RunOutcome:
+        judged = run.progress.outcome(now)
         self._retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 

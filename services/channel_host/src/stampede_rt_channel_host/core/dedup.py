@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.judging import Judged, RunPart
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
 RUNS_MAX = 1024  # far more than the runs that a producer has in flight
 KEPT_NANOS = 600_000_000_000  # how long the window keeps an outcome
@@ -38,7 +38,7 @@ class KeptRun(NamedTuple):
 
     producer_id: int
     first_number: int
-    outcome: Judged
+    outcome: RunOutcome
 
 
 class _Producer:
@@ -54,7 +54,7 @@ class _Producer:
         self._columns = array("q")
         self._begin = 0  # the number of forgotten runs at the beginning of the array
         self._odd_bytes = 0
-        self.odd: dict[int, Judged] = {}
+        self.odd: dict[int, RunOutcome] = {}
         self.end = 0
         self.latest = 0
         self.owner = ""
@@ -66,7 +66,7 @@ class _Producer:
     def footprint_bytes(self) -> int:
         return PRODUCER_BYTES + len(self._columns) // _FIELDS * RUN_BYTES + self._odd_bytes
 
-    def add(self, first_number: int, outcome: Judged) -> None:
+    def add(self, first_number: int, outcome: RunOutcome) -> None:
         if self.odd:
             self._forget_odd(first_number)
         part = outcome.parts[0]
@@ -79,7 +79,7 @@ class _Producer:
         self.end = max(self.end, first_number + outcome.items)
         self.latest = outcome.time
 
-    def runs(self) -> Iterator[tuple[int, Judged]]:
+    def runs(self) -> Iterator[tuple[int, RunOutcome]]:
         """First numbers and outcomes, the latest first. A run that was judged in two steps may come twice, both times
         with its latest outcome.
         """
@@ -89,11 +89,11 @@ class _Producer:
             first %= 2**64
             if first_seq:
                 part = RunPart(0, first_seq, items, None if stamp == _NO_STAMP else stamp)
-                yield first, Judged(items, items, (part,), (), time)
+                yield first, RunOutcome(items, items, (part,), (), time)
             elif first in self.odd:
                 yield first, self.odd[first]
 
-    def find(self, producer_id: int, first_number: int, end: int, since: int) -> Judged | None:
+    def find(self, producer_id: int, first_number: int, end: int, since: int) -> RunOutcome | None:
         """The outcome of the run with exactly these numbers, if it was recorded after `since`; else None.
 
         Raises InvalidArgument if the numbers overlap those of another run.
@@ -171,7 +171,7 @@ class RetryWindow:
                 if outcome.time > now - KEPT_NANOS:
                     yield KeptRun(producer_id, first_number, outcome)
 
-    def find(self, producer_id: int, first_number: int, items: int, now: int) -> Judged | None:
+    def find(self, producer_id: int, first_number: int, items: int, now: int) -> RunOutcome | None:
         """The former outcome of a repeated run, or None if the window does not know the run.
 
         Raises InvalidArgument if some of the run's numbers belong to another known run.
@@ -181,7 +181,7 @@ class RetryWindow:
             return None
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
-    def record(self, producer_id: int, first_number: int, outcome: Judged, owner: str = "") -> None:
+    def record(self, producer_id: int, first_number: int, outcome: RunOutcome, owner: str = "") -> None:
         """Keep the outcome of a run, or of its first items, as of `outcome.time`.
 
         Keeps nothing for producer id 0, or if no item was accepted. `owner` is the name of the caller; empty if the
@@ -249,7 +249,7 @@ class RetryWindow:
         return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
 
 
-def _odd_bytes(outcome: Judged) -> int:
+def _odd_bytes(outcome: RunOutcome) -> int:
     """About how many bytes an outcome takes that does not fit in the array."""
     texts = sum(len(one.error.message) + 100 * len(one.error.metadata) for one in outcome.refusals)
     return _PART_BYTES * (1 + len(outcome.parts)) + _REFUSAL_BYTES * len(outcome.refusals) + texts

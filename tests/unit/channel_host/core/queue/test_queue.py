@@ -196,10 +196,10 @@ def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
     core.taker(1, credit=10)
     core.dispatched()
     core.ack(1, 1)
-    assert (first.judging.first_seq, first.is_done, second.judging.first_seq) == (3, False, None)
+    assert (first.progress.first_seq, first.is_done, second.progress.first_seq) == (3, False, None)
     core.ack(1, 2)
     assert core.queue.take_finished() == [first]
-    assert (first.judging.first_seq, core.queue.waiting_enqueues) == (3, 1)
+    assert (first.progress.first_seq, core.queue.waiting_enqueues) == (3, 1)
 
 
 def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_channel_host.core.judging import Judged, Judging
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.values import SealRun
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 
 
 class Enqueue:
@@ -20,8 +20,8 @@ class Enqueue:
     """
 
     __slots__ = (
-        "due", "error", "first_number", "is_duplicate", "is_stamped", "judging", "lengths", "message_id", "order",
-        "outcome", "owner", "producer_id", "seal", "wait_nanos",
+        "due", "error", "first_number", "is_duplicate", "is_stamped", "lengths", "message_id", "order", "outcome",
+        "owner", "producer_id", "progress", "seal", "wait_nanos",
     )  # fmt: skip
 
     def __init__(
@@ -45,8 +45,8 @@ class Enqueue:
         self.wait_nanos = wait_nanos
         self.message_id = message_id
         self.is_duplicate = False
-        self.judging = Judging(len(lengths))
-        self.outcome: Judged | None = None
+        self.progress = RunProgress(len(lengths))
+        self.outcome: RunOutcome | None = None
         self.error: StampedeError | None = None
         self.due: int | None = None
         self.order = 0

@@ -11,12 +11,12 @@ from itertools import islice
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, RunPart
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.message_ids import MessageIds
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
@@ -127,7 +127,7 @@ class Enqueuing:
         Otherwise the run as a whole gets the error. If the producer repeats it, the queue continues after the accepted
         messages.
         """
-        if run.judging.accepted_any and not (error.retryable and run.producer_id):
+        if run.progress.accepted_any and not (error.retryable and run.producer_id):
             self._refuse_rest(run, error, now)
         else:
             self._remember(run, now)
@@ -161,7 +161,7 @@ class Enqueuing:
             known = self.retries.find(run.producer_id, run.first_number, len(run.lengths), now)
         if known is None:
             return self._is_duplicate(run, now)
-        run.judging.resume(known)
+        run.progress.resume(known)
         run.outcome = known if known.is_whole else None
         return known.is_whole
 
@@ -171,7 +171,7 @@ class Enqueuing:
         if seq is not None:
             self._queue_items.tally.duplicates += 1
             run.is_duplicate = True
-            run.outcome = Judged(1, 1, (RunPart(0, seq, 1, None),), (), now)
+            run.outcome = RunOutcome(1, 1, (RunPart(0, seq, 1, None),), (), now)
         return run.is_duplicate
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
@@ -228,24 +228,24 @@ class Enqueuing:
 
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Accept the messages for which there is room. Returns True if the run is done."""
-        queue_items, taken, judging = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.judging
+        queue_items, taken, progress = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.progress
         positions: list[int] = []
         self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
-        while judging.judged_items < len(run.lengths):
-            length = run.lengths[judging.judged_items]
+        while progress.judged_items < len(run.lengths):
+            length = run.lengths[progress.judged_items]
             if length > queue_items.limits.payload_bytes_max:
                 self._refuse(run, self._too_large(length))
             elif self._make_room(length):
                 queue_items.add(taken, length)
-                positions.append(judging.judged_items)
+                positions.append(progress.judged_items)
             elif queue_items.limits.on_full == BLOCK or self._is_making_room:
                 break
             else:
                 self._refuse(run, self._full())
-            judging.judged_items += 1
+            progress.judged_items += 1
         if positions:
             self._seal(run, taken, positions, now)
-        if judging.judged_items < len(run.lengths):
+        if progress.judged_items < len(run.lengths):
             return False
         self._resolve(run, now)
         return True
@@ -265,27 +265,27 @@ class Enqueuing:
 
     def _seal(self, run: Enqueue, taken: QueuedRun, positions: list[int], now: int) -> None:
         """Give the accepted messages their seqs and their stored bytes."""
-        stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
-        run.judging.accept(positions[0], taken.first_seq, len(positions), stamped)
+        stamped = run.progress.stamped_time if run.progress.accepted_any else now if run.is_stamped else None
+        run.progress.accept(positions[0], taken.first_seq, len(positions), stamped)
         self._queue_items.set_body(taken, run.seal(taken.first_seq, positions, stamped))
 
     def _resolve(self, run: Enqueue, now: int) -> None:
         """Set the outcome of a run whose messages are all judged, and remember it."""
         run.outcome = self._remember(run, now)
-        if run.message_id and run.judging.accepted_any:
+        if run.message_id and run.progress.accepted_any:
             self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now, run.owner)
 
-    def _remember(self, run: Enqueue, now: int) -> Judged:
+    def _remember(self, run: Enqueue, now: int) -> RunOutcome:
         """Remember the run's outcome so far, so that a repetition of the run gets it or continues after it."""
-        judged = run.judging.outcome(now)
+        judged = run.progress.outcome(now)
         self.retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 
     def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Refuse the messages of the run that are not judged yet."""
-        while run.judging.judged_items < len(run.lengths):
+        while run.progress.judged_items < len(run.lengths):
             self._refuse(run, error)
-            run.judging.judged_items += 1
+            run.progress.judged_items += 1
         self._resolve(run, now)
 
     def _refuse(self, run: Enqueue, error: StampedeError) -> None:
@@ -294,7 +294,7 @@ class Enqueuing:
             self._queue_items.tally.rejected_too_large += 1
         elif isinstance(error, QueueFull):
             self._queue_items.tally.rejected_full += 1
-        run.judging.refuse(run.judging.judged_items, error)
+        run.progress.refuse(run.progress.judged_items, error)
 
     def _too_large(self, length: int) -> ItemTooLarge:
         return ItemTooLarge(

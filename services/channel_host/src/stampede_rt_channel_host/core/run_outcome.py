@@ -31,7 +31,7 @@ class ItemRefusal(NamedTuple):
     error: StampedeError
 
 
-class Judged(NamedTuple):
+class RunOutcome(NamedTuple):
     """The outcome of a run of `items` items. As of `time`, the first `judged_items` items are accepted or refused.
 
     `parts` and `refusals` ascend in position. Nearly every run has one part and no refusals.
@@ -59,7 +59,7 @@ class Judged(NamedTuple):
         return self.parts[0].stamped_time if self.parts else None
 
 
-class Judging:
+class RunProgress:
     """Collects the outcome of a run of `items` items. The first `judged_items` items are judged so far."""
 
     __slots__ = ("_parts", "_refusals", "items", "judged_items")
@@ -97,7 +97,7 @@ class Judging:
         """Note that the item at `position` is refused."""
         self._refusals.append(ItemRefusal(position, error))
 
-    def resume(self, known: Judged) -> bool:
+    def resume(self, known: RunOutcome) -> bool:
         """Take over the outcome `known` of an earlier put of the same run.
 
         Returns False, and changes nothing, if `known` has no more judged items than this object.
@@ -108,6 +108,6 @@ class Judging:
         self._parts, self._refusals = list(known.parts), list(known.refusals)
         return True
 
-    def outcome(self, now: int) -> Judged:
+    def outcome(self, now: int) -> RunOutcome:
         """The outcome as of `now`."""
-        return Judged(self.items, self.judged_items, tuple(self._parts), tuple(self._refusals), now)
+        return RunOutcome(self.items, self.judged_items, tuple(self._parts), tuple(self._refusals), now)
