@@ -104,7 +104,7 @@ class OracleQueue:
         )  # fmt: skip
         self.dealt: list[Dealt] = []
         self.finished: list[Run] = []
-        self.departures: list[int] = []
+        self.dead_letter_seqs: list[int] = []
         self.silent: list[Taker] = []
 
     # --- what callers do
@@ -218,10 +218,10 @@ class OracleQueue:
         found[1].ends = self.now + lease
         return None
 
-    def departed(self, seq: int, now: int) -> None:
+    def dead_letter_moved(self, seq: int, now: int) -> None:
         self.tick(now)
-        if seq in self.departures:
-            self.departures.remove(seq)
+        if seq in self.dead_letter_seqs:
+            self.dead_letter_seqs.remove(seq)
             self.items = [item for item in self.items if item.seq != seq]
             self.counts["dead_lettered"] += 1
             self._follow_up()
@@ -231,7 +231,7 @@ class OracleQueue:
         self.setup = setup
         for item in list(self.items):
             if item.leaving and not setup.dead_letters:
-                self.departures.remove(item.seq)
+                self.dead_letter_seqs.remove(item.seq)
                 self._expel(item)
             elif not self._use_up(item):
                 self._leave_if_exhausted(item)
@@ -412,7 +412,7 @@ class OracleQueue:
         item.leases.clear()
         if self.setup.dead_letters:
             item.leaving, item.held_back_until = True, None
-            self.departures.append(item.seq)
+            self.dead_letter_seqs.append(item.seq)
         else:
             self._expel(item)
 
@@ -426,7 +426,7 @@ class OracleQueue:
             self.items.remove(item)
             self.counts["consumed"] += 1
             if item.leaving:
-                self.departures.remove(item.seq)
+                self.dead_letter_seqs.remove(item.seq)
         return enough
 
     def _free(self, item: Item) -> bool:

@@ -144,15 +144,15 @@ class QueuePair:
         assert [one.error.reason if one.error else None for one in results] == expected
         self.check()
 
-    def departed(self, position: int, *, failed: bool) -> None:
-        if position < len(self.oracle.departures):
-            seq = self.oracle.departures[position]
+    def dead_letter_moved(self, position: int, *, failed: bool) -> None:
+        if position < len(self.oracle.dead_letter_seqs):
+            seq = self.oracle.dead_letter_seqs[position]
             if failed:
-                self.core.postpone_departure(seq)
-                self.oracle.departures.append(self.oracle.departures.pop(position))
+                self.core.postpone_dead_letter(seq)
+                self.oracle.dead_letter_seqs.append(self.oracle.dead_letter_seqs.pop(position))
             else:
-                self.core.departed(seq, self.clock)
-                self.oracle.departed(seq, self.clock)
+                self.core.dead_letter_moved(seq, self.clock)
+                self.oracle.dead_letter_moved(seq, self.clock)
             self.check()
 
     def configure(self, setup: oracle.Setup) -> None:
@@ -206,8 +206,8 @@ class QueuePair:
         assert core.waiting_takers == len(self.oracle.takers)
         assert core.waiting_enqueues == len(self.oracle.line)
         assert core.next_deadline() == self.oracle.next_deadline()
-        assert [(one.seq, _how(one.last)) for one in core.departing(10**6)] == [
-            (seq, item.last) for seq in self.oracle.departures for item in items if item.seq == seq
+        assert [(one.seq, _how(one.last)) for one in core.dead_letters(10**6)] == [
+            (seq, item.last) for seq in self.oracle.dead_letter_seqs for item in items if item.seq == seq
         ]
         self._check_pending()
         assert core.oldest_accepted_at == (items[0].accepted_at if items else None)

@@ -92,8 +92,8 @@ def withdraw(rng: RandomSource, pair: QueuePair) -> None:
     pair.withdraw(rng.below(3))
 
 
-def departed(rng: RandomSource, pair: QueuePair) -> None:
-    pair.departed(rng.below(2), failed=rng.one_in(3))
+def dead_letter_moved(rng: RandomSource, pair: QueuePair) -> None:
+    pair.dead_letter_moved(rng.below(2), failed=rng.one_in(3))
 
 
 def configure(rng: RandomSource, pair: QueuePair) -> None:
@@ -109,8 +109,8 @@ def rest(rng: RandomSource, pair: QueuePair) -> None:
 
 
 STEPS = (
-    rest, enqueue, attach, sent, settle, enqueue, tick, grant, settle, sent, leave, withdraw, departed, configure,
-    enqueue, settle, attach, sent, hand_over,
+    rest, enqueue, attach, sent, settle, enqueue, tick, grant, settle, sent, leave, withdraw, dead_letter_moved,
+    configure, enqueue, settle, attach, sent, hand_over,
 )  # fmt: skip
 
 

@@ -142,7 +142,7 @@ class ChannelHost:
             now=self.store.now,
             lease_held=self._lease.lease_held,
             scheduler=self.store.scheduler,
-            on_departures=lambda hosted: mover.departures(hosted),
+            on_dead_letters=lambda hosted: mover.new_dead_letters(hosted),
         )
         mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)
         return queues, mover

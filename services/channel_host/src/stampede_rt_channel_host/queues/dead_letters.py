@@ -26,7 +26,7 @@ from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import select_items
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
-from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, Departure
+from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, DeadLetter
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.refusals import display_name
@@ -68,7 +68,7 @@ class DeadLetterMover:
         self._on_defect = on_defect
         self._tasks: dict[HostedQueue, asyncio.Task[None]] = {}
 
-    def departures(self, hosted: HostedQueue) -> None:
+    def new_dead_letters(self, hosted: HostedQueue) -> None:
         """Start moving, because the queue has messages to move. Idempotent."""
         if hosted not in self._tasks:
             task = asyncio.create_task(self._move_all(hosted), name="dead letters")
@@ -91,7 +91,7 @@ class DeadLetterMover:
     async def _move_all(self, hosted: HostedQueue) -> None:
         pause_s, refusals = _PAUSE_SECONDS_MIN, Counter[int]()
         # pauses after each failure; ends when the queue has nothing to move, or is no longer of this host
-        while hosted.queue.is_moving_out and self._may_move(hosted):
+        while hosted.queue.has_dead_letters and self._may_move(hosted):
             try:
                 await self._attempt(hosted, refusals)
                 pause_s = _PAUSE_SECONDS_MIN
@@ -110,7 +110,7 @@ class DeadLetterMover:
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
-        items = hosted.queue.departing(ITEMS_PER_ATTEMPT_MAX)
+        items = hosted.queue.dead_letters(ITEMS_PER_ATTEMPT_MAX)
         connection = self._dial(target)
         try:
             async with asyncio.timeout(ATTEMPT_SECONDS_MAX):
@@ -131,7 +131,7 @@ def producer_id_of(record: RecordedQueue) -> int:
 
 
 def _requests(
-    source: RecordedQueue, target: RecordedQueue, items: Sequence[Departure], refusals: Counter[int]
+    source: RecordedQueue, target: RecordedQueue, items: Sequence[DeadLetter], refusals: Counter[int]
 ) -> list[bytes]:
     """One encoded request for each message, because several messages might exceed the limit of one request."""
     requests = []
@@ -146,7 +146,7 @@ def _requests(
     return requests
 
 
-def _enqueue_run(item: Departure, source: RecordedQueue, refusals: int) -> raw_run_pb2.RawEnqueueRun:
+def _enqueue_run(item: DeadLetter, source: RecordedQueue, refusals: int) -> raw_run_pb2.RawEnqueueRun:
     return raw_run_pb2.RawEnqueueRun(
         first_number=refusals << _SEQ_BITS | item.seq,
         wait_nanos=ROOM_WAIT_NANOS,
@@ -155,7 +155,7 @@ def _enqueue_run(item: Departure, source: RecordedQueue, refusals: int) -> raw_r
     )
 
 
-def _run_of(item: Departure, content_type: str) -> bytes:
+def _run_of(item: DeadLetter, content_type: str) -> bytes:
     """The message as its producer put it.
 
     A message without a content type gets that of its queue, because the dead-letter queue may have another one.
@@ -166,7 +166,7 @@ def _run_of(item: Departure, content_type: str) -> bytes:
     return alone
 
 
-def _origin_of(item: Departure, source: RecordedQueue) -> item_pb2.DeadLetterOrigin:
+def _origin_of(item: DeadLetter, source: RecordedQueue) -> item_pb2.DeadLetterOrigin:
     origin = item_pb2.DeadLetterOrigin(
         queue_id=source.queue_id,
         queue_name=source.name,
@@ -193,7 +193,7 @@ async def _enqueue(connection: grpc.aio.Channel, requests: Sequence[bytes]) -> l
 
 def _conclude(
     hosted: HostedQueue,
-    items: Sequence[Departure],
+    items: Sequence[DeadLetter],
     acks: Sequence[channel_service_pb2.PutAck],
     refusals: Counter[int],
 ) -> None:
@@ -204,11 +204,11 @@ def _conclude(
     failure: StampedeError | None = None
     for item, ack in zip(items, acks, strict=True):
         if ack.HasField("first_seq"):
-            hosted.departed(item.seq)
+            hosted.dead_letter_moved(item.seq)
             del refusals[item.seq]
             continue
         refusals[item.seq] += len(ack.rejections)
         failure = from_error_message(ack.rejections[0].error if ack.rejections else ack.error)
-        hosted.queue.postpone_departure(item.seq)
+        hosted.queue.postpone_dead_letter(item.seq)
     if failure is not None:
         raise failure

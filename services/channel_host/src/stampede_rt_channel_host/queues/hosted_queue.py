@@ -51,7 +51,7 @@ class HostedQueue:
 
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
     `epoch`, the epoch of the record. `epoch` 0: the store must ask the directory before it serves the queue again.
-    The queue calls `on_departures` at each change for as long as messages wait for their move to the dead-letter queue.
+    The queue calls `on_dead_letters` at each change while messages wait for their move to the dead-letter queue.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class HostedQueue:
         record: RecordedQueue,
         memory: MemoryBudget,
         now: Callable[[], int],
-        on_departures: Callable[[HostedQueue], None],
+        on_dead_letters: Callable[[HostedQueue], None],
         deadlines: Deadlines[HostedQueue],
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
@@ -83,7 +83,7 @@ class HostedQueue:
         self._deadlines = deadlines
         self._charge = memory.charge_for(record.created_by)
         self._now = now
-        self._on_departures = on_departures
+        self._on_dead_letters = on_dead_letters
         self._streams: dict[TakerState, TakerStream] = {}
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
@@ -178,9 +178,9 @@ class HostedQueue:
         self._follow_up()
         return found
 
-    def departed(self, seq: int) -> None:
+    def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
-        self.queue.departed(seq, self._now())
+        self.queue.dead_letter_moved(seq, self._now())
         self._follow_up()
 
     def tick(self) -> None:
@@ -235,8 +235,8 @@ class HostedQueue:
         if self._is_forgotten:
             return
         self._charge.set(self.queue.footprint_bytes)
-        if self.queue.is_moving_out:
-            self._on_departures(self)
+        if self.queue.has_dead_letters:
+            self._on_dead_letters(self)
         due = self.queue.next_deadline()
         self._arm(due)
         due = self.queue.next_expiry() if due is None else due

@@ -45,7 +45,7 @@ class QueueStore:
     `find`, which never asks.
 
     Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
-    `scheduler` does long work in pieces. `on_departures` is called with each queue that has messages to move to its
+    `scheduler` does long work in pieces. `on_dead_letters` is called with each queue that has messages to move to its
     dead-letter queue. `takers` remembers which caller uses which taker id.
     """
 
@@ -58,7 +58,7 @@ class QueueStore:
         now: Callable[[], int],
         lease_held: Callable[[], bool],
         scheduler: PieceScheduler,
-        on_departures: Callable[[HostedQueue], None],
+        on_dead_letters: Callable[[HostedQueue], None],
     ) -> None:
         self.now = now
         self._identity = identity
@@ -66,7 +66,7 @@ class QueueStore:
         self.memory = memory
         self._lease_held = lease_held
         self._scheduler = scheduler
-        self._on_departures = on_departures
+        self._on_dead_letters = on_dead_letters
         self._queues: dict[bytes, HostedQueue] = SortedDict()
         self._single_flight = SingleFlight()
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
@@ -271,7 +271,7 @@ class QueueStore:
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
         self._created_here.check(record.created_by)
-        hosted = HostedQueue(record, self.memory, self.now, self._on_departures, self.deadlines, self._may_serve)
+        hosted = HostedQueue(record, self.memory, self.now, self._on_dead_letters, self.deadlines, self._may_serve)
         hosted.registration = self._registrations
         self._queues[record.queue_id] = hosted
         self._created_here.note(record.created_by, +1)

@@ -325,11 +325,11 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     core.taker(1, credit=5)
     core.dispatched()
     core.nack(1, 1)
-    assert [one.seq for one in core.queue.departing(10)] == [1]
+    assert [one.seq for one in core.queue.dead_letters(10)] == [1]
     assert core.counted("held", "dead_lettered") == (1, 0)
     waiting = core.put(1)
-    core.queue.departed(1, core.now)
-    core.queue.departed(1, core.now)
+    core.queue.dead_letter_moved(1, core.now)
+    core.queue.dead_letter_moved(1, core.now)
     assert core.counted("dead_lettered", "held", "accepted") == (1, 1, 2)
     assert core.queue.take_finished() == [waiting]
     assert core.dispatched() == {1: [2]}
@@ -344,11 +344,11 @@ def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delive
         core.nack(1, delivery_id)
         core.dispatched()
     core.queue.configure(QueueLimits(max_deliveries=2, dead_letters=True), core.now)
-    assert [one.seq for one in core.queue.departing(10)] == [1, 2]
+    assert [one.seq for one in core.queue.dead_letters(10)] == [1, 2]
     core.taker(2, credit=1)
     assert core.dispatched() == {2: [3]}
     core.nack(2, 6)
-    assert [one.seq for one in core.queue.departing(10)] == [1, 2, 3]
+    assert [one.seq for one in core.queue.dead_letters(10)] == [1, 2, 3]
 
 
 def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_given_out_before_all_were(
@@ -379,8 +379,8 @@ def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is
     core.dispatched()
     assert core.term(2, 2, "broken") == [""]
     assert core.ack(1, 1) == ["LEASE_EXPIRED"]
-    (departure,) = core.queue.departing(10)
-    assert departure.last == FailedDelivery(1, 2, "", TERMINATED, "broken")
+    (dead_letter,) = core.queue.dead_letters(10)
+    assert dead_letter.last == FailedDelivery(1, 2, "", TERMINATED, "broken")
     assert core.counted("terminated", "leased", "held") == (1, 0, 1)
 
 

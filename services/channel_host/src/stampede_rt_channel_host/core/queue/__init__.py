@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
     Batch,
-    Departure,
+    DeadLetter,
     Extend,
     GiveBack,
     LeasedSlice,
@@ -41,7 +41,7 @@ __all__ = [
     "TERMINATED",
     "Acknowledge",
     "Batch",
-    "Departure",
+    "DeadLetter",
     "Enqueue",
     "Extend",
     "FailedDelivery",

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Batch,
-    Departure,
+    DeadLetter,
     PendingDelivery,
     QueueCounters,
     Settlement,
@@ -186,15 +186,15 @@ class QueueCore:
         self._due_work.tick(now)
         return self._leasing.pending(after_delivery_id, limit)
 
-    def departing(self, items_max: int) -> list[Departure]:
+    def dead_letters(self, items_max: int) -> list[DeadLetter]:
         """At most `items_max` messages that wait for their move to the dead-letter queue.
 
         The message that has waited longest comes first.
         """
         leaving = islice(self._queue_items.leaving.values(), items_max)
-        return [Departure(item.seq, item.run, item.position, item.last) for item in leaving]
+        return [DeadLetter(item.seq, item.run, item.position, item.last) for item in leaving]
 
-    def departed(self, seq: int, now: int) -> None:
+    def dead_letter_moved(self, seq: int, now: int) -> None:
         """Remove a message, because the dead-letter queue has accepted it. Idempotent."""
         clock = self._due_work.tick(now)
         item = self._queue_items.leaving.get(seq)
@@ -203,7 +203,7 @@ class QueueCore:
             self._queue_items.remove(item)
             self._due_work.follow_up(clock)
 
-    def postpone_departure(self, seq: int) -> None:
+    def postpone_dead_letter(self, seq: int) -> None:
         """Put a message whose move failed behind all other messages that wait for their move."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
@@ -298,7 +298,7 @@ class QueueCore:
         return len(self._enqueuing)
 
     @property
-    def is_moving_out(self) -> bool:
+    def has_dead_letters(self) -> bool:
         """Whether a message waits for its move to the dead-letter queue."""
         return bool(self._queue_items.leaving)
 

@@ -101,7 +101,7 @@ class SettlementResult(NamedTuple):
     lease_nanos: int | None = None
 
 
-class Departure(NamedTuple):
+class DeadLetter(NamedTuple):
     """The message at `position` of `run`, which waits for its move to the dead-letter queue.
 
     `last` is its last failed delivery, or None if no delivery failed.
