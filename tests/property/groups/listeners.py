@@ -10,11 +10,11 @@ from stampede_rt_channel_host.core.group import (
     Boundary,
     CutFollower,
     EventDecider,
-    FarTrack,
+    LocalTrack,
     Loss,
     Matcher,
     OwnTimes,
-    OwnTrack,
+    RemoteTrack,
     Track,
 )
 from tests.oracle.channel import Item
@@ -63,7 +63,7 @@ class Match:
 
     core: Matcher
     oracle: OracleMatcher
-    far: FarTrack
+    remote: RemoteTrack
     followed: dict[bytes, OwnTimes]
     begun: int
     told: int
@@ -110,7 +110,7 @@ class Listeners:
             one.decider.note(cut, self.world.clock)
 
     def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
-        """An event is due when every member is as far, or the wait is over. `meddle` comes between an event's parts."""
+        """An event is due when every member is as remote, or the wait is over. `meddle` comes between an event's parts."""
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
@@ -170,21 +170,21 @@ class Listeners:
         a, b, c = (self.world.pair(one) for one in CHANNELS)
         clock = self.world.clock
         OracleReader(a.oracle, clock)
-        far = FarTrack()
-        far.add((one.time, one.seq) for one in c.oracle.log.values())
-        tracks: dict[bytes, Track] = {b"b": OwnTrack(b.core), b"c": far}
+        remote = RemoteTrack()
+        remote.add((one.time, one.seq) for one in c.oracle.log.values())
+        tracks: dict[bytes, Track] = {b"b": LocalTrack(b.core), b"c": remote}
         position = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
         oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, position, lateness)
         oracle.last = {} if unique else None
         followed = {name: OwnTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
         core = Matcher(a.core, tracks, tolerance, clock, partners={} if unique else None)
-        self.matches.append(Match(core, oracle, far, followed, len(a.oracle.log), 0))
+        self.matches.append(Match(core, oracle, remote, followed, len(a.oracle.log), 0))
 
     def take_matches(self) -> None:
         a, b, c = (self.world.pair(one) for one in CHANNELS)
         clock = self.world.clock
         for one in self.matches:
-            one.far.add((c.oracle.log[seq].time, seq) for seq in range(one.told + 1, len(c.oracle.log) + 1))
+            one.remote.add((c.oracle.log[seq].time, seq) for seq in range(one.told + 1, len(c.oracle.log) + 1))
             one.told = len(c.oracle.log)
             for pair in (a, b, c):
                 OracleReader(pair.oracle, clock)

@@ -51,7 +51,7 @@ POLICIES = (
 
 @dataclass
 class Story:
-    """A world, who reads and listens in it, and what has happened so far."""
+    """A world, who reads and listens in it, and what has happened so remote."""
 
     world: World
     readers: Readers

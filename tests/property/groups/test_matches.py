@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack, Track
+from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnTimes, RemoteTrack, Track
 from tests.oracle.pairs import ItemKey, paired
 
 NOW, FAR = 10_000, 5_000
@@ -25,7 +25,7 @@ class Replay:
         policy = Policy(max_items=1000)
         self.own, self.other = (ChannelCore(policy, incarnation=1, name=name) for name in ("own", "other"))
         self.tolerance, self.lateness, self.unique = tolerance, lateness, unique
-        self.far = FarTrack() if is_far else None
+        self.remote = RemoteTrack() if is_far else None
         self.times = {OWN: OwnTimes(self.own, NOW), OTHER: OwnTimes(self.other, NOW)}
         self.placed: dict[bytes, list[ItemKey]] = {OWN: [], OTHER: []}
         self.found: dict[ItemKey, ItemKey] = {}
@@ -34,15 +34,15 @@ class Replay:
 
     @property
     def tracks(self) -> dict[bytes, Track]:
-        return {OTHER: self.far or OwnTrack(self.other)}
+        return {OTHER: self.remote or LocalTrack(self.other)}
 
     def put(self, name: bytes, time: int) -> None:
         channel = self.own if name == OWN else self.other
         key = time, channel.next_seq
         channel.put(Offer(times=[time], durations=None, lengths=[1]), NOW, lambda first_seq, kept, stamped: b".")
         self.placed[name].append(key)
-        if name == OTHER and self.far is not None:
-            self.far.add([key])
+        if name == OTHER and self.remote is not None:
+            self.remote.add([key])
 
     def take(self) -> None:
         for name, one in self.times.items():

@@ -13,12 +13,12 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTrack, Track
-from stampede_rt_channel_host.groups.far_member import FarMember
+from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, Track
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, other_incarnation
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_of
+from stampede_rt_channel_host.groups.remote_member import RemoteMember
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
@@ -44,7 +44,7 @@ class MatchStream:
         self._credit = Credit(self._waiter.wake)
         self._near: dict[bytes, HostedChannel] = {}  # members at this host, the matched channel among them
         # members at other hosts, each with the task that follows it
-        self._far: dict[bytes, tuple[FarMember, asyncio.Task[None]]] = {}
+        self._remote: dict[bytes, tuple[RemoteMember, asyncio.Task[None]]] = {}
 
     async def run(self) -> None:
         """Serve until the stream ends, or until the reader has closed its side and its credit is spent.
@@ -85,7 +85,7 @@ class MatchStream:
             hosted.match_streams.discard(self._waiter)
             for near in self._near.values():
                 near.group_readers.pop(self, None)
-            for _, following in self._far.values():
+            for _, following in self._remote.values():
                 following.cancel()
 
     async def _read(self) -> None:
@@ -115,7 +115,7 @@ class MatchStream:
             if matcher.has_more and not found:
                 await asyncio.sleep(0)  # there is much to look at: let others run first
                 continue
-            holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
+            holds = counted is not None or all(remote.is_followed for remote, _ in self._remote.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
             wanted = counted is None or self._credit.left > 0  # without credit the stream takes and sends nothing
             if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
@@ -132,7 +132,7 @@ class MatchStream:
     def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
         """Follow the present members of the group. Returns the tracks of all members but the matched channel.
 
-        A member at this host is read in memory. A member at another host is followed by a subscription (`FarMember`).
+        A member at this host is read in memory. A member at another host is followed by a subscription (`RemoteMember`).
         """
         members, matched = group.cut.definition.members, hosted.record.channel_id
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}
@@ -142,21 +142,21 @@ class MatchStream:
         for present in near.values():
             present.group_readers[self] = None
         self._near = near
-        for channel_id in [one for one in self._far if one in near or one not in members]:
-            self._far.pop(channel_id)[1].cancel()
-        tracks: dict[bytes, Track] = {one: OwnTrack(own.channel) for one, own in near.items() if one != matched}
+        for channel_id in [one for one in self._remote if one in near or one not in members]:
+            self._remote.pop(channel_id)[1].cancel()
+        tracks: dict[bytes, Track] = {one: LocalTrack(own.channel) for one, own in near.items() if one != matched}
         return tracks | {one: self._follow(group, one, since).track for one in members - near.keys()}
 
-    def _follow(self, group: HostedGroup, channel_id: bytes, since: int) -> FarMember:
-        if channel_id in self._far:
-            far, _ = self._far[channel_id]
+    def _follow(self, group: HostedGroup, channel_id: bytes, since: int) -> RemoteMember:
+        if channel_id in self._remote:
+            remote, _ = self._remote[channel_id]
         else:
-            far = FarMember(channel_id, since)
-            self._far[channel_id] = far, self._stream.spawn(far.keep(self._dial, self._waiter.wake))
+            remote = RemoteMember(channel_id, since)
+            self._remote[channel_id] = remote, self._stream.spawn(remote.keep(self._dial, self._waiter.wake))
         record = group.channels.get(channel_id)
         if record is not None:
-            far.epoch, far.target = record.epoch, group.targets.get(record.host_id, far.target)
-        return far
+            remote.epoch, remote.target = record.epoch, group.targets.get(record.host_id, remote.target)
+        return remote
 
     def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
         """Take the next decided matches: about one message, and about as many bytes as the credit allows."""
@@ -176,8 +176,8 @@ class MatchStream:
         member = group.cut.member(channel_id, now)
         if member.is_idle:
             return True
-        if channel_id in self._far:
-            return self._far[channel_id][0].has_passed(instant, lateness_nanos)
+        if channel_id in self._remote:
+            return self._remote[channel_id][0].has_passed(instant, lateness_nanos)
         return member.known is not None and member.known.times.has_passed(instant, lateness_nanos)
 
     async def _send(
@@ -190,7 +190,9 @@ class MatchStream:
         without_payloads: bool,
     ) -> None:
         incarnations = {channel_id: record.incarnation for channel_id, record in group.channels.items()}
-        incarnations |= {channel_id: far.incarnation for channel_id, (far, _) in self._far.items() if far.incarnation}
+        incarnations |= {
+            channel_id: remote.incarnation for channel_id, (remote, _) in self._remote.items() if remote.incarnation
+        }
         await self._writer.write(matches(about, found, incarnations, without_payloads=without_payloads))
         for one in found if not without_payloads else ():
             hosted.count_delivered(1, one.item.slice.payload_bytes)

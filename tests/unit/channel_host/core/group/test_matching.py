@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Position
-from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnTimes, RemoteTrack
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
@@ -23,7 +23,7 @@ def passed(right: ChannelCore) -> Callable[[bytes, int], bool]:
 
 
 def everything(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
-    return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0))
+    return Matcher(left, {RIGHT: LocalTrack(right)}, tolerance, NOW, after=Position(-1, 0))
 
 
 def pairs(matcher: Matcher, right: ChannelCore) -> list[tuple[int, int | None]]:
@@ -40,9 +40,9 @@ def test_each_item_gets_the_nearest_and_the_earlier_wins_a_tie() -> None:
 
 def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = channel(*range(10, 110)), channel(*range(10, 120))
-    matcher, far = everything(left, right, 1), FarTrack()
-    far.add((time, time) for time in range(10, 120))
-    matcher.set_tracks({RIGHT: OwnTrack(right), b"far": far})
+    matcher, remote = everything(left, right, 1), RemoteTrack()
+    remote.add((time, time) for time in range(10, 120))
+    matcher.set_tracks({RIGHT: LocalTrack(right), b"remote": remote})
     settled: list[int] = []
     mark_read = LossCounter.mark_read
 
@@ -54,7 +54,7 @@ def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(mo
     taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
     assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
     each = taken[0].charge_bytes
-    assert each == 2 * taken[0].item.slice.charge_bytes  # the far one comes from its own host
+    assert each == 2 * taken[0].item.slice.charge_bytes  # the remote one comes from its own host
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64, 3 * each - 1)) == 3
     assert matcher.take(lambda channel_id, instant: True, NOW, 64, 0) == []
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64)) == 33
@@ -91,37 +91,37 @@ def test_items_that_go_before_they_are_settled_are_counted() -> None:
 
 def test_of_a_member_at_another_host_keys_are_enough_and_their_number_is_bounded() -> None:
     left = channel(10, 20)
-    far = FarTrack()
-    far.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])
-    matcher = Matcher(left, {RIGHT: far}, 2, NOW, after=Position(-1, 0))
+    remote = RemoteTrack()
+    remote.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])
+    matcher = Matcher(left, {RIGHT: remote}, 2, NOW, after=Position(-1, 0))
     taken = matcher.take(lambda channel_id, instant: True, NOW, 100)
     assert [(one.matched[RIGHT].time, one.matched[RIGHT].seq, one.matched[RIGHT].item) for one in taken] == [
         (9, 2, None),
         (19, 3, None),
     ]
-    far.add((time, time) for time in range(100, 100 + 2 * TRACK_ITEMS_MAX))
-    assert far.nearest(100, 5, NOW) is None
-    assert far.nearest(99 + 2 * TRACK_ITEMS_MAX, 5, NOW) is not None
+    remote.add((time, time) for time in range(100, 100 + 2 * TRACK_ITEMS_MAX))
+    assert remote.nearest(100, 5, NOW) is None
+    assert remote.nearest(99 + 2 * TRACK_ITEMS_MAX, 5, NOW) is not None
 
 
 def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
-    assert pairs(Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW), right) == []
-    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
+    assert pairs(Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW), right) == []
+    resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
     assert pairs(resumed, right) == [(20, 20)]
 
 
 def test_what_came_late_between_two_streams_is_counted_as_dropped() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
-    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(-1, 0))
+    matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(-1, 0))
     assert pairs(matcher, right) == [(10, 10), (20, 20)]
     after, next_seq = matcher.position, matcher.next_seq
     put(left, 15)
     put(left, 30)
-    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=after, next_seq=next_seq)
+    resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=after, next_seq=next_seq)
     pairs(resumed, right)
     assert (resumed.dropped, resumed.next_seq) == (1, next_seq + 2)
-    uncounted = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=after)
+    uncounted = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=after)
     pairs(uncounted, right)
     assert uncounted.dropped == 0
 
@@ -129,38 +129,38 @@ def test_what_came_late_between_two_streams_is_counted_as_dropped() -> None:
 def test_of_another_incarnation_all_that_lies_behind_is_counted_as_dropped() -> None:
     left, right = channel(10, 15, 30), channel(30, 90)
     of_before = Position(20, 7, INCARNATION + 1)
-    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=of_before, next_seq=8)
+    resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=of_before, next_seq=8)
     assert pairs(resumed, right) == [(30, 30)]
     assert resumed.dropped == 2
 
 
 def test_behind_a_time_what_comes_at_that_very_time_is_dropped_and_counted() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
-    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10))
+    matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10))
     assert pairs(matcher, right) == [(20, 20)]
-    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10))
+    matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10))
     put(left, 10)
     assert pairs(matcher, right) == [(20, 20)]
     assert matcher.dropped == 1
 
 
 def test_an_item_exactly_as_far_as_the_tolerance_matches_and_may_match_two() -> None:
-    left, far = channel(10, 12), FarTrack()
-    far.add([(9, 1)])
-    matcher = Matcher(left, {RIGHT: far}, 3, NOW, after=Position(-1, 0))
+    left, remote = channel(10, 12), RemoteTrack()
+    remote.add([(9, 1)])
+    matcher = Matcher(left, {RIGHT: remote}, 3, NOW, after=Position(-1, 0))
     taken = [matcher.take(lambda channel_id, instant: True, NOW, 1)[0] for _ in range(2)]
     assert [one.matched[RIGHT].time for one in taken] == [9, 9]
     assert matcher.unmatched == 0
 
 
 def test_an_item_that_two_members_have_nothing_for_counts_once() -> None:
-    matcher = Matcher(channel(10), {RIGHT: FarTrack(), b"rear": FarTrack()}, 3, NOW, after=Position(-1, 0))
+    matcher = Matcher(channel(10), {RIGHT: RemoteTrack(), b"rear": RemoteTrack()}, 3, NOW, after=Position(-1, 0))
     (one,) = matcher.take(lambda channel_id, instant: True, NOW, 100)
     assert (one.missing, matcher.unmatched) == ((b"rear", RIGHT), 1)
 
 
 def unique(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
-    return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0), partners={})
+    return Matcher(left, {RIGHT: LocalTrack(right)}, tolerance, NOW, after=Position(-1, 0), partners={})
 
 
 def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tuple[int, int | None]]:
@@ -211,7 +211,7 @@ def test_a_position_says_which_partners_are_taken_so_that_another_gives_none_of_
     (first,) = matcher.take(lambda name, instant: True, NOW, 1)
     assert first.matched[RIGHT].time == 12
     resumed = Matcher(
-        left, {RIGHT: OwnTrack(right)}, 3, NOW, matcher.position, matcher.next_seq, partners=matcher.partners
+        left, {RIGHT: LocalTrack(right)}, 3, NOW, matcher.position, matcher.next_seq, partners=matcher.partners
     )
     assert matched(resumed, left, right) == [(14, None), (40, None)]
 
@@ -246,10 +246,10 @@ def test_very_many_members_are_looked_at_some_at_a_time(unique: bool, monkeypatc
     left, members = channel(*times[::2]), {bytes([number]): channel(*times[1::2]) for number in range(40)}
 
     def matcher() -> Matcher:
-        tracks = {member: OwnTrack(one) for member, one in members.items()}
+        tracks = {member: LocalTrack(one) for member, one in members.items()}
         return Matcher(left, tracks, 5000, NOW, after=Position(-1, 0), partners={} if unique else None)
 
-    looks, nearest = 0, OwnTrack.nearest
+    looks, nearest = 0, LocalTrack.nearest
 
     def counting(*args: Any, **named: Any) -> Any:
         nonlocal looks
@@ -257,7 +257,7 @@ def test_very_many_members_are_looked_at_some_at_a_time(unique: bool, monkeypatc
         return nearest(*args, **named)
 
     at_once = matcher().take(lambda channel_id, instant: True, NOW, 100)
-    monkeypatch.setattr(OwnTrack, "nearest", counting)
+    monkeypatch.setattr(LocalTrack, "nearest", counting)
     made, found, most = matcher(), [], 0
     while True:
         looks = 0

@@ -16,7 +16,7 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
-- Matches: the owner of the matched channel keeps a `Matcher`, with an `OwnTrack` or `FarTrack` for every other member.
+- Matches: the owner of the matched channel keeps a `Matcher`, with an `LocalTrack` or `RemoteTrack` for every other member.
 - To report the state of a group, it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and
   `window_too_short`.
 """
@@ -33,7 +33,7 @@ from stampede_rt_channel_host.core.group.following import CutFollower, Loss, Ste
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
-from stampede_rt_channel_host.core.group.tracks import FarTrack, Nearest, OwnTrack, Track
+from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, RemoteTrack, Track
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel, polling
 
 __all__ = [
@@ -46,17 +46,17 @@ __all__ = [
     "CutFollower",
     "CutMember",
     "EventDecider",
-    "FarTrack",
     "FoundMatch",
     "GroupCut",
     "GroupDefinition",
     "Horizon",
     "KnownTimes",
+    "LocalTrack",
     "Loss",
     "Matcher",
     "Nearest",
     "OwnTimes",
-    "OwnTrack",
+    "RemoteTrack",
     "StepPart",
     "TimesBoard",
     "Track",

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
-from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
+from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, Track
 
 CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62  # limits that no `take` reaches
 OWN = b""
@@ -67,7 +67,7 @@ class Matcher:
         if next_seq is not None and after is not None and after.incarnation not in (0, channel.incarnation):
             known = 1
         self._loss_counter = LossCounter(held, self._low, known)
-        self._own = OwnTrack(channel)
+        self._own = LocalTrack(channel)
         self._partners = None if partners is None else dict(partners)
         self.unmatched = 0
         self.dropped = 0

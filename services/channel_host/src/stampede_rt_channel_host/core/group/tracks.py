@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, S
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 
 TRACK_ITEMS_MAX = 65_536
-"""The most item keys that a `FarTrack` holds."""
+"""The most item keys that a `RemoteTrack` holds."""
 
 
 class Nearest(NamedTuple):
@@ -37,7 +37,7 @@ class Track(Protocol):
         """Forget the items before `time`, because no match needs them any more."""
 
 
-class OwnTrack:
+class LocalTrack:
     """The track of a member at this host. Searches the channel itself."""
 
     def __init__(self, channel: ChannelCore) -> None:
@@ -62,7 +62,7 @@ class OwnTrack:
         """Does nothing, because retention collects the items."""
 
 
-class FarTrack:
+class RemoteTrack:
     """The track of a member at another host. This host knows only the keys of the member's items.
 
     Holds at most TRACK_ITEMS_MAX keys. If there are more, the track drops the earliest keys. Items that would have

@@ -13,7 +13,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
 from stampede_rt.values.timeline import MAX_INSTANT
 from stampede_rt_channel_host.channels.credit import CREDIT_MAX
-from stampede_rt_channel_host.core.group import ChannelTimes, FarTrack
+from stampede_rt_channel_host.core.group import ChannelTimes, RemoteTrack
 from stampede_rt_channel_host.groups.peers import Dial
 
 logger = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 PAUSE_SECONDS = 0.2
 
 
-class FarMember:
+class RemoteMember:
     """One member at another host.
 
     `track` holds the keys of the member's items. `epoch` is the member's epoch, and `target` the address of its host,
@@ -34,7 +34,7 @@ class FarMember:
         self.channel_id = channel_id
         self.epoch = 0
         self.target = ""
-        self.track = FarTrack()
+        self.track = RemoteTrack()
         self.incarnation = 0
         self.is_followed = False
         self._since = since
