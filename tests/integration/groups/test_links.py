@@ -42,7 +42,7 @@ async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, c
 
 
 async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int) -> None:
-    """The host of `at` has heard how remote `channel` is."""
+    """The host of `at` has heard how far `channel` is."""
 
     def is_heard(status: group_pb2.GroupStatus) -> bool:
         told = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}

@@ -294,8 +294,8 @@ async def test_no_host_can_move_the_cut_further_than_items_may_be_by_now(pair: P
     exchange = pair.left.host.host.groups.exchange
     now = pair.left.host.now()
     lead = 6 * S  # max_lead of 5 s and max_future of 1 s, by default
-    for remote in (MAX_INSTANT, now + lead + 60 * S):
-        exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, remote)]), is_first=False)
+    for far in (MAX_INSTANT, now + lead + 60 * S):
+        exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, far)]), is_first=False)
         assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
     exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, now + lead)]), is_first=False)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == now + lead

@@ -110,7 +110,7 @@ class Listeners:
             one.decider.note(cut, self.world.clock)
 
     def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
-        """An event is due when every member is as remote, or the wait is over. `meddle` comes between an event's parts."""
+        """An event is due when every member is as far, or the wait is over. `meddle` comes between an event's parts."""
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)

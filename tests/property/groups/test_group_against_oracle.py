@@ -51,7 +51,7 @@ POLICIES = (
 
 @dataclass
 class Story:
-    """A world, who reads and listens in it, and what has happened so remote."""
+    """A world, who reads and listens in it, and what has happened so far."""
 
     world: World
     readers: Readers

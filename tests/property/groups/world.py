@@ -304,8 +304,8 @@ class World:
         one = self.placed[channel_id]
         for host in self.hosts:
             if (known := host.board.find(channel_id)) is not None and known.times.epoch == one.epoch:
-                remote = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
-                assert not host.board.hear(channel_id, remote, 0, self.clock)
+                far = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
+                assert not host.board.hear(channel_id, far, 0, self.clock)
 
     def check(self) -> None:
         """The original channels are as if there were no group."""

@@ -17,7 +17,7 @@ from sortedcontainers import SortedList
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.created_here import CreatedHere
+from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -80,7 +80,7 @@ class ChannelStore:
         self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._single_flight = SingleFlight()
         self._deletions = Deletions()
-        self._created_here = CreatedHere(identity.name, "channels", CHANNELS_MAX)
+        self._creation_shares = CreationShares(identity.name, "channels", CHANNELS_MAX)
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
         self.memory = memory
@@ -297,7 +297,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
-        self._created_here.check(record.created_by)
+        self._creation_shares.check(record.created_by)
         hosted = HostedChannel(
             record,
             self.memory,
@@ -311,7 +311,7 @@ class ChannelStore:
         hosted.registration = self._registrations
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
-        self._created_here.note(record.created_by, +1)
+        self._creation_shares.note(record.created_by, +1)
         return hosted
 
     def _forget(self, channel_id: bytes, error: StampedeError) -> None:
@@ -324,7 +324,7 @@ class ChannelStore:
             return []
         self.departed.add_counts(hosted, hosted.channel.latest_counters())
         self._names.remove((hosted.record.name, channel_id))
-        self._created_here.note(hosted.record.created_by, -1)
+        self._creation_shares.note(hosted.record.created_by, -1)
         self.sweep.forget(hosted)
         return rest_of(hosted.leaving(error))
 

@@ -101,7 +101,7 @@ class HostedGroup:
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor, if it is plausible. Returns True if this raised the cut.
 
-        A floor is plausible if the host owns a member, and if the floor is not too remote ahead of this host's clock. A
+        A floor is plausible if the host owns a member, and if the floor is not too far ahead of this host's clock. A
         member accepts items and advances up to its `max_future` ahead of the clock. A cut lies at most `max_lead` after
         them.
         """
@@ -275,6 +275,6 @@ def other_incarnation(record: RecordedGroup) -> StampedeError:
 
 
 def _future_nanos(channel: RecordedChannel) -> int:
-    """How remote ahead of its host's clock the channel accepts items, in nanoseconds."""
+    """How far ahead of its host's clock the channel accepts items, in nanoseconds."""
     stated = channel.policy.max_future_nanos
     return DEFAULT_MAX_FUTURE_NANOS if stated is None else stated

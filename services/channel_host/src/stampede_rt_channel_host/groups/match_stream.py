@@ -132,7 +132,7 @@ class MatchStream:
     def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
         """Follow the present members of the group. Returns the tracks of all members but the matched channel.
 
-        A member at this host is read in memory. A member at another host is followed by a subscription (`RemoteMember`).
+        A member at this host is read in memory. A subscription (`RemoteMember`) follows a member at another host.
         """
         members, matched = group.cut.definition.members, hosted.record.channel_id
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}

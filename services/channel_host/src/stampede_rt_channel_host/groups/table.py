@@ -28,11 +28,11 @@ class HostedGroups:
         self._keys: dict[bytes, Collection[bytes]] = {}
 
     def ids_of(self, channel_id: bytes) -> set[bytes]:
-        """The ids of the groups that the channel is a member of, as remote as this host knows."""
+        """The ids of the groups that the channel is a member of, as far as this host knows."""
         return self._groups_of.get(channel_id, set())
 
     def groups_of(self, channel_id: bytes) -> Iterator[HostedGroup]:
-        """The groups that the channel is a member of, as remote as this host knows."""
+        """The groups that the channel is a member of, as far as this host knows."""
         return (self.groups[group_id] for group_id in tuple(self.ids_of(channel_id)))
 
     def concerned_by(self, channel_id: bytes) -> list[HostedGroup]:

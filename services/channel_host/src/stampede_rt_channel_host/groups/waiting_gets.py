@@ -1,6 +1,6 @@
 """The blocked gets of one channel through one group.
 
-The host looks at a get when the channel or the cut has moved as remote as the get needs.
+The host looks at a get when the channel or the cut has moved as far as the get needs.
 """
 
 from __future__ import annotations

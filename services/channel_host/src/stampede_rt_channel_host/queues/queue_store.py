@@ -15,7 +15,7 @@ from itertools import islice
 from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
-from stampede_rt_channel_host.channels.created_here import CreatedHere
+from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
@@ -73,7 +73,7 @@ class QueueStore:
         self._registrations = 0  # the number of registrations whose answers have come
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set once a queue is used here
-        self._created_here = CreatedHere(identity.name, "queues", QUEUES_MAX)
+        self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
         self.departed: Counter[str] = Counter()
         """The counters of the queues that this host served before, by the names in QueueCounters."""
@@ -270,11 +270,11 @@ class QueueStore:
             self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
-        self._created_here.check(record.created_by)
+        self._creation_shares.check(record.created_by)
         hosted = HostedQueue(record, self.memory, self.now, self._on_dead_letters, self.deadlines, self._may_serve)
         hosted.registration = self._registrations
         self._queues[record.queue_id] = hosted
-        self._created_here.note(record.created_by, +1)
+        self._creation_shares.note(record.created_by, +1)
         self.in_use.set()
 
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
@@ -285,6 +285,6 @@ class QueueStore:
         hosted = self._queues.pop(queue_id, None)
         if hosted is None:
             return []
-        self._created_here.note(hosted.record.created_by, -1)
+        self._creation_shares.note(hosted.record.created_by, -1)
         add_counts(self.departed, hosted)
         return rest_of(hosted.leaving(error))

@@ -1,4 +1,4 @@
-"""How remote a channel is, as its owner sees it and as others are told."""
+"""How far a channel is, as its owner sees it and as others are told."""
 
 from __future__ import annotations
 

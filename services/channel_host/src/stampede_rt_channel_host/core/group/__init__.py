@@ -16,7 +16,8 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
-- Matches: the owner of the matched channel keeps a `Matcher`, with an `LocalTrack` or `RemoteTrack` for every other member.
+- Matches: the owner of the matched channel keeps a `Matcher`, with a `LocalTrack` or `RemoteTrack` for each other
+  member.
 - To report the state of a group, it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and
   `window_too_short`.
 """

@@ -102,7 +102,7 @@ class EventDecider:
     def _between(self, decided: int | None, members: list[CutMember]) -> int | None:
         """The end of the due event: `decided`, or a later time that all members have reached. None if no event is due.
 
-        The later time counts only with a lateness, and only while a cut waits. The waiting cut may be remote ahead of the
+        The later time counts only with a lateness, and only while a cut waits. The waiting cut may be far ahead of the
         members.
         """
         last = self._decided if decided is None else decided

@@ -137,7 +137,7 @@ class VisibleNewest:
         self._channel = channel
         self._last: ItemKey = FIRST_KEY  # only items above this key are given
         self.delivered = 0
-        self._meant = 0  # the subscription's items that became visible, as remote as they are counted
+        self._meant = 0  # the subscription's items that became visible, as far as they are counted
         self._all = VisibleAll(
             channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after, saved=saved
         )

@@ -132,7 +132,7 @@ class KnownTimes:
     known_until: int | None
 
     def silent_nanos(self, now: int) -> int:
-        """How long the channel has had no put and no advance, as remote as the host knows."""
+        """How long the channel has had no put and no advance, as far as the host knows."""
         return max(0, (now if self.known_until is None else self.known_until) - self.silent_since)
 
     def heard_ago_nanos(self, now: int) -> int:

@@ -8,7 +8,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 
 
-class CreatedHere:
+class CreationShares:
     """The number of a host's channels, or queues, that each caller has created: at most 3/4 of `bound` for one caller.
 
     The quota `channels` of a caller can be above `bound`, because a directory may have more channels than one host

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.channels.created_here import CreatedHere
+from stampede_rt_channel_host.channels.creation_shares import CreationShares
 
 
 def test_one_caller_has_three_quarters_and_others_the_rest() -> None:
-    here = CreatedHere("h1", "channels", 8)
+    here = CreationShares("h1", "channels", 8)
     for _ in range(6):
         here.check("greedy")
         here.note("greedy", +1)
@@ -21,7 +21,7 @@ def test_one_caller_has_three_quarters_and_others_the_rest() -> None:
 
 
 def test_names_that_several_callers_share_have_no_share() -> None:
-    here = CreatedHere("h1", "queues", 4)
+    here = CreationShares("h1", "queues", 4)
     for name in ("", "@clients", "@cluster"):
         for _ in range(9):
             here.check(name)
