@@ -9,7 +9,7 @@ from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
 from stampede_rt_bench.matching.sets import FoundSet, Replay
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, OwnTimes
 
 ITEMS_MAX = 1000
 
@@ -20,7 +20,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     policy = Policy(max_age_nanos=60_000_000_000, max_future_nanos=1_000_000_000)
     channels = {stream: ChannelCore(policy, incarnation=1, name=stream) for stream in RATES_HZ}
     times = {stream: OwnTimes(channel, start) for stream, channel in channels.items()}
-    tracks = {stream.encode(): OwnTrack(channel) for stream, channel in channels.items() if stream != REFERENCE}
+    tracks = {stream.encode(): LocalTrack(channel) for stream, channel in channels.items() if stream != REFERENCE}
     matcher = Matcher(channels[REFERENCE], tracks, tolerance_nanos, start)
     found: list[FoundSet] = []
     for arrival in arrivals:

@@ -19,7 +19,7 @@ from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.wire.batching import REQUEST_RUNS_MAX
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.run_outcome import Judged, RunPart
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
 LIMIT_S = 5.0
 
@@ -249,7 +249,7 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     for run in range(IN_FLIGHT_RUNS_MAX):
         first = 1 + run * RUN_ITEMS_MAX
         part = RunPart(0, first, RUN_ITEMS_MAX, None)
-        window.record(7, first, Judged(RUN_ITEMS_MAX, RUN_ITEMS_MAX, (part,), (), 0))
+        window.record(7, first, RunOutcome(RUN_ITEMS_MAX, RUN_ITEMS_MAX, (part,), (), 0))
     known = window.find(7, 1, RUN_ITEMS_MAX, now=1)
     assert known is not None
     assert known.first_seq == 1

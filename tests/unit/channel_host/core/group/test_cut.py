@@ -219,7 +219,7 @@ def test_the_lowest_of_many_is_found_however_they_move_and_whoever_begins_anew()
         board.hear(moving, known[moving], 0, step)
         cut.refresh(step)
         members = cut.definition.members
-        known = [board.find(one) for one in members]
+        heard = [board.find(one) for one in members]
         lowest = min(known[one].newest or 0 for one in members)
-        highest = highest if None in known else max(highest, lowest)
+        highest = highest if None in heard else max(highest, lowest)
         assert (cut.cut or 0) == highest
