@@ -13,6 +13,8 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt_runtime.capacity import Slots
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.pacing import STREAMS_PER_TURN, TurnGate
+from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.server import serving
 
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
@@ -62,6 +64,33 @@ async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_cal
             call.cancel()
     assert isinstance(error, Overloaded)
     assert "2 streams are open at this port, as many as it serves" in error.message
+
+
+async def test_single_requests_that_come_together_go_on_a_few_in_each_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """32 requests of one caller took 4 ms of one turn."""
+    came, calls, turns = asyncio.Event(), 40, list[int]()
+    gate, done = TurnGate(), 0
+
+    class Came:
+        async def read(self) -> bytes:
+            await came.wait()
+            return b"request"
+
+    async def answer(_request: bytes, _context: Any) -> bytes:
+        nonlocal done
+        done += 1
+        return b""
+
+    handler = reading_late(PING, grpc.unary_unary_rpc_method_handler(answer), gate)
+    tasks = [asyncio.create_task(handler.stream_unary(None, Came())) for _ in range(calls)]
+    await asyncio.sleep(0)
+    came.set()
+    while done < calls:
+        before = done
+        await asyncio.sleep(0)
+        turns.append(done - before)
+    await asyncio.gather(*tasks)
+    assert max(turns) <= 2 * STREAMS_PER_TURN, turns
 
 
 async def test_a_stream_that_ends_makes_room_for_another_one() -> None:

@@ -20,6 +20,7 @@ from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.pacing import TurnGate
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 from stampede_rt_runtime.quotas.working import CALL_NANOS
 from stampede_rt_runtime.requests import reading_late
@@ -105,7 +106,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
 
     def __init__(self, slots: Slots, refused: RefusedCalls) -> None:
         """`refused` counts the calls refused here, and all other calls that end with Overloaded."""
-        self._slots = slots
+        self._slots, self._requests = slots, TurnGate()
         self._refused = refused
 
     async def intercept_service(
@@ -147,7 +148,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
                 account.give_back(quotas)
                 give_back()
 
-        return guarded(reading_late(method, handler), slot)
+        return guarded(reading_late(method, handler, self._requests), slot)
 
     def _note(self, context: Context) -> None:
         """Count the call if it ended with Overloaded."""

@@ -26,7 +26,8 @@ from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork, charged
 from stampede_rt_runtime.rpc import Context
 
-STREAMS_PER_TURN = 16
+STREAMS_PER_TURN = 4
+"""Their steps take up to 0.5 ms. With 16 in a turn each step would take 0.3 us less (decision 0123)."""
 AT_ONCE_NANOS = 1_000_000
 
 

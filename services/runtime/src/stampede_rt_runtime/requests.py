@@ -20,6 +20,7 @@ from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import behavior_of
+from stampede_rt_runtime.pacing import TurnGate
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.rpc import Context
 
@@ -47,14 +48,17 @@ def _turn_to_read() -> contextlib.AbstractAsyncContextManager[Any]:
     return turn
 
 
-def reading_late(method: str, handler: Any) -> Any:
-    """A handler for the same `method` that runs before a request is read. On the wire it is of the same kind."""
+def reading_late(method: str, handler: Any, gate: TurnGate) -> Any:
+    """A handler for the same `method` that runs before a request is read. On the wire it is of the same kind.
+
+    `gate` admits the calls whose single request has come.
+    """
     parse = _parser(method, handler.request_deserializer)
     make = grpc.stream_stream_rpc_method_handler if handler.response_streaming else grpc.stream_unary_rpc_method_handler
     behavior = behavior_of(handler)
     if handler.request_streaming:
         return make(_refusing(behavior), parse, handler.response_serializer)
-    return make(_refusing(_with_one_request(method, behavior, parse)), None, handler.response_serializer)
+    return make(_refusing(_with_one_request(method, behavior, parse, gate)), None, handler.response_serializer)
 
 
 def _parser(method: str, deserializer: Parse | None) -> Parse | None:
@@ -74,7 +78,9 @@ def _parser(method: str, deserializer: Parse | None) -> Parse | None:
     return parse
 
 
-def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | None) -> Callable[..., Any]:
+def _with_one_request(
+    method: str, behavior: Callable[..., Any], parse: Parse | None, gate: TurnGate
+) -> Callable[..., Any]:
     """Wraps `behavior`, which takes one request, for a call whose requests come as a stream."""
 
     async def read(context: Context) -> Any:
@@ -86,6 +92,9 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
             raise DeadlineExceeded(
                 f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it when the call begins"
             ) from None
+        account = current_account()
+        if not gate.admits(account):
+            await gate.turn(account)
         if raw is grpc.aio.EOF:
             raise InvalidArgument(f"{method} was called without a request; send one")
         return raw if parse is None else parse(raw)

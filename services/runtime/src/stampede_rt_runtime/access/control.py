@@ -7,7 +7,7 @@ import contextlib
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextvars import ContextVar
 from sys import intern
 from typing import Any
@@ -33,6 +33,8 @@ CALLS_PER_TURN = 2
 RIGHTS_PER_TURN = 8
 """To judge the first right of a caller takes 1.5 ms with a thousand rules, and each further right 0.1 ms."""
 CALLS_ENDED_PER_TURN = 16
+CALLS_LOOKED_AT_PER_TURN = 256
+"""To look at 3000 calls takes 1.8 ms."""
 SWEEP_SECONDS = 1.0
 """The time between two looks for calls whose credential has ended."""
 
@@ -212,18 +214,21 @@ class AccessControl:
         if self._sweep is None:
             self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_what_is_over)
 
-    def _end_what_is_over(self) -> None:
-        """End some of the calls whose credential has ended, and the others in the next turns of the loop.
+    def _end_what_is_over(self, left: Iterator[OpenCall] | None = None) -> None:
+        """End the calls whose credential has ended. Look at some calls now, and at the others in the next turns.
 
         While calls are open, set the timer again: one timer serves all calls.
         """
-        self._sweep, now = None, self._time_unix_nano()
-        ended = [call for call in self._open if call.error is None and 0 < call.ends_unix_nano <= now]
-        for call in ended[:CALLS_ENDED_PER_TURN]:
-            call.end(over(call.caller.ended_by(now) or call.caller))
-        if len(ended) > CALLS_ENDED_PER_TURN:
-            self._sweep = asyncio.get_running_loop().call_soon(self._end_what_is_over)
-        elif self._open:
+        left, now, ended = left or iter(tuple(self._open)), self._time_unix_nano(), 0
+        for looked_at, call in enumerate(left, start=1):
+            if 0 < call.ends_unix_nano <= now and call.error is None and call in self._open:
+                call.end(over(call.caller.ended_by(now) or call.caller))
+                ended += 1
+            if looked_at == CALLS_LOOKED_AT_PER_TURN or ended == CALLS_ENDED_PER_TURN:
+                self._sweep = asyncio.get_running_loop().call_soon(self._end_what_is_over, left)
+                return
+        self._sweep = None
+        if self._open:
             self._sweep_soon()
 
 
