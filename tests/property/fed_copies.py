@@ -74,7 +74,7 @@ class FedCopy:
             except Unavailable:
                 assert self.source is not self.pair.core, "an owner is never behind"
                 return False
-            if self.feed.is_anew:
+            if self.feed.begins_anew:
                 self.begun_anew += 1
                 self._drop_items()
         if self.channel.policy != self.source.policy:

@@ -83,6 +83,7 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
+from stampede_rt.values.proxying import CopyStats, ProxyInfo
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.timeline import (
@@ -121,6 +122,7 @@ __all__ = [
     "CodecLike",
     "Connection",
     "ConsumerStats",
+    "CopyStats",
     "CrossSection",
     "Cut",
     "CutSubscription",
@@ -169,6 +171,7 @@ __all__ = [
     "PermissionDenied",
     "Policy",
     "Producer",
+    "ProxyInfo",
     "Queue",
     "QueueExists",
     "QueueFull",

@@ -19,6 +19,7 @@ from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S, DirectoryClie
 from stampede_rt._async.endpoints import EndpointPool, connection_closed
 from stampede_rt._async.put_streams import PutStreams
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
+from stampede_rt.cluster.copy_cache import CopyCache
 from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials
@@ -68,6 +69,7 @@ class Session:
         self.endpoints = EndpointPool(credentials, transport)
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
+        self.copies = CopyCache()
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
         self.closing = False  # from the beginning of `aclose` on

@@ -9,10 +9,11 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.copies import bound_at, copy_target_of, may_serve_elsewhere
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, Unavailable
+from stampede_rt.errors import IncarnationLost, InvalidArgument, StaleBinding, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
 from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s
@@ -58,6 +59,7 @@ class Subscription(BoundToProcess):
         # Seqs of items that came after the cursor. After a break the next stream sends these items again.
         self._since_cursor: set[int] = set()
         self._skipped_before = 0  # sum of earlier streams; on each stream the host counts from 0
+        self._sent_to = ""  # the gatekeeper of the copy at which the host wants the reader to continue
         self._closed = False
         self.skipped = 0
         self.dropped = 0
@@ -74,6 +76,7 @@ class Subscription(BoundToProcess):
         payloads: bool,
         reconnecting: Reconnecting,
         group_id: bytes | None = None,
+        stale_ok: bool = True,
     ) -> Subscription:
         """Check the arguments and make the subscription. The blocking client also opens it. Raises InvalidArgument."""
         if mode not in _MODES:
@@ -85,7 +88,9 @@ class Subscription(BoundToProcess):
             )
         if after is not None and not isinstance(after, Item):
             raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
-        begun = channel_pb.SubscribeOpen(mode=_MODES[mode], without_payloads=not payloads, group_id=group_id)
+        begun = channel_pb.SubscribeOpen(
+            mode=_MODES[mode], without_payloads=not payloads, group_id=group_id, stale_ok=stale_ok and group_id is None
+        )
         if start is not None:
             begun.start.CopyFrom(bound_to_message(start))
         if after is not None:
@@ -163,7 +168,29 @@ class Subscription(BoundToProcess):
     async def _open_within(self, timeout_s: float) -> None:
         await self._session.perform(self._state, self._open_at, timeout_s)
 
-    async def _open_at(self, binding: Binding, _: float) -> None:
+    async def _open_at(self, owner: Binding, _: float) -> None:
+        """Open a stream to the owner, or to the copy to which the owner sends the reader."""
+        target, self._sent_to = self._sent_to, ""
+        if not target:
+            try:
+                await self._open_stream(owner)
+                return
+            except StaleBinding as error:
+                target = copy_target_of(error)
+                if not target:
+                    raise
+        try:
+            await self._open_stream(await bound_at(self._session, self._state, target, owner.epoch))
+        except StampedeError as error:
+            if not may_serve_elsewhere(error):
+                raise
+            self._begun.stay = True
+            try:
+                await self._open_stream(owner)
+            finally:
+                self._begun.stay = False
+
+    async def _open_stream(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_read_bidi(endpoint.channels.Subscribe)
@@ -204,6 +231,9 @@ class Subscription(BoundToProcess):
             if not may_heal(error):
                 self._closed = True
                 raise
+            self._sent_to = copy_target_of(error)
+            if self._sent_to:  # the stream goes on at a copy, and is not broken
+                return
             self._reconnecting.broke()
             self._session.cache.forget(self._state.info.channel_id)
 

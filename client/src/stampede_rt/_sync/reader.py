@@ -15,7 +15,16 @@ from stampede_rt._sync.subscription import Subscription
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import ChannelInfo, Item, Items
-from stampede_rt.values.reading import ReadQuery, SubscribeMode, Wait, after_position, parse_limit
+from stampede_rt.values.policy import flag_of
+from stampede_rt.values.reading import (
+    ReadQuery,
+    SubscribeMode,
+    Wait,
+    after_position,
+    parse_least_seq,
+    parse_limit,
+    parse_staleness,
+)
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
@@ -85,6 +94,8 @@ class Reader(Reference):
         payloads: bool = True,
         timeout: float | None = 0,
         complete: bool = False,
+        max_staleness: DurationLike | None = None,
+        least_seq: int | None = None,
     ) -> Items:
         """Return the items in an interval, by default those whose span shares an instant with it.
 
@@ -92,7 +103,11 @@ class Reader(Reference):
         (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
         an item or an instant, the answer has only later items, or with `newest_first` only earlier ones. `timeout` in
         seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or with `complete`
-        until no more items can come into the interval. After the timeout it returns the items that are there. Raises
+        until no more items can come into the interval. After the timeout it returns the items that are there.
+
+        With `max_staleness`, such as "500ms", a proxy of the channel may answer whose state is at most this old. With
+        `least_seq`, such as the seq of the program's own last item, a proxy may answer that has this item. If no proxy
+        can, the owner answers. `staleness_nanos` of the answer tells. Reads through a group go to the owner. Raises
         InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
@@ -107,6 +122,8 @@ class Reader(Reference):
                 payloads=payloads,
                 wait=Wait.parse(timeout),
                 complete=complete,
+                max_staleness_nanos=parse_staleness(max_staleness),
+                least_seq=parse_least_seq(least_seq),
             )
         )
 
@@ -130,13 +147,21 @@ class Reader(Reference):
         return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
 
     def newest(
-        self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
+        self,
+        after: Item | InstantLike | None = None,
+        *,
+        payloads: bool = True,
+        timeout: float | None = 0,
+        max_staleness: DurationLike | None = None,
+        least_seq: int | None = None,
     ) -> Item | None:
         """Return the newest item, or None. With `after`, return the item only if it is later than this instant or item.
 
-        `timeout` in seconds: 0 answers at once, None waits without a limit.
+        `timeout` in seconds: 0 answers at once, None waits without a limit. `max_staleness` and `least_seq` as in
+        `get`.
         """
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
+        demand = parse_staleness(max_staleness), parse_least_seq(least_seq)
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout, demand)
 
     def _read_one(
         self,
@@ -147,6 +172,7 @@ class Reader(Reference):
         newer_than: Item | InstantLike | None,
         payloads: bool,
         timeout: float | None,
+        demand: tuple[int | None, int | None] = (None, None),
     ) -> Item | None:
         items = self._read(
             ReadQuery(
@@ -157,6 +183,8 @@ class Reader(Reference):
                 newer_than=None if newer_than is None else after_position(newer_than),
                 payloads=payloads,
                 wait=Wait.parse(timeout),
+                max_staleness_nanos=demand[0],
+                least_seq=demand[1],
             )
         )
         return items[0] if items else None
@@ -172,6 +200,7 @@ class Reader(Reference):
         *,
         payloads: bool = True,
         reconnect: DurationLike | None = None,
+        stale_ok: bool = True,
     ) -> Subscription:
         """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
@@ -183,9 +212,12 @@ class Reader(Reference):
         enters the context, or with the first step. After a broken connection the client tries to open the subscription
         again for the duration `reconnect` (None: without a limit), and continues after the last item. If it cannot, the
         iterator raises Unavailable. Raises InvalidArgument.
+
+        If the channel has proxies, the subscription may be at a proxy, and may move between the owner and the proxies,
+        without a gap or a double. With `stale_ok` False the owner serves it.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
-        return self._subscribe(start, mode, after, payloads, reconnecting)
+        return self._subscribe(start, mode, after, payloads, reconnecting, flag_of("stale_ok", stale_ok))
 
     def _subscribe(
         self,
@@ -194,6 +226,7 @@ class Reader(Reference):
         after: Item | None,
         payloads: bool,
         reconnecting: Reconnecting,
+        stale_ok: bool = True,
     ) -> Subscription:
         position = None if start is None else parse_bound(start, "start")
         group_id = self._view.group_id if self._view else None
@@ -206,6 +239,7 @@ class Reader(Reference):
             payloads=payloads,
             reconnecting=reconnecting,
             group_id=group_id,
+            stale_ok=stale_ok,
         )
 
     def on_item(

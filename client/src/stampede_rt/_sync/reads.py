@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.copies import copy_for_gets, may_serve_elsewhere, refused
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.errors import StampedeError
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -23,6 +25,7 @@ from stampede_rt.wire.reads import (
     summary_reason,
 )
 
+COPY_TIMEOUT_S = 2.0  # a copy that does not answer for this time, beyond the wait of the read, is given up
 # The reasons with which items may still come into the interval. LOST: the producer may put the lost items again.
 _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 
@@ -57,7 +60,16 @@ def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: Se
             view.saw(items.cut)
         return items
 
-    return session.perform(state, read_at, wait_s + CALL_TIMEOUT_S)
+    if view is None and (query.max_staleness_nanos is not None or query.least_seq is not None):
+        copy = copy_for_gets(session, state)
+        if copy is not None:
+            try:
+                return read_at(copy, wait_s + COPY_TIMEOUT_S)
+            except StampedeError as error:
+                if not may_serve_elsewhere(error):
+                    raise
+                refused(session, state, error)
+    return session.perform(state, read_at, began_s + wait_s + CALL_TIMEOUT_S - monotonic_s())
 
 
 def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | None) -> channel_pb.GetRequest:
@@ -76,6 +88,8 @@ def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | Non
         group_id=view.group_id if view else None,
         cut_floor_unix_nano=view.cut_floor if view else None,
         cut_unix_nano=query.cut,
+        max_staleness_nanos=query.max_staleness_nanos,
+        least_seq=query.least_seq,
     )
 
 
@@ -95,4 +109,5 @@ def _answer(state: ChannelState, query: ReadQuery, responses: list[channel_pb.Ge
         reason=summary_reason(summary),
         incarnation=summary.incarnation,
         cut=summary.cut_unix_nano if summary.HasField("cut_unix_nano") else None,
+        staleness_nanos=summary.staleness_nanos if summary.HasField("staleness_nanos") else None,
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
 from stampede_rt.values.model import ChannelInfo, ChannelStats
+from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         channel = existing(rt, arguments.channel)
         stats = channel.stats()
         info = channel.info
+        proxies = rt.proxies(channel) if stats.copies else []
     people = arguments.output == "table"
     instant = format_instant if people else (lambda value: value)
     facts: dict[str, Any] = {
@@ -90,6 +92,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "waiting_puts": stats.waiting_puts,
         "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
         "transport": stats.transport,
+        "proxies": _proxies(proxies) if people else [asdict(one) for one in proxies],
     }
     print_facts(facts, arguments.output)
     return 0
@@ -107,6 +110,16 @@ def _consumers(stats: ChannelStats) -> str:
     held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]
     of = "" if stats.policy.consumers is None else f" of {stats.policy.consumers}"
     return f"{len(stats.consumers)}{of} taken" + (f" ({', '.join(held)})" if held else "")
+
+
+def _proxies(proxies: list[ProxyInfo]) -> str:
+    shown = [
+        f"{one.host} (lag at most {format_duration(one.staleness_nanos)}, {one.subscriptions} subscriptions)"
+        if one.ready and one.staleness_nanos is not None
+        else f"{one.host} (not ready)"
+        for one in proxies
+    ]
+    return ", ".join(shown) or "none"
 
 
 def _age(newest: int | None, host_time: int, people: bool) -> str | int | None:

@@ -13,8 +13,15 @@ from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
 from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+from stampede_rt.v1.replica_directory_service_pb2_grpc import ReplicaDirectoryServiceStub
 
-_OF_SUPERNODES = (DirectoryServiceStub, GroupDirectoryServiceStub, QueueDirectoryServiceStub, PeerServiceStub)
+_OF_SUPERNODES = (
+    DirectoryServiceStub,
+    GroupDirectoryServiceStub,
+    QueueDirectoryServiceStub,
+    PeerServiceStub,
+    ReplicaDirectoryServiceStub,
+)
 
 
 class DirectoryStubs:

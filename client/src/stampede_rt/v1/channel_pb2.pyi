@@ -105,7 +105,7 @@ class ChannelCounters(_message.Message):
     def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ...) -> None: ...
 
 class ChannelStatus(_message.Message):
-    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers")
+    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers", "copy", "fed_copies")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     NEWEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
@@ -117,6 +117,8 @@ class ChannelStatus(_message.Message):
     WAITING_PUTS_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     CONSUMERS_FIELD_NUMBER: _ClassVar[int]
+    COPY_FIELD_NUMBER: _ClassVar[int]
+    FED_COPIES_FIELD_NUMBER: _ClassVar[int]
     record: ChannelRecord
     counters: ChannelCounters
     newest_unix_nano: int
@@ -128,7 +130,39 @@ class ChannelStatus(_message.Message):
     waiting_puts: int
     host_time_unix_nano: int
     consumers: _containers.RepeatedCompositeFieldContainer[ConsumerStatus]
-    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ...) -> None: ...
+    copy: CopyStatus
+    fed_copies: _containers.RepeatedCompositeFieldContainer[FedCopyStatus]
+    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ..., copy: _Optional[_Union[CopyStatus, _Mapping]] = ..., fed_copies: _Optional[_Iterable[_Union[FedCopyStatus, _Mapping]]] = ...) -> None: ...
+
+class CopyStatus(_message.Message):
+    __slots__ = ("source_host_id", "staleness_nanos", "source_next_seq", "missed", "ready", "reconnects")
+    SOURCE_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    MISSED_FIELD_NUMBER: _ClassVar[int]
+    READY_FIELD_NUMBER: _ClassVar[int]
+    RECONNECTS_FIELD_NUMBER: _ClassVar[int]
+    source_host_id: bytes
+    staleness_nanos: int
+    source_next_seq: int
+    missed: int
+    ready: bool
+    reconnects: int
+    def __init__(self, source_host_id: _Optional[bytes] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., missed: _Optional[int] = ..., ready: bool = ..., reconnects: _Optional[int] = ...) -> None: ...
+
+class FedCopyStatus(_message.Message):
+    __slots__ = ("host_id", "waiting", "subscriptions", "heard_ago_nanos", "ready")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    WAITING_FIELD_NUMBER: _ClassVar[int]
+    SUBSCRIPTIONS_FIELD_NUMBER: _ClassVar[int]
+    HEARD_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    READY_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    waiting: int
+    subscriptions: int
+    heard_ago_nanos: int
+    ready: bool
+    def __init__(self, host_id: _Optional[bytes] = ..., waiting: _Optional[int] = ..., subscriptions: _Optional[int] = ..., heard_ago_nanos: _Optional[int] = ..., ready: bool = ...) -> None: ...
 
 class ConsumerStatus(_message.Message):
     __slots__ = ("consumer_id", "lease_nanos", "waiting")

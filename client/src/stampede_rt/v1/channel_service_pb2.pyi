@@ -101,7 +101,7 @@ class PutRejection(_message.Message):
     def __init__(self, index: _Optional[int] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetRequest(_message.Message):
-    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "stale_ok", "least_seq", "cut_unix_nano")
+    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "max_staleness_nanos", "least_seq", "cut_unix_nano")
     CALL_ID_FIELD_NUMBER: _ClassVar[int]
     CANCEL_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -117,7 +117,7 @@ class GetRequest(_message.Message):
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     CUT_FLOOR_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
-    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    MAX_STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     LEAST_SEQ_FIELD_NUMBER: _ClassVar[int]
     CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     call_id: int
@@ -135,10 +135,10 @@ class GetRequest(_message.Message):
     complete: bool
     group_id: bytes
     cut_floor_unix_nano: int
-    stale_ok: bool
+    max_staleness_nanos: int
     least_seq: int
     cut_unix_nano: int
-    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., stale_ok: bool = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ...) -> None: ...
+    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., max_staleness_nanos: _Optional[int] = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ...) -> None: ...
 
 class GetResponse(_message.Message):
     __slots__ = ("call_id", "runs", "summary", "error")
@@ -153,7 +153,7 @@ class GetResponse(_message.Message):
     def __init__(self, call_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., summary: _Optional[_Union[GetSummary, _Mapping]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetSummary(_message.Message):
-    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano")
+    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano", "staleness_nanos")
     INTERVAL_FIELD_NUMBER: _ClassVar[int]
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
@@ -163,6 +163,7 @@ class GetSummary(_message.Message):
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     interval: _time_pb2.ResolvedInterval
     complete: bool
     truncated: bool
@@ -172,7 +173,8 @@ class GetSummary(_message.Message):
     incarnation: int
     cut_unix_nano: int
     host_time_unix_nano: int
-    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
+    staleness_nanos: int
+    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
     __slots__ = ("open", "credit_bytes")
@@ -183,7 +185,7 @@ class SubscribeRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ...) -> None: ...
 
 class SubscribeOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok")
+    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok", "stay")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -193,6 +195,7 @@ class SubscribeOpen(_message.Message):
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    STAY_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     mode: SubscribeMode
@@ -202,7 +205,8 @@ class SubscribeOpen(_message.Message):
     without_payloads: bool
     group_id: bytes
     stale_ok: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ...) -> None: ...
+    stay: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ..., stay: bool = ...) -> None: ...
 
 class SubscriptionCursor(_message.Message):
     __slots__ = ("incarnation", "next_seq", "from_unix_nano", "from_seq", "live_seq", "cut_unix_nano")

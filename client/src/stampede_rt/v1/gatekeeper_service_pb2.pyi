@@ -75,24 +75,28 @@ class ListDataEndpointsResponse(_message.Message):
     def __init__(self, endpoints: _Optional[_Iterable[_Union[DataEndpoint, _Mapping]]] = ...) -> None: ...
 
 class BindChannelRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "spec_version", "machine")
+    __slots__ = ("channel_id", "epoch", "spec_version", "machine", "wants_copy")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
+    WANTS_COPY_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     spec_version: int
     machine: str
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec_version: _Optional[int] = ..., machine: _Optional[str] = ...) -> None: ...
+    wants_copy: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec_version: _Optional[int] = ..., machine: _Optional[str] = ..., wants_copy: bool = ...) -> None: ...
 
 class BindChannelResponse(_message.Message):
-    __slots__ = ("endpoints", "channel")
+    __slots__ = ("endpoints", "channel", "copy_target")
     ENDPOINTS_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    COPY_TARGET_FIELD_NUMBER: _ClassVar[int]
     endpoints: _containers.RepeatedCompositeFieldContainer[DataEndpoint]
     channel: _channel_pb2.ChannelRecord
-    def __init__(self, endpoints: _Optional[_Iterable[_Union[DataEndpoint, _Mapping]]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+    copy_target: str
+    def __init__(self, endpoints: _Optional[_Iterable[_Union[DataEndpoint, _Mapping]]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., copy_target: _Optional[str] = ...) -> None: ...
 
 class DropChannelRequest(_message.Message):
     __slots__ = ("request_id", "channel_id", "epoch")

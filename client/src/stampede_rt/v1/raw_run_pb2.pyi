@@ -1,5 +1,6 @@
 from stampede_rt.v1 import channel_service_pb2 as _channel_service_pb2
 from stampede_rt.v1 import error_pb2 as _error_pb2
+from stampede_rt.v1 import replica_service_pb2 as _replica_service_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -91,3 +92,13 @@ class RawSubscribeResponse(_message.Message):
     runs: _containers.RepeatedCompositeFieldContainer[RawDeliveredRun]
     progress: _channel_service_pb2.SubscriptionProgress
     def __init__(self, opened: _Optional[_Union[_channel_service_pb2.SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[_channel_service_pb2.SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[_channel_service_pb2.SubscriptionProgress, _Mapping]] = ...) -> None: ...
+
+class RawFeedResponse(_message.Message):
+    __slots__ = ("opened", "state", "runs")
+    OPENED_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    opened: _replica_service_pb2.FeedOpened
+    state: _replica_service_pb2.FeedState
+    runs: _containers.RepeatedCompositeFieldContainer[RawDeliveredRun]
+    def __init__(self, opened: _Optional[_Union[_replica_service_pb2.FeedOpened, _Mapping]] = ..., state: _Optional[_Union[_replica_service_pb2.FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ...) -> None: ...

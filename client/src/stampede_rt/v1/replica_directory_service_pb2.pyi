@@ -82,8 +82,10 @@ class ReportReplicaLoadsRequest(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., loads: _Optional[_Iterable[_Union[_replica_pb2.ReplicaLoad, _Mapping]]] = ...) -> None: ...
 
 class ReportReplicaLoadsResponse(_message.Message):
-    __slots__ = ()
-    def __init__(self) -> None: ...
+    __slots__ = ("gone_channel_ids",)
+    GONE_CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    gone_channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, gone_channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class ListReplicasRequest(_message.Message):
     __slots__ = ("subject", "stale_ok")

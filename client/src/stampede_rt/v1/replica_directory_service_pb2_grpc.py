@@ -81,8 +81,8 @@ class ReplicaDirectoryServiceServicer(object):
     """
 
     def AddReplica(self, request, context):
-        """Add a copy of a channel or queue at a host. Callers should prefer ReplicaService.StartReplica of that host: with
-        AddReplica the host learns of the copy only at its next registration. A host holds at most one copy of a channel or
+        """Add a copy of a channel or queue at a host. The copy begins when somebody first binds the channel at that host, so
+        the caller should do so next (GatekeeperService.BindChannel). A host holds at most one copy of a channel or
         queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
         QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
         kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).

@@ -53,21 +53,3 @@ class ReplicaLoad(_message.Message):
     next_seq: int
     lag_nanos: int
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., subscriptions: _Optional[int] = ..., delivered_bytes_per_second: _Optional[int] = ..., next_seq: _Optional[int] = ..., lag_nanos: _Optional[int] = ...) -> None: ...
-
-class ReplicaStatus(_message.Message):
-    __slots__ = ("record", "load", "source_next_seq", "connected", "heard_ago_nanos", "missed", "host_time_unix_nano")
-    RECORD_FIELD_NUMBER: _ClassVar[int]
-    LOAD_FIELD_NUMBER: _ClassVar[int]
-    SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
-    CONNECTED_FIELD_NUMBER: _ClassVar[int]
-    HEARD_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
-    MISSED_FIELD_NUMBER: _ClassVar[int]
-    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
-    record: ReplicaRecord
-    load: ReplicaLoad
-    source_next_seq: int
-    connected: bool
-    heard_ago_nanos: int
-    missed: int
-    host_time_unix_nano: int
-    def __init__(self, record: _Optional[_Union[ReplicaRecord, _Mapping]] = ..., load: _Optional[_Union[ReplicaLoad, _Mapping]] = ..., source_next_seq: _Optional[int] = ..., connected: bool = ..., heard_ago_nanos: _Optional[int] = ..., missed: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...

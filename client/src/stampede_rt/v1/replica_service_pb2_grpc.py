@@ -26,8 +26,9 @@ if _version_not_supported:
 
 
 class ReplicaServiceStub(object):
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
 
     def __init__(self, channel):
@@ -36,63 +37,27 @@ class ReplicaServiceStub(object):
         Args:
             channel: A grpc.Channel.
         """
-        self.StartReplica = channel.unary_unary(
-                '/stampede_rt.v1.ReplicaService/StartReplica',
-                request_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaResponse.FromString,
-                _registered_method=True)
-        self.StopReplica = channel.unary_unary(
-                '/stampede_rt.v1.ReplicaService/StopReplica',
-                request_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaResponse.FromString,
-                _registered_method=True)
         self.Feed = channel.stream_stream(
                 '/stampede_rt.v1.ReplicaService/Feed',
                 request_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.FeedRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.FeedResponse.FromString,
                 _registered_method=True)
-        self.GetReplicaStatus = channel.unary_unary(
-                '/stampede_rt.v1.ReplicaService/GetReplicaStatus',
-                request_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusResponse.FromString,
-                _registered_method=True)
 
 
 class ReplicaServiceServicer(object):
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
 
-    def StartReplica(self, request, context):
-        """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
-        It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
-        OVERLOADED, DEADLINE_EXCEEDED (the host continues).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def StopReplica(self, request, context):
-        """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
     def Feed(self, request_iterator, context):
-        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
-        The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
-        also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
-        broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-        INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
-        PERMISSION_DENIED.
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def GetReplicaStatus(self, request, context):
-        """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE.
+        """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
+        copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
+        item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
+        meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+        stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
+        (the source is itself a copy, and has less than the caller), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED,
+        INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -101,25 +66,10 @@ class ReplicaServiceServicer(object):
 
 def add_ReplicaServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
-            'StartReplica': grpc.unary_unary_rpc_method_handler(
-                    servicer.StartReplica,
-                    request_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaResponse.SerializeToString,
-            ),
-            'StopReplica': grpc.unary_unary_rpc_method_handler(
-                    servicer.StopReplica,
-                    request_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaResponse.SerializeToString,
-            ),
             'Feed': grpc.stream_stream_rpc_method_handler(
                     servicer.Feed,
                     request_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.FeedRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.FeedResponse.SerializeToString,
-            ),
-            'GetReplicaStatus': grpc.unary_unary_rpc_method_handler(
-                    servicer.GetReplicaStatus,
-                    request_deserializer=stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -130,63 +80,10 @@ def add_ReplicaServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class ReplicaService(object):
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
-
-    @staticmethod
-    def StartReplica(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.ReplicaService/StartReplica',
-            stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_replica__service__pb2.StartReplicaResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def StopReplica(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.ReplicaService/StopReplica',
-            stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_replica__service__pb2.StopReplicaResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
 
     @staticmethod
     def Feed(request_iterator,
@@ -205,33 +102,6 @@ class ReplicaService(object):
             '/stampede_rt.v1.ReplicaService/Feed',
             stampede__rt_dot_v1_dot_replica__service__pb2.FeedRequest.SerializeToString,
             stampede__rt_dot_v1_dot_replica__service__pb2.FeedResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def GetReplicaStatus(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.ReplicaService/GetReplicaStatus',
-            stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_replica__service__pb2.GetReplicaStatusResponse.FromString,
             options,
             channel_credentials,
             insecure,

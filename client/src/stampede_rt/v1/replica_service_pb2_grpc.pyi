@@ -27,80 +27,48 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class ReplicaServiceStub:
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> ReplicaServiceAsyncStub: ...
-    StartReplica: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.StartReplicaRequest, _replica_service_pb2.StartReplicaResponse]
-    """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
-    It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
-    OVERLOADED, DEADLINE_EXCEEDED (the host continues).
-    """
-    StopReplica: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]
-    """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _grpc.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]
-    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
-    The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
-    also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
-    broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-    INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
-    PERMISSION_DENIED.
+    """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
+    copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
+    item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
+    meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+    stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
+    (the source is itself a copy, and has less than the caller), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED,
+    INVALID_ARGUMENT.
     """
-    GetReplicaStatus: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]
-    """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 @_typing.type_check_only
 class ReplicaServiceAsyncStub(ReplicaServiceStub):
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
-    StartReplica: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.StartReplicaRequest, _replica_service_pb2.StartReplicaResponse]  # type: ignore[assignment]
-    """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
-    It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
-    OVERLOADED, DEADLINE_EXCEEDED (the host continues).
-    """
-    StopReplica: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]  # type: ignore[assignment]
-    """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _aio.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]  # type: ignore[assignment]
-    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
-    The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
-    also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
-    broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-    INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
-    PERMISSION_DENIED.
+    """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
+    copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
+    item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
+    meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+    stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
+    (the source is itself a copy, and has less than the caller), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED,
+    INVALID_ARGUMENT.
     """
-    GetReplicaStatus: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]  # type: ignore[assignment]
-    """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
-    A server that does not serve replicas yet answers UNIMPLEMENTED.
+    """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
+    the directory no longer has it.
     """
-
-    @_abc_1.abstractmethod
-    def StartReplica(
-        self,
-        request: _replica_service_pb2.StartReplicaRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_replica_service_pb2.StartReplicaResponse, _abc.Awaitable[_replica_service_pb2.StartReplicaResponse]]:
-        """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
-        It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
-        OVERLOADED, DEADLINE_EXCEEDED (the host continues).
-        """
-
-    @_abc_1.abstractmethod
-    def StopReplica(
-        self,
-        request: _replica_service_pb2.StopReplicaRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_replica_service_pb2.StopReplicaResponse, _abc.Awaitable[_replica_service_pb2.StopReplicaResponse]]:
-        """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
 
     @_abc_1.abstractmethod
     def Feed(
@@ -108,20 +76,13 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_replica_service_pb2.FeedRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_replica_service_pb2.FeedResponse], _abc.AsyncIterator[_replica_service_pb2.FeedResponse]]:
-        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
-        The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
-        also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
-        broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-        INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
-        PERMISSION_DENIED.
+        """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
+        copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
+        item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
+        meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+        stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
+        (the source is itself a copy, and has less than the caller), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED,
+        INVALID_ARGUMENT.
         """
-
-    @_abc_1.abstractmethod
-    def GetReplicaStatus(
-        self,
-        request: _replica_service_pb2.GetReplicaStatusRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_replica_service_pb2.GetReplicaStatusResponse, _abc.Awaitable[_replica_service_pb2.GetReplicaStatusResponse]]:
-        """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 def add_ReplicaServiceServicer_to_server(servicer: ReplicaServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol, overload, runtime_checkable
 
+from stampede_rt.values.proxying import CopyStats
 from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32  # the payload bytes that the `repr` of an item shows
@@ -108,9 +109,21 @@ class Items(Sequence[Item]):
     - `more`: the limit left out items.
     - `reason`: why the answer is empty or partial; None if nothing is missing.
     - `cut`: for reads through a group, its cut, exclusive. None for other reads, and while the group shows nothing.
+    - `staleness_nanos`: a copy of the channel has answered, and its state was at most this old; None: the owner has
+      answered.
     """
 
-    __slots__ = ("_items", "complete", "cut", "incarnation", "interval", "more", "reason", "truncated")
+    __slots__ = (
+        "_items",
+        "complete",
+        "cut",
+        "incarnation",
+        "interval",
+        "more",
+        "reason",
+        "staleness_nanos",
+        "truncated",
+    )
 
     def __init__(
         self,
@@ -123,6 +136,7 @@ class Items(Sequence[Item]):
         reason: Reason | None,
         incarnation: int,
         cut: int | None = None,
+        staleness_nanos: int | None = None,
     ) -> None:
         self._items = items
         self.interval = interval
@@ -132,6 +146,7 @@ class Items(Sequence[Item]):
         self.reason = reason
         self.incarnation = incarnation
         self.cut = cut
+        self.staleness_nanos = staleness_nanos
 
     @overload
     def __getitem__(self, index: int) -> Item: ...
@@ -288,6 +303,7 @@ class ChannelStats:
     - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
       round trip of the call. The offset is None in a list of channels.
     - `transport`: how this program reaches the channel's data, "grpc" or "socket"; None in a list of channels.
+    - `copies`: the copies that the host feeds.
     """
 
     accepted: int
@@ -310,6 +326,7 @@ class ChannelStats:
     consumers: Sequence[ConsumerStats] = ()
     clock_offset_nanos: int | None = None
     transport: str | None = None
+    copies: Sequence[CopyStats] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,7 +9,14 @@ from typing import Literal
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Item
 from stampede_rt.values.policy import flag_of, whole_number_of
-from stampede_rt.values.timeline import InstantLike, Interval, Match, parse_instant
+from stampede_rt.values.timeline import (
+    DurationLike,
+    InstantLike,
+    Interval,
+    Match,
+    parse_duration,
+    parse_instant,
+)
 
 TIMEOUT_S_MAX = 10**9  # a longer timeout counts as this one, about 32 years
 SubscribeMode = Literal["all", "newest"]
@@ -53,6 +60,8 @@ class ReadQuery:
     - `newer_than` is an item or an instant. The answer has only later items, even with `newest_first`.
     - `cut` is for reads through a group. The host reads at exactly this cut, which a host of the group gave before. If
       `cut` is None, the host reads at the present cut.
+    - `max_staleness_nanos` and `least_seq`: the read accepts a copy that is at most this old, and that has the item of
+      this seq. If both are None, it accepts no copy.
     """
 
     interval: Interval
@@ -65,12 +74,34 @@ class ReadQuery:
     wait: Wait = NO_WAIT
     complete: bool = False
     cut: int | None = None
+    max_staleness_nanos: int | None = None
+    least_seq: int | None = None
 
     def __post_init__(self) -> None:
         for what, value in (
             ("newest_first", self.newest_first), ("payloads", self.payloads), ("complete", self.complete),
         ):  # fmt: skip
             flag_of(what, value)
+
+
+def parse_staleness(max_staleness: DurationLike | None) -> int | None:
+    """Return `max_staleness` in nanoseconds; None for None. Raises InvalidArgument for a negative duration."""
+    if max_staleness is None:
+        return None
+    nanos = parse_duration(max_staleness, "max_staleness")
+    if nanos < 0:
+        raise InvalidArgument(f'max_staleness is {max_staleness!r}; give "0s" or more, or None for the owner\'s answer')
+    return nanos
+
+
+def parse_least_seq(least_seq: int | None) -> int | None:
+    """Return `least_seq`; None for None. Raises InvalidArgument for a number that no item can have as its seq."""
+    if least_seq is None:
+        return None
+    seq = whole_number_of("least_seq", least_seq)
+    if not 0 <= seq < 2**63:
+        raise InvalidArgument(f"least_seq is {least_seq!r}; give the seq of an item")
+    return seq
 
 
 def after_position(after: Item | InstantLike) -> Item | int:

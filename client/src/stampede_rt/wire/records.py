@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.v1 import channel_pb2, directory_pb2
+from stampede_rt.v1 import channel_pb2, directory_pb2, replica_pb2
 from stampede_rt.values.model import (
     Change,
     ChangeKind,
@@ -17,6 +17,7 @@ from stampede_rt.values.model import (
     Policy,
     SupernodeInfo,
 )
+from stampede_rt.values.proxying import CopyStats, ProxyInfo
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
@@ -154,6 +155,39 @@ def channel_stats(
         ],
         clock_offset_nanos=clock_offset_nanos,
         transport=transport,
+        copies=[
+            CopyStats(host_id=one.host_id, waiting=one.waiting, subscriptions=one.subscriptions, ready=one.ready)
+            for one in status.fed_copies
+        ],
+    )
+
+
+def proxy_info(
+    channel: str,
+    replica: replica_pb2.ReplicaRecord,
+    hosts: Mapping[bytes, directory_pb2.HostRecord],
+    status: channel_pb2.ChannelStatus | None,
+) -> ProxyInfo:
+    """Return a proxy, as callers see it.
+
+    `hosts` has the hosts by id. `status`: of the copy; None: it did not answer.
+    """
+    names = {host_id: host.name for host_id, host in hosts.items()}
+    host, source = names.get(replica.host_id, ""), names.get(replica.source_host_id, "")
+    if status is None:
+        return ProxyInfo(channel=channel, host=host, source=source)
+    received = status.counters.accepted + status.copy.missed
+    return ProxyInfo(
+        channel=channel,
+        host=host,
+        source=source,
+        ready=status.copy.ready,
+        staleness_nanos=status.copy.staleness_nanos,
+        held=status.counters.held,
+        missed=status.copy.missed,
+        waiting=max(0, status.copy.source_next_seq - 1 - received),
+        subscriptions=status.subscriptions,
+        reconnects=status.copy.reconnects,
     )
 
 

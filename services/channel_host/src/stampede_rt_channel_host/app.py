@@ -119,6 +119,7 @@ class _Service:
             explain=self._credentials.explain,
             clock=SystemClock(),
             memory_bytes_max=settings.memory_bytes_max,
+            copy_bytes_per_second=settings.copy_bytes_per_second,
             on_serving=self._serving_changed,
             on_defect=self._end,
             home=self._home,

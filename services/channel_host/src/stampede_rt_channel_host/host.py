@@ -29,6 +29,9 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
+from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
+from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
 from stampede_rt_channel_host.groups.reading import GroupReads
@@ -64,7 +67,8 @@ class ChannelHost:
     its own. `access` judges the callers of the server; the host gives it the directory's rules. `tickets` are those of
     the server's sockets. `refused_calls` counts the calls that the server refuses. `on_serving` gets True when the host
     starts to serve, and False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the
-    host. `explain`: see `Supernodes`. `home` is the cluster of the host.
+    host. `explain`: see `Supernodes`. `home` is the cluster of the host. `copy_bytes_per_second`: the most that each
+    copy at this host takes from its source; 0: without a limit.
     """
 
     def __init__(
@@ -83,6 +87,7 @@ class ChannelHost:
         access: AccessControl | None = None,
         tickets: SocketTickets | None = None,
         refused_calls: RefusedCalls | None = None,
+        copy_bytes_per_second: int = 0,
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
@@ -94,20 +99,16 @@ class ChannelHost:
         self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
         access = _of_a_host(access or AccessControl(), memory_bytes_max)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
-        self.store = ChannelStore(
-            identity,
-            DirectoryQueries(self._supernodes),
-            clock,
-            lease_held=self._lease.lease_held,
-            memory=memory,
-            refused_calls=refused_calls,
-        )
+        queries = DirectoryQueries(self._supernodes)
+        held = self._lease.lease_held
+        self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
         )
         self._access = AccessWatch(self._supernodes, access)
         self._gatekeeper = GatekeeperServicer(self.store, identity, access, tickets)
+        self.copies = CopyKeeper(identity, self.store, ReplicaDirectory(self._supernodes), dial, copy_bytes_per_second)
         self._streams = OpenStreams()
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
@@ -157,6 +158,7 @@ class ChannelHost:
         ChannelServicer(self.store, GroupReads(self.groups), self._streams).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
+        ReplicaServicer(self.store, self._streams).add_to(server)
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
         """Register the host under the address `target`, and keep the lease from then on.
@@ -166,12 +168,14 @@ class ChannelHost:
         Waits until the directory knows the host. Raises the directory's refusal, or after `timeout_s` the last failure.
         """
         self._gatekeeper.target, self._gatekeeper.local_target = target, local_target
+        self.copies.target = target
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
         self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them
         self._start(self._lease.keep(), "lease")
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
+        self._start(self.copies.report_forever(), "copies")
         of_groups = directory_service_pb2.WatchRequest(include_groups=True)
         self._start(watch_forever(self._supernodes, of_groups, self.groups), "group watch")
         self._start(self._access.keep(), "access")
@@ -195,6 +199,7 @@ class ChannelHost:
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
         await self.groups.aclose()
+        await self.copies.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self._supernodes.aclose()
 

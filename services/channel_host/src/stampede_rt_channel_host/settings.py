@@ -95,6 +95,16 @@ class HostSettings(ServiceSettings):
             'each, the busiest first; "" for none',
         ),
     )
+    copy_bytes_per_second: int = field(
+        default=0,
+        metadata=setting(
+            metavar="SIZE",
+            parse=parse_size,
+            minimum=0,
+            help="the most bytes a second that each copy of a channel at this host takes from its source; default: no "
+            "limit",
+        ),
+    )
     processes: int = field(
         default=1,
         metadata=setting(

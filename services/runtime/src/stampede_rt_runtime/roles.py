@@ -40,7 +40,7 @@ _SERVICES: Mapping[str, frozenset[Role]] = {
     "QuotaUseService": _OPERATORS,
     "RaftService": _SUPERNODES,
     "ReplicaDirectoryService": _CALLERS,
-    "ReplicaService": _CALLERS,
+    "ReplicaService": _HOSTS,
 }
 
 _METHODS: Mapping[str, frozenset[Role]] = {
@@ -60,7 +60,6 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "MigrationService/ReleaseSubject": _HOSTS,
     "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
     "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,
-    "ReplicaService/Feed": _HOSTS,
 }
 
 _FOREIGN: Mapping[str, frozenset[Role]] = {

@@ -44,7 +44,7 @@ async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order(
 
     class HeldBack:
         def __init__(self, call_id: int) -> None:
-            self.call_id, self.plan = call_id, SimpleNamespace(channel_id=b"", epoch=1)
+            self.call_id, self.plan = call_id, SimpleNamespace(channel_id=b"", epoch=1, demand=None)
             self.hosted = SimpleNamespace(record=SimpleNamespace(name="a"))
 
         def poll(self, now: int) -> None:
@@ -52,7 +52,7 @@ async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order(
                 asyncio.get_running_loop().call_soon(lambda: in_one_step.append(len(polled)))
             polled.append(self.call_id)
 
-    store: Any = SimpleNamespace(scheduler=PieceScheduler(), now=lambda: 1, find=lambda *_: None)
+    store: Any = SimpleNamespace(scheduler=PieceScheduler(), now=lambda: 1, find_readable=lambda *_: None)
     stream = GetStream(store, nothing, nothing, nothing)
     stream._answer_or_wait = lambda *_: None  # type: ignore[method-assign]
     stream._held_back = {number: HeldBack(number) for number in range(100)}  # type: ignore[misc]

@@ -33,7 +33,7 @@ class Store:
     def now(self) -> int:
         return NOW
 
-    def find(self, channel_id: bytes, epoch: int) -> None:
+    def find_readable(self, channel_id: bytes, epoch: int, demand: object) -> None:
         pass
 
 

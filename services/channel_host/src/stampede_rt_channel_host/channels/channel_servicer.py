@@ -14,6 +14,7 @@ import grpc
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
 from stampede_rt_channel_host.channels.put_stream import PutStream
@@ -63,7 +64,8 @@ class ChannelServicer:
         """ChannelService.Subscribe."""
         async with self._streams.serve(context) as stream:
             request: pb.SubscribeRequest = opening_of(await context.read(), pb.SubscribeRequest, "SubscribeRequest")
-            hosted = self._store.find(request.open.channel_id, request.open.epoch)
+            demand = Freshness() if request.open.stale_ok else None
+            hosted = self._store.find_readable(request.open.channel_id, request.open.epoch, demand)
             check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             await Subscription(hosted, self._store, self._groups, context, stream).run(request)
 
@@ -88,7 +90,7 @@ class ChannelServicer:
     ) -> pb.GetChannelStatusResponse:
         """ChannelService.GetChannelStatus."""
         if request.epoch:
-            hosted = self._store.find(request.channel_id, request.epoch)
+            hosted = self._store.find_readable(request.channel_id, request.epoch, Freshness())
         else:
             hosted = self._store.find_any_epoch(request.channel_id)
         check_known(AccessKind.CHANNEL, hosted.record.name)

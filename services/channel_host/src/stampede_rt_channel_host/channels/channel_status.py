@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.timeline import clamp
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.fed_copies import FedCopy
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
@@ -39,6 +41,29 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
             channel_pb2.ConsumerStatus(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
             for one in consumers
         ],
+        copy=None if hosted.copy is None else _copy_status(hosted, hosted.copy),
+        fed_copies=[_fed_status(one) for one in hosted.fed or ()],
+    )
+
+
+def _copy_status(hosted: HostedChannel, copy: CopyState) -> channel_pb2.CopyStatus:
+    return channel_pb2.CopyStatus(
+        source_host_id=copy.source_host_id,
+        staleness_nanos=copy.staleness_nanos,
+        source_next_seq=copy.source_next_seq,
+        missed=hosted.channel.missed,
+        ready=copy.is_ready,
+        reconnects=copy.reconnects,
+    )
+
+
+def _fed_status(copy: FedCopy) -> channel_pb2.FedCopyStatus:
+    return channel_pb2.FedCopyStatus(
+        host_id=copy.host_id,
+        waiting=copy.waiting(),
+        subscriptions=copy.subscriptions,
+        heard_ago_nanos=copy.heard_ago_nanos,
+        ready=copy.takes_readers,
     )
 
 

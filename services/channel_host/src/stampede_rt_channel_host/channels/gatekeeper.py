@@ -71,7 +71,12 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         check_known(AccessKind.CHANNEL, hosted.record.name)
         endpoints = self._sockets(request.machine, context)
         endpoints.append(pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target))
-        return pb.BindChannelResponse(endpoints=endpoints, channel=channel_message(hosted.record))
+        fed = hosted.fed if request.wants_copy else None
+        return pb.BindChannelResponse(
+            endpoints=endpoints,
+            channel=channel_message(hosted.record),
+            copy_target=fed.for_gets() if fed is not None else "",
+        )
 
     async def ListDataEndpoints(  # noqa: N802
         self, request: pb.ListDataEndpointsRequest, context: Context

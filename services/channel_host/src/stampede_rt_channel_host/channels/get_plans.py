@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.group_access import GroupReadParams
-from stampede_rt_channel_host.channels.requests import group_of, parse, query_of, wait_nanos_of
+from stampede_rt_channel_host.channels.requests import demand_of, group_of, parse, query_of, wait_nanos_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
@@ -25,7 +26,7 @@ class GetPlan:
     """The decoded fields of a get, without its call id.
 
     `wait_nanos`: 0 means that the get may not wait; below 0 means that it may wait without limit. `group`: the group
-    through which the get reads, if any.
+    through which the get reads, if any. `demand`: what the read demands of a copy; None: it accepts none.
     """
 
     channel_id: bytes
@@ -33,6 +34,7 @@ class GetPlan:
     query: Query
     wait_nanos: int
     without_payloads: bool
+    demand: Freshness | None = None
     group: GroupReadParams | None = None
 
 
@@ -89,6 +91,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
         query=query_of(request),
         wait_nanos=wait_nanos_of(request),
         without_payloads=request.without_payloads,
+        demand=demand_of(request),
         group=group_of(request),
     )
 

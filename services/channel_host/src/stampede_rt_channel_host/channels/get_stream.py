@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.get_plans import REQUEST_BYTES_MAX, GetCa
 from stampede_rt_channel_host.channels.get_summaries import kept_bytes_of, summary_of
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.hosted_copies import check_no_copy, refusal_of
 from stampede_rt_channel_host.channels.outbox import Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -168,9 +169,10 @@ class GetStream:
         if len(self._calls) >= CALLS_MAX:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, the limit; open another stream")
         self._account.check(Quota.WAITING_CALLS)
-        hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
+        hosted, now = self._store.find_readable(plan.channel_id, plan.epoch, plan.demand), self._store.now()
         self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
         if plan.group is not None:
+            check_no_copy(hosted)
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
         get = _OpenGet(call_id, plan, hosted, now)
@@ -213,7 +215,7 @@ class GetStream:
         If not, frees the answer `found`, and raises StaleBinding, Unavailable or PermissionDenied.
         """
         try:
-            self._store.find(get.plan.channel_id, get.plan.epoch)
+            self._store.find_readable(get.plan.channel_id, get.plan.epoch, get.plan.demand)
             self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, get.hosted.record.name)
         except StampedeError:
             self._free(found)
@@ -264,8 +266,12 @@ class GetStream:
             self._calls[get.call_id] = None  # the get waits no more, but its answer is still to be sent
             self._rights.release(get.call_id)
             get.released()
+            refusal = refusal_of(get.hosted, get.plan.demand)
             if isinstance(outcome, StampedeError):
                 self._refuse(get.call_id, outcome)
+            elif refusal is not None:
+                self._free(outcome)
+                self._refuse(get.call_id, refusal)
             elif self._held_back or not self._outbox.has_room:
                 # Drop this outcome, so that no answer stays in memory. `_room_came` has the get polled again.
                 self._held_back[get.call_id] = get
@@ -307,6 +313,8 @@ class GetStream:
             self._refuse(get.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
             return
         summary = summary_of(answer, now, cut)
+        if get.hosted.copy is not None:
+            summary.staleness_nanos = get.hosted.copy.staleness_nanos
         messages = get_responses(get.call_id, answer, summary, without_payloads=get.plan.without_payloads)
         self._outbox.add(get.call_id, messages, get.hosted.count_delivered, kept_bytes, answer.slices)
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
@@ -18,6 +21,7 @@ from stampede_rt_channel_host.core.channel import (
     CONSUMER_BYTES,
     ChannelCore,
     Consumed,
+    FedChannel,
     Pieces,
     ReachTracker,
     run_to_end,
@@ -25,6 +29,15 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
+
+
+class CopyOf(NamedTuple):
+    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were."""
+
+    state: CopyState
+    lost_before: int | None
+
+
 _orders = itertools.count()
 
 
@@ -45,8 +58,9 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
         deliveries: SharedDeliveries | None = None,
+        copy: CopyOf | None = None,
     ) -> None:
-        """Set up the channel of `record`.
+        """Set up the channel of `record`. With `copy` it is a copy of that channel.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
@@ -56,7 +70,9 @@ class HostedChannel:
         self.record = record
         self.epoch: int = record.epoch
         self.registration = 0  # the number of the host's last registration when the store took `record` over
-        self.channel = _new_core(record, now())
+        self.copy: CopyState | None = None if copy is None else copy.state
+        self.fed: FedCopies | None = None  # the copies that this host feeds; most channels have none
+        self.channel = _new_core(record, now(), copy)
         self._gets: WaitingGets | None = None
         self._begin, self._limits = begin, limits
         self._charge = memory.charge_for(record.created_by)
@@ -137,6 +153,15 @@ class HostedChannel:
         self._announce(now)
         self.puts.changed(now)
 
+    def make_room(self, wanted_bytes: int) -> None:
+        """Check that the host has room for the next part of the feed. Raises Overloaded."""
+        self._charge.claim(wanted_bytes)
+
+    def fed_part(self, now: int) -> None:
+        """Wake the readers of a copy, after its feed has changed it."""
+        self._touched()
+        self._announce(now)
+
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
         for observer in [*self.group_observers]:  # each call is short: an observer leaves long work to the scheduler
@@ -150,6 +175,8 @@ class HostedChannel:
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
         """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
+        if self.copy is not None:
+            self.copy.on_dropped()
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
@@ -201,12 +228,14 @@ def _ignore(hosted: HostedChannel) -> None:
     """The callback of a channel that has left the host."""
 
 
-def _new_core(record: RecordedChannel, now: int) -> ChannelCore:
-    """An empty channel. If the channel had another owner before, the items of that owner are lost."""
-    return ChannelCore(
+def _new_core(record: RecordedChannel, now: int, copy: CopyOf | None) -> ChannelCore:
+    """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
+    kind = ChannelCore if copy is None else FedChannel
+    lost_before = now if record.epoch > 1 else None
+    return kind(
         record.policy,
         incarnation=record.incarnation,
         name=record.name,
-        lost_before=now if record.epoch > 1 else None,
+        lost_before=lost_before if copy is None else copy.lost_before,
         cut=slice_run,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
@@ -33,6 +33,11 @@ class ChangeObserver:
 
     def __init__(self) -> None:
         self._woken_by: list[Observers] = []
+
+    @property
+    def may_move(self) -> bool:
+        """Whether this is a reader of a channel that may continue at a copy of the channel at this moment."""
+        return False
 
     def note_woken(self, source: Observers) -> None:
         """Note that `source` wakes this observer now, and not again before `listen`."""
@@ -113,6 +118,10 @@ class Observers:
 
     def __len__(self) -> int:
         return len(self._observers)
+
+    def __iter__(self) -> Iterator[ChangeObserver]:
+        """The present observers. They may leave during the walk."""
+        return iter([*self._observers])
 
     def add(self, observer: ChangeObserver) -> None:
         """Add `observer`. The next change wakes it. Idempotent."""

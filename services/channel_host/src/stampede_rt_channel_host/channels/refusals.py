@@ -37,6 +37,20 @@ def moved(name: str, host_id: bytes) -> StampedeError:
     )
 
 
+def copy_cannot(name: str, why: str) -> StampedeError:
+    """The error of a copy that cannot serve a request. The owner can."""
+    return error_for("MOVED", f"the copy of channel {name} at this host {why}; ask the owner", {"channel": name})
+
+
+def to_copy(name: str, host_id: bytes, target: str) -> StampedeError:
+    """The error that sends a reader to a copy of the channel."""
+    return error_for(
+        "MOVED",
+        f"the copy of channel {name} at {target} has fewer readers; continue there, or ask again with stay",
+        {"channel": name, "host_id": host_id.hex(), "copy_target": target},
+    )
+
+
 def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
     """The error for a request that names another epoch than the channel's."""
     return error_for(

@@ -12,6 +12,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import bound_from_message, interval_from_message, match_from_message
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.group_access import GroupReadParams
 from stampede_rt_channel_host.core.channel import Position, Query, SavedCursor
 
@@ -68,6 +69,23 @@ def wait_nanos_of(request: pb.GetRequest) -> int:
     if request.wait_nanos < -1:
         raise InvalidArgument(f"wait_nanos is {request.wait_nanos}; it is 0 or more, or -1 for no limit")
     return request.wait_nanos
+
+
+def demand_of(request: pb.GetRequest) -> Freshness | None:
+    """What the get demands of a copy; None: it accepts no copy. Raises InvalidArgument for a negative staleness."""
+    stale = request.max_staleness_nanos if request.HasField("max_staleness_nanos") else None
+    least = request.least_seq if request.HasField("least_seq") else None
+    if stale is not None and stale < 0:
+        raise InvalidArgument(f"max_staleness_nanos is {stale}; it is 0 or more, or left out")
+    return None if stale is None and least is None else Freshness(stale, least)
+
+
+def wanted_next_seq(opening: pb.SubscribeOpen) -> int:
+    """The next seq that a copy must have before the subscription can continue there; 0: any."""
+    which = opening.WhichOneof("begin")
+    if which == "cursor":
+        return opening.cursor.next_seq
+    return opening.after.seq + 1 if which == "after" and opening.after.HasField("seq") else 0
 
 
 def position_of(message: item_pb2.ItemPosition) -> Position:

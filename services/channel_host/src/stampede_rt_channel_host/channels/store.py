@@ -17,10 +17,13 @@ from sortedcontainers import SortedList
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
+from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.channels.hosted_copies import HostedCopies
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
@@ -46,8 +49,6 @@ CHANNELS_ENDED_PER_PIECE = 128
 CHANNELS_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 _ID_END = b"\xff" * 17  # above every id
-# the most questions to the directory for one `bind`: the store asks again if the host registered during a question
-LOOKUPS_MAX = 3
 
 
 class ChannelStore:
@@ -84,6 +85,7 @@ class ChannelStore:
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
         self.memory = memory
+        self.copies = HostedCopies(self._channels, self._add, self._forget)
         self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
         self.consumers = IdOwners()
@@ -96,22 +98,36 @@ class ChannelStore:
         return self._time.read(self._clock.boottime_nanos(), self._clock.time_unix_nano())
 
     def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
-        """The channel, for one data request.
+        """The channel that this host owns, for one data request.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH), or Unavailable (SHUTTING_DOWN).
         """
         self._check_lease()
         hosted = self._channels.get(channel_id)
-        if hosted is None or not hosted.epoch:
+        if hosted is None or not hosted.epoch or hosted.copy is not None:
             raise refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
         return hosted
 
+    def find_readable(self, channel_id: bytes, epoch: int, demand: Freshness | None) -> HostedChannel:
+        """The channel, or a copy of it that meets `demand`, for one read. None: only the owner will do.
+
+        Raises the errors of `find`, and StaleBinding (MOVED) if the copy does not meet the demand.
+        """
+        copy = None if demand is None else self.copies.find(channel_id, epoch, demand)
+        if copy is None:
+            return self.find(channel_id, epoch)
+        self._check_lease()
+        return copy
+
     def find_any_epoch(self, channel_id: bytes) -> HostedChannel:
         """The channel, for a request without an epoch. Raises the errors of `find`."""
         hosted = self._channels.get(channel_id)
-        return self.find(channel_id, hosted.epoch if hosted else 0)
+        if hosted is None or hosted.copy is None:
+            return self.find(channel_id, hosted.epoch if hosted else 0)
+        self._check_lease()
+        return hosted
 
     async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
         """The channel under `epoch`. Asks the directory first if this host does not know the channel, or knows another
@@ -123,7 +139,7 @@ class ChannelStore:
             async with self._single_flight.about(channel_id):
                 if not self._knows(channel_id, epoch, spec_version):
                     await self._ask(channel_id)
-        return self.find(channel_id, epoch)
+        return self.find_readable(channel_id, epoch, Freshness())
 
     async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
         """Delete the channel in the directory and at this host. The streams of its readers end with CHANNEL_NOT_FOUND.
@@ -133,7 +149,8 @@ class ChannelStore:
         """
         if request_id in self._deletions:
             return
-        hosted = await self.bind(channel_id, epoch)
+        await self.bind(channel_id, epoch)
+        hosted = self.find(channel_id, epoch)  # not a copy
         check_access(AccessVerb.DELETE, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
         try:
@@ -154,7 +171,8 @@ class ChannelStore:
         Raises the errors of `bind`, InvalidArgument for a policy that no channel can have, and the errors that the
         directory answers.
         """
-        hosted = await self.bind(channel_id, epoch)
+        await self.bind(channel_id, epoch)
+        hosted = self.find(channel_id, epoch)  # not a copy
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
         _check_policy(hosted.record.policy, change.stated)  # so that the directory takes no policy impossible here
@@ -182,6 +200,8 @@ class ChannelStore:
             left: list[Pieces[None]] = []
             for _, channel_id in names:
                 hosted = self._channels.get(channel_id)
+                if hosted is not None and hosted.copy is not None and channel_id not in listed:
+                    continue  # the directory lists only the channels that this host owns
                 if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
                     self._compare(hosted, listed.get(channel_id), left, is_complete=is_complete)
             self.scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
@@ -252,40 +272,35 @@ class ChannelStore:
 
     def _knows(self, channel_id: bytes, epoch: int, spec_version: int) -> bool:
         hosted = self._channels.get(channel_id)
+        if hosted is not None and hosted.copy is not None:
+            return hosted.copy.is_ready and epoch <= hosted.epoch
         return hosted is not None and hosted.epoch == epoch and hosted.record.spec_version >= spec_version
 
     async def _ask(self, channel_id: bytes) -> None:
         self._check_lease()
         held = self._channels.get(channel_id)
         try:
-            record = await self._resolve(channel_id)
+            record = await confirmed_record(
+                self._directory, channel_id, lambda: self._registrations, self._identity.name
+            )
         except ChannelNotFound:
             if held is not None:
                 self._forget(channel_id, refusals.deleted(held.record.name))
             raise
+        if self._identity.host_id in record.copy_host_ids:
+            return await self.copies.on_bound(record)
         if record.host_id != self._identity.host_id:
             error = refusals.moved(record.name, record.host_id)
             self._forget(channel_id, error)
             raise error
         self._adopt(record)
 
-    async def _resolve(self, channel_id: bytes) -> RecordedChannel:
-        """Ask the directory for the record of the channel. Asks again if the host registers before the answer comes.
-
-        Such an answer may be out of date: the lease ended before the host registered again, and the channel may have
-        got a new owner meanwhile. Raises the error that the directory answers. Raises StaleBinding if the host
-        registered during each of LOOKUPS_MAX questions.
-        """
-        for _ in range(LOOKUPS_MAX):
-            registrations = self._registrations
-            record = await self._directory.resolve(channel_id)
-            if registrations == self._registrations:
-                return record
-        raise refusals.fenced(self._identity.name)
-
     def _adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
+        if held is not None and held.copy is not None:  # this host has become the owner, and has lost the items
+            self._forget(record.channel_id, gone(record.name))
+            held = None
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self._registrations
@@ -295,6 +310,9 @@ class ChannelStore:
             if record.epoch < held.record.epoch:
                 return held
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
+        return self._add(record)
+
+    def _add(self, record: RecordedChannel, begun: CopyOf | None = None) -> HostedChannel:
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._creation_shares.check(record.created_by)
@@ -307,6 +325,7 @@ class ChannelStore:
             self.scheduler.begin,
             self.limits,
             self.deliveries,
+            begun,
         )
         hosted.registration = self._registrations
         self._channels[record.channel_id] = hosted

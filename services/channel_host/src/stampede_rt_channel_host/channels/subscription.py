@@ -12,13 +12,21 @@ from functools import lru_cache
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
+from stampede_rt_channel_host.channels.hosted_copies import check_no_copy
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
-from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
+from stampede_rt_channel_host.channels.requests import (
+    beginning_of,
+    is_newest,
+    parse,
+    saved_to,
+    wanted_next_seq,
+)
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import (
@@ -37,6 +45,7 @@ from stampede_rt_runtime.rpc import Context
 # after this time without a message, the reader gets a progress message; the contract says at least every 5 s
 PROGRESS_SECONDS = 4.0
 CURSORS_KEPT = 64  # encoded cursors, each of about 100 bytes
+STAY_SECONDS = 10.0  # a reader that could not reach a copy stays at least this long
 WRITE_SECONDS_MAX = 30.0  # if the reader takes nothing for this time during a write, the subscription ends
 
 
@@ -106,6 +115,7 @@ class Subscription(ChangeObserver):
         self._owes_cursor = False  # whether the reader must get the next cursor as soon as there is one
         self._credit = Credit(self._look)
         self._drops = ReaderDrops(hosted.record.name, "")  # `_serve` enters it in the host's table
+        self._movable_at_s: float | None = None  # loop time from which the reader may move to a copy; None: it may not
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 
     def wake(self) -> None:
@@ -135,6 +145,10 @@ class Subscription(ChangeObserver):
             raise Overloaded(
                 f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, the limit; end some"
             )
+        self._check_place(opening)
+        if self._hosted.copy is not None:
+            channel, wanted = self._hosted.channel, wanted_next_seq(opening)
+            await self._hosted.copy.reach(self._hosted.record.name, lambda: channel.next_seq, wanted)
         self._credit.grant(request.credit_bytes)
         reading = self._stream.spawn(self._read())
         try:
@@ -143,10 +157,32 @@ class Subscription(ChangeObserver):
                     await self._serve(cursor, opening)
             else:
                 cursor = await self._store.scheduler.do(open_cursor(self._hosted.channel, opening, self._store.now()))
-                self._store.find(opening.channel_id, opening.epoch)  # the channel may have left the host meanwhile
+                self._store.find_readable(
+                    opening.channel_id, opening.epoch, Freshness()
+                )  # the channel may have left the host meanwhile
                 await self._serve(cursor, opening)
         finally:
             reading.cancel()
+
+    def _check_place(self, opening: pb.SubscribeOpen) -> None:
+        """Note whether the reader may move to a copy. Raises StaleBinding (MOVED) if it is to begin at another host."""
+        hosted = self._hosted
+        in_group = opening.HasField("group_id")
+        if in_group:
+            check_no_copy(hosted)
+        if not opening.stale_ok or in_group:
+            return
+        self._movable_at_s = asyncio.get_running_loop().time() + (STAY_SECONDS if opening.stay else 0)
+        if hosted.fed is not None and not opening.stay:
+            elsewhere = hosted.fed.less_loaded(hosted.record.name, len(hosted.subscriptions))
+            if elsewhere is not None:
+                raise elsewhere
+
+    @property
+    def may_move(self) -> bool:
+        """See `MovableReader`."""
+        at_s = self._movable_at_s
+        return at_s is not None and at_s <= asyncio.get_running_loop().time()
 
     async def _read(self) -> None:
         """Read requests that grant credit."""

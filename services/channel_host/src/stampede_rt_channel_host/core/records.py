@@ -19,7 +19,7 @@ class RecordedChannel:
     """One channel, with its owner and policy.
 
     `created_by` is the name of the caller that created the channel. It is empty if the directory does not know the
-    caller.
+    caller. `copy_host_ids` are the hosts that hold a copy.
     """
 
     channel_id: bytes
@@ -31,6 +31,7 @@ class RecordedChannel:
     policy: Policy
     message: bytes = field(repr=False)
     created_by: str = ""
+    copy_host_ids: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

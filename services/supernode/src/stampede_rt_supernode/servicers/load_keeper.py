@@ -28,10 +28,10 @@ class LoadKeeper:
         self._clock = clock
         self._loads = ReplicaLoads()
 
-    def report(self, host_id: bytes, boot_incarnation: int, loads: Sequence[ReplicaLoad]) -> None:
+    def report(self, host_id: bytes, boot_incarnation: int, loads: Sequence[ReplicaLoad]) -> list[bytes]:
         """Note the loads that a host reports. Raises InvalidArgument, NotLeader or LeaseExpired.
 
-        Ignores channels that the host neither owns nor holds a copy of, because they may just have been taken away.
+        Returns the reported channels that the host neither owns nor holds a copy of, because they were taken away.
         """
         if len(loads) > REPORT_LOADS_MAX:
             raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most; send two reports")
@@ -44,6 +44,8 @@ class LoadKeeper:
         self._loads.lead(status.tenure)
         held = self._replica.read(lambda directory: _held(directory, host_id, boot_incarnation, loads))
         self._loads.note(held, self._clock.boottime_nanos())
+        known = {load.channel_id for load in held}
+        return [load.channel_id for load in loads if load.channel_id not in known]
 
     def of(self, channel_id: bytes, host_ids: Sequence[bytes]) -> list[ReplicaLoad]:
         """The loads that these hosts reported for a channel, the least loaded first.

@@ -89,8 +89,9 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     ) -> pb.ReportReplicaLoadsResponse:
         """Makes no log entry."""
         self._calls.check_host(context, request.host_id)
-        self._loads.report(request.host_id, request.boot_incarnation, [load_from(load) for load in request.loads])
-        return pb.ReportReplicaLoadsResponse()
+        loads = [load_from(load) for load in request.loads]
+        gone = self._loads.report(request.host_id, request.boot_incarnation, loads)
+        return pb.ReportReplicaLoadsResponse(gone_channel_ids=gone)
 
     @errors_as_status
     async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:

@@ -40,6 +40,7 @@ from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collection, FeedPart, FeedPlace
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
 from stampede_rt_channel_host.core.channel.pieces import (
@@ -54,7 +55,15 @@ from stampede_rt_channel_host.core.channel.pieces import (
     run_to_end,
 )
 from stampede_rt_channel_host.core.channel.reading import Pending
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
+from stampede_rt_channel_host.core.channel.run import (
+    ABSENT,
+    ITEM_OVERHEAD_BYTES,
+    ColumnRun,
+    Run,
+    Slice,
+    Slicer,
+    make_run,
+)
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
 from stampede_rt_channel_host.core.channel.values import (
     Counters,
@@ -80,6 +89,7 @@ __all__ = [
     "COLLECTED_FOR",
     "CONSUMED_RANGE_BYTES",
     "CONSUMER_BYTES",
+    "FIRST_KEY",
     "ITEM_OVERHEAD_BYTES",
     "LEASE_NANOS",
     "LEASE_NANOS_MAX",
@@ -101,6 +111,7 @@ __all__ = [
     "FeedPlace",
     "Gap",
     "HeldThen",
+    "ItemKey",
     "Moment",
     "Needs",
     "NewestCursor",
@@ -128,6 +139,7 @@ __all__ = [
     "drained",
     "emptying",
     "first_of",
+    "make_run",
     "one_after_another",
     "rest_of",
     "run_to_end",

@@ -143,6 +143,11 @@ class AgedChannel:
         return self._held.next_seq
 
     @property
+    def missed(self) -> int:
+        """In a copy: the number of items that had left the source before this copy could get them; else 0."""
+        return self._held.missed
+
+    @property
     def newest(self) -> int | None:
         """The newest item's time, as of the last call that took `now`."""
         return self._held.newest

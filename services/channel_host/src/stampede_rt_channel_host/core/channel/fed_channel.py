@@ -43,11 +43,6 @@ class FedChannel(ChannelCore):
         """The place from which another feed continues."""
         return FeedPlace(self._incarnation, self.next_seq, self._held.floor_resets)
 
-    @property
-    def missed(self) -> int:
-        """The number of seqs whose items had left the source before this copy could get them."""
-        return self._held.missed
-
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,
         collection: Collection | None, advance: int | None, now: int,

@@ -69,13 +69,13 @@ class ChannelFeed:
     def __init__(self, source: ChannelCore, place: FeedPlace | None, now: int) -> None:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
-        If the source cannot continue at `place`, because the incarnation or the floor differs, `is_anew` is True. The
-        copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is itself
-        a copy that is behind `place`.
+        If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
+        The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
+        itself a copy that is behind `place`.
         """
         held, _ = source.look(now)
-        self.is_anew = not _continues(source, held, place)
-        first_seq = 1 if self.is_anew or place is None else place.next_seq
+        self.begins_anew = not _continues(source, held, place)
+        first_seq = 1 if self.begins_anew or place is None else place.next_seq
         self._source = source
         self._cursor = AllCursor(iter(()), first_seq)
         self._cleared: ItemKey | None = None
@@ -128,8 +128,7 @@ def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None) -> 
     if place.floor_resets > held.floor_resets or place.next_seq > held.next_seq:
         raise Unavailable(
             f"this host has the channel up to seq {held.next_seq - 1}, and the copy that asks is further; ask again "
-            "soon, or ask the owner",
-            reason="BEHIND",
+            "soon, or ask the owner"
         )
     return place.floor_resets == held.floor_resets
 

@@ -1,0 +1,88 @@
+"""Finds copies of channels for reads: the host of a channel says which copy to use (paper, section 4.1: proxies)."""
+
+from __future__ import annotations
+
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.session import Session
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.errors import DeadlineExceeded, StaleBinding, StampedeError
+from stampede_rt.transports.concurrency_async import monotonic_s
+from stampede_rt.transports.machine import this_machine
+from stampede_rt.v1 import gatekeeper_service_pb2
+
+BIND_TIMEOUT_S = 6.0  # a host lets the caller wait 5 s for a new copy
+GET_TIMEOUT_S = 1.0  # for one request on the way to a copy for a get
+FOUND_S = 10.0  # after this time the client asks the owner again, so that its gets use all copies in turn
+REFUSED_S = 0.25  # a copy that is too old is asked again after this time
+LOST_S = 2.0  # a copy that cannot be reached, and a channel without copies, after this one
+
+
+async def copy_for_gets(session: Session, state: ChannelState) -> Binding | None:
+    """Return a copy of the channel; None if there is none to use at this moment.
+
+    Blocks for three times GET_TIMEOUT_S at most. Raises the errors that no other host can heal.
+    """
+    is_known, binding = session.copies.find(state.info.channel_id, monotonic_s())
+    if is_known:
+        return binding
+    try:
+        owner = await session.bind(state, monotonic_s() + GET_TIMEOUT_S)
+        target = await _copy_of(session, state, owner)
+        binding = await bound_at(session, state, target, owner.epoch, GET_TIMEOUT_S) if target else None
+    except StampedeError as error:
+        if not may_serve_elsewhere(error):
+            raise
+        binding = None
+    session.copies.keep(state.info.channel_id, binding, monotonic_s() + (LOST_S if binding is None else FOUND_S))
+    return binding
+
+
+def refused(session: Session, state: ChannelState, error: StampedeError) -> None:
+    """Note that the copy did not serve a get, so that the next gets go to the owner for a moment."""
+    rest_s = REFUSED_S if isinstance(error, StaleBinding) else LOST_S
+    session.copies.keep(state.info.channel_id, None, monotonic_s() + rest_s)
+
+
+def may_serve_elsewhere(error: StampedeError) -> bool:
+    """Whether the owner may serve a request to which a copy has answered `error`."""
+    return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def copy_target_of(error: StampedeError) -> str:
+    """Return the gatekeeper of the copy to which a host sends a reader; empty if it sends it nowhere."""
+    return error.metadata.get("copy_target", "") if isinstance(error, StaleBinding) else ""
+
+
+async def bound_at(
+    session: Session, state: ChannelState, target: str, epoch: int, timeout_s: float = BIND_TIMEOUT_S
+) -> Binding:
+    """Bind the channel at the gatekeeper `target` of a copy's host.
+
+    Blocks for `timeout_s` at most. Raises StaleBinding if that host cannot serve readers, Unavailable,
+    DeadlineExceeded.
+    """
+    endpoint = session.endpoints.to(target)
+    request = gatekeeper_service_pb2.BindChannelRequest(
+        channel_id=state.info.channel_id, epoch=epoch, machine=this_machine()
+    )
+    response = await endpoint.call(endpoint.gatekeeper.BindChannel, request, timeout_s)
+    record = response.channel
+    targets = [e.target for e in response.endpoints if e.transport == gatekeeper_service_pb2.TRANSPORT_GRPC]
+    binding = Binding(
+        subject_id=record.channel_id,
+        target=targets[0] if targets else target,
+        epoch=record.epoch,
+        incarnation=record.incarnation,
+    )
+    session.endpoints.to(binding.target).route.learn(response.endpoints)
+    return binding
+
+
+async def _copy_of(session: Session, state: ChannelState, owner: Binding) -> str:
+    """Return the gatekeeper of a copy, as the owner names it; empty if there is none."""
+    endpoint = session.endpoints.to(owner.target)
+    request = gatekeeper_service_pb2.BindChannelRequest(
+        channel_id=state.info.channel_id, epoch=owner.epoch, machine=this_machine(), wants_copy=True
+    )
+    response = await endpoint.call(endpoint.gatekeeper.BindChannel, request, GET_TIMEOUT_S)
+    return str(response.copy_target)

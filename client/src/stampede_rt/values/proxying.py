@@ -1,0 +1,43 @@
+"""Proxies of channels, as programs see them. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProxyInfo:
+    """A proxy: a read-only copy of a channel at another host.
+
+    - `source`: the host that feeds it.
+    - `ready`: it serves readers. Otherwise it has not caught up yet, has lost its source, or does not answer.
+    - `staleness_nanos`: how old its state is at most; None if its host did not answer.
+    - `held`: the items that it holds. `missed`: the items that had left the source before it could get them.
+    - `waiting`: the items that its source had, as last reported, and that it has not received yet.
+    - `subscriptions`: the open subscriptions. `reconnects`: how often its feed was opened again.
+    """
+
+    channel: str
+    host: str
+    source: str
+    ready: bool = False
+    staleness_nanos: int | None = None
+    held: int | None = None
+    missed: int | None = None
+    waiting: int | None = None
+    subscriptions: int | None = None
+    reconnects: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CopyStats:
+    """A copy of a channel, as the host that feeds it sees it.
+
+    `waiting`: the items that the host has still to send. `subscriptions`: as the copy last reported them. `ready`: the
+    copy serves readers.
+    """
+
+    host_id: bytes
+    waiting: int
+    subscriptions: int
+    ready: bool

@@ -1,0 +1,100 @@
+"""A copy of a channel at this host, as its readers depend on it: how old it is, and whether it can serve them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.timeline import format_duration
+from stampede_rt_channel_host.channels import refusals
+
+SERVED_STALENESS_NANOS_MAX = 5_000_000_000
+"""A copy that is older than this serves nobody."""
+REACH_SECONDS_MAX = 2.0  # a subscription that has come from elsewhere waits so long for the copy to catch up with it
+
+
+class Freshness(NamedTuple):
+    """What a read demands of a copy: at most this old, and the item of this seq. None: not demanded."""
+
+    max_staleness_nanos: int | None = None
+    least_seq: int | None = None
+
+
+class CopyState:
+    """The state of a copy, as its feed keeps it up to date.
+
+    `heard_nanos`: the copy has all that the owner had at this moment of the steady clock; None: it has nothing yet.
+    `caught_up`: it has had all items of its source at some moment. `source_next_seq`: as the source last reported it.
+    """
+
+    def __init__(
+        self, on_dropped: Callable[[], None] = lambda: None, steady_nanos: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        """`on_dropped` is called once, when the host drops the copy."""
+        self.on_dropped = on_dropped
+        self._steady_nanos = steady_nanos
+        self.source_host_id = b""
+        self.source_next_seq = 0
+        self.heard_nanos: int | None = None
+        self.caught_up = False
+        self.reconnects = 0
+        self._changed = asyncio.Event()
+
+    def steady_nanos(self) -> int:
+        """The steady clock of this host."""
+        return self._steady_nanos()
+
+    @property
+    def staleness_nanos(self) -> int:
+        """How old the copy is at most."""
+        return SERVED_STALENESS_NANOS_MAX * 2 if self.heard_nanos is None else self._steady_nanos() - self.heard_nanos
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the copy can serve readers."""
+        return self.caught_up and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
+
+    def note_progress(self) -> None:
+        """Wake those who wait for the copy."""
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    def check(self, name: str, next_seq: int, demand: Freshness) -> None:
+        """Raises StaleBinding (MOVED) if the copy of channel `name`, with seqs below `next_seq`, does not do."""
+        if not self.is_ready:
+            raise refusals.copy_cannot(name, "has lost its source, or has not caught up with it yet")
+        stale, least = demand.max_staleness_nanos, demand.least_seq
+        if stale is not None and self.staleness_nanos > stale:
+            age, most = format_duration(self.staleness_nanos), format_duration(stale)
+            raise refusals.copy_cannot(name, f"may be {age} old, and the read accepts {most}")
+        if least is not None and least >= next_seq:
+            raise refusals.copy_cannot(name, f"has items up to seq {next_seq - 1}, and the read wants seq {least}")
+
+    async def reach(self, name: str, next_seq: Callable[[], int], wanted: int) -> None:
+        """Wait until `next_seq()` is at least `wanted` and the copy is ready, at most REACH_SECONDS_MAX.
+
+        Raises StaleBinding (MOVED) if the wait is over.
+        """
+        await self._wait(lambda: next_seq() >= wanted and self.is_ready, REACH_SECONDS_MAX)
+        self.check(name, next_seq(), Freshness(least_seq=wanted - 1))
+
+    async def ready(self, name: str, seconds_max: float) -> None:
+        """Wait until the copy can serve readers. Raises StaleBinding (MOVED) after `seconds_max`."""
+        await self._wait(lambda: self.is_ready, seconds_max)
+        self.check(name, 0, Freshness())
+
+    async def _wait(self, condition: Callable[[], bool], seconds_max: float) -> None:
+        try:
+            async with asyncio.timeout(seconds_max):
+                while not condition():
+                    await self._changed.wait()
+        except TimeoutError:
+            return
+
+
+def gone(name: str) -> StampedeError:
+    """The error for the readers of a copy that the host drops."""
+    return refusals.copy_cannot(name, "is removed")

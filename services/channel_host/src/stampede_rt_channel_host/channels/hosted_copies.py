@@ -1,0 +1,86 @@
+"""The copies of other hosts' channels at this host. They are in the table of the store, among its own channels."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.copy_state import Freshness, gone
+from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+
+class HostedCopies:
+    """Begins and drops copies. `channels` is the table of the store, `add` and `forget` change it.
+
+    `on_bound` is called if somebody binds a channel of which the directory has a copy here. It begins the copy, and
+    waits until it can serve readers.
+    """
+
+    def __init__(
+        self, channels: Mapping[bytes, HostedChannel], add: Callable[[RecordedChannel, CopyOf], HostedChannel],
+        forget: Callable[[bytes, StampedeError], None],
+    ) -> None:  # fmt: skip
+        self._channels = channels
+        self._add = add
+        self._forget = forget
+        self.on_bound: Callable[[RecordedChannel], Awaitable[None]] = _refuse
+
+    def of(self, channel_id: bytes) -> HostedChannel | None:
+        """The copy of the channel; None if there is none."""
+        hosted = self._channels.get(channel_id)
+        return None if hosted is None or hosted.copy is None else hosted
+
+    def find(self, channel_id: bytes, epoch: int, demand: Freshness) -> HostedChannel | None:
+        """The copy, if it meets the demand; None if there is no copy. Raises StaleBinding (MOVED) if it does not.
+
+        A copy also serves readers that know an earlier epoch, so that they need not ask the directory after each move.
+        """
+        hosted = self.of(channel_id)
+        if hosted is None or hosted.copy is None:
+            return None
+        if epoch > hosted.epoch:
+            raise refusals.copy_cannot(hosted.record.name, f"is at epoch {hosted.epoch}, and the request at {epoch}")
+        hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand)
+        return hosted
+
+    def begin(self, record: RecordedChannel, begun: CopyOf) -> HostedChannel:
+        """Make an empty copy of the channel. Drops a copy that there is; its readers get MOVED.
+
+        Raises Overloaded if the host has too many channels.
+        """
+        on_dropped, begun.state.on_dropped = begun.state.on_dropped, _nothing  # the same feed goes on
+        self._forget(record.channel_id, gone(record.name))
+        begun.state.on_dropped = on_dropped
+        return self._add(record, begun)
+
+    def drop(self, channel_id: bytes, error: StampedeError) -> None:
+        """Drop the copy of the channel, if there is one. Its readers get `error`."""
+        if self.of(channel_id) is not None:
+            self._forget(channel_id, error)
+
+
+def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError | None:
+    """The error for a read that has waited at a copy which no longer meets its demand; else None."""
+    try:
+        if hosted.copy is not None:
+            hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand or Freshness())
+    except StampedeError as error:
+        return error
+    return None
+
+
+def check_no_copy(hosted: HostedChannel) -> None:
+    """Raises StaleBinding (MOVED) for a read through a group at a copy, which does not know the cuts of groups."""
+    if hosted.copy is not None:
+        raise refusals.copy_cannot(hosted.record.name, "does not know the cuts of groups")
+
+
+def _nothing() -> None:
+    """Does nothing: the feed of a copy goes on."""
+
+
+async def _refuse(record: RecordedChannel) -> None:
+    """Refuse to begin a copy, until the host has said how."""
+    raise refusals.copy_cannot(record.name, "does not exist")

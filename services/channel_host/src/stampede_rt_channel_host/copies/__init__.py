@@ -1,0 +1,1 @@
+"""The shell of copies: the feeds to copies at other hosts, and the copies at this host."""

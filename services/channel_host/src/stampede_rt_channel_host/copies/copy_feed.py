@@ -1,0 +1,201 @@
+"""The copy's side of the stream that feeds it (paper, section 4.1: proxies)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, place_to, run_of
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Run
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
+REQUEST_SECONDS = 1.0  # the copy sends a request at least this often, and the source answers it
+BROKEN_AFTER_SECONDS = 3.0  # a source that is silent for so long has lost the copy
+RUNS_PER_TURN = 64  # to store a run takes about 15 us
+METHOD = "/stampede_rt.v1.ReplicaService/Feed"
+
+
+class CopyFeed:
+    """One stream from a source to the copy of one channel. `target` is the gatekeeper of this host."""
+
+    def __init__(
+        self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
+        bytes_per_second: int = 0,
+    ) -> None:  # fmt: skip
+        """`bytes_per_second`: the most that the copy takes; 0: without a limit."""
+        self._store = store
+        self._record = record
+        self._state = state
+        self._host_id = host_id
+        self._target = target
+        self._bytes_per_second = bytes_per_second
+        self._granted = WINDOW_BYTES
+        self._news = asyncio.Event()
+        self._lost_before: int | None = None
+
+    async def run(self, source: FeedSource, channel: grpc.aio.Channel) -> None:
+        """Feed the copy until the stream breaks. Raises the error that broke it."""
+        call = channel.stream_stream(
+            METHOD,
+            request_serializer=pb.FeedRequest.SerializeToString,
+            response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
+        )()
+        self._state.source_host_id = source.host_id
+        try:
+            async with asyncio.timeout(BROKEN_AFTER_SECONDS):
+                await call.write(self._request(self._opening(source)))
+            async with asyncio.TaskGroup() as sides:
+                writing = sides.create_task(self._write_all(call.write))
+                await self._read_all(call.read, source)
+                writing.cancel()
+        except BaseExceptionGroup as group:
+            raise _plain(group.exceptions[0], source.target) from group
+        except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
+            raise _plain(error, source.target) from error
+        finally:
+            call.cancel()
+
+    def _opening(self, source: FeedSource) -> pb.FeedOpen:
+        held = self._held()
+        return pb.FeedOpen(
+            channel_id=self._record.channel_id,
+            epoch=source.epoch,
+            host_id=self._host_id,
+            target=self._target,
+            place=None if held is None else place_to(_core(held).place),
+        )
+
+    def _held(self) -> HostedChannel | None:
+        return self._store.copies.of(self._record.channel_id)
+
+    def _request(self, opening: pb.FeedOpen | None = None) -> pb.FeedRequest:
+        held, granted, self._granted = self._held(), self._granted, 0
+        return pb.FeedRequest(
+            open=opening,
+            credit_bytes=granted,
+            sent_nanos=self._state.steady_nanos(),
+            subscriptions=0 if held is None else len(held.subscriptions),
+            ready=self._state.is_ready,
+        )
+
+    async def _write_all(self, write: Callable[[pb.FeedRequest], Any]) -> None:
+        while True:  # until `run` cancels this task, or an error ends it
+            try:
+                async with asyncio.timeout(REQUEST_SECONDS):
+                    await self._news.wait()
+            except TimeoutError:
+                pass
+            self._news.clear()
+            if self._bytes_per_second and self._granted:
+                await asyncio.sleep(self._granted / self._bytes_per_second)
+            await write(self._request())
+
+    async def _read_all(self, read: Callable[[], Any], source: FeedSource) -> None:
+        async for response in _responses(read):
+            await self._take(response)
+        raise Unavailable(f"the source at {source.target} has ended the feed")
+
+    async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
+        state = response.state
+        if response.HasField("opened"):
+            opened = response.opened
+            lost = opened.lost_before_unix_nano if opened.HasField("lost_before_unix_nano") else None
+            self._begin(state, begins_anew=opened.begins_anew, lost_before=lost)
+        elif state.HasField("channel"):
+            self._update(recorded_channel(state.channel))
+        await self._apply(state, [one.run for one in response.runs])
+
+    def _begin(self, state: pb.FeedState, *, begins_anew: bool, lost_before: int | None) -> None:
+        """Take over the channel as the source knows it. Begin an empty copy if the present one is of no use."""
+        record, held = recorded_channel(state.channel), self._held()
+        if held is None or begins_anew or held.record.incarnation != record.incarnation:
+            self._state.caught_up = False
+            self._store.copies.begin(record, CopyOf(self._state, lost_before))
+        else:
+            self._update(record)
+
+    def _update(self, record: RecordedChannel) -> None:
+        held = self._held()
+        if held is not None:
+            held.update(record)
+
+    async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes]) -> None:
+        """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last."""
+        charge_bytes, cleared, first_seq, rest = 0, cleared_of(state), state.first_seq, [*bodies]
+        while len(rest) > RUNS_PER_TURN:
+            some, rest = [run_of(body) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]
+            end_seq = some[-1].first_seq + len(some[-1])
+            charge_bytes += self._store_runs(some, first_seq=first_seq, cleared=cleared, next_seq=end_seq)
+            cleared, first_seq = None, end_seq
+            await asyncio.sleep(0)
+        charge_bytes += self._store_runs(
+            [run_of(body) for body in rest],
+            first_seq=first_seq,
+            cleared=cleared,
+            next_seq=state.next_seq,
+            collection=collection_of(state),
+            advance=advance_of(state),
+        )
+        self._note(state, charge_bytes)
+
+    def _store_runs(self, runs: Sequence[Run], **part: Any) -> int:
+        """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit."""
+        held, now = self._held(), self._store.now()
+        if held is None:
+            raise Unavailable("the copy was dropped")
+        held.make_room(sum(len(run.body) + len(run) * ITEM_OVERHEAD_BYTES for run in runs))
+        _core(held).apply(runs=runs, now=now, **{"collection": None, "advance": None} | part)
+        held.fed_part(now)
+        return sum(sum(run.lengths) + len(run) * ITEM_OVERHEAD_BYTES for run in runs)
+
+    def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
+        copy, held = self._state, self._held()
+        copy.heard_nanos = state.heard_nanos - state.staleness_nanos
+        copy.source_next_seq = state.source_next_seq
+        if not copy.caught_up and held is not None and held.channel.next_seq >= state.source_next_seq:
+            copy.caught_up = True
+            self._news.set()  # the source may send readers now
+        copy.note_progress()
+        if charge_bytes:
+            self._granted += charge_bytes
+            self._news.set()
+
+
+def _core(held: HostedChannel) -> FedChannel:
+    assert isinstance(held.channel, FedChannel), "the store has found a copy"
+    return held.channel
+
+
+async def _responses(read: Callable[[], Any]) -> AsyncIterator[raw_run_pb2.RawFeedResponse]:
+    while True:
+        async with asyncio.timeout(BROKEN_AFTER_SECONDS):
+            response = await read()
+        if not hasattr(response, "state"):  # gRPC's EOF has no fields
+            return
+        yield response
+
+
+def _plain(error: BaseException, target: str) -> BaseException:
+    """The error of the stream as one of the product's errors, if it is one of a broken stream."""
+    if isinstance(error, grpc.RpcError):
+        return from_rpc_error(error, target)
+    if isinstance(error, StampedeError):
+        return error
+    if isinstance(error, TimeoutError):
+        return Unavailable(f"the source at {target} was silent for {BROKEN_AFTER_SECONDS:g} s")
+    if isinstance(error, asyncio.InvalidStateError):  # grpc raises this for a write after the end of the call
+        return Unavailable(f"the stream to {target} is broken")
+    return error

@@ -1,0 +1,151 @@
+"""The source's side of the stream that feeds one copy (paper, section 4.1: proxies).
+
+As a subscription, it has a place in the channel and no queue. The items that came during one write go out in the next
+message. The source writes only if something has changed, or if the copy has sent a request since the last message.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.credit import Credit, requests_of
+from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.cluster.identity import ID_BYTES
+from stampede_rt_channel_host.cluster.records import channel_message
+from stampede_rt_channel_host.copies.messages import place_of, state_to
+from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
+from stampede_rt_runtime.access.control import current_work
+from stampede_rt_runtime.quotas.working import WRITE_NANOS
+from stampede_rt_runtime.rpc import Context
+
+FEEDS_MAX = 64  # of one channel at one host; the directory allows 16 copies, and a broken stream may linger
+WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
+
+
+class FeedStream:
+    """Feeds one copy. Observes its channel, on the event loop."""
+
+    def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._work = current_work()
+        self._news = asyncio.Event()
+        self._credit = Credit(self._news.set)
+        self._heard_nanos = 0  # the copy's clock, as its last request had it
+        self._sent_heard_nanos = -1
+        self._sent_record = b""
+
+    def wake(self) -> None:
+        """The channel has changed."""
+        self._news.set()
+
+    def end(self, error: StampedeError) -> None:
+        """The host does not serve the channel any more."""
+        self._stream.end(error)
+
+    async def run(self, request: pb.FeedRequest) -> None:
+        """Feed the copy until the stream ends. `request` is the first request of the stream.
+
+        Raises InvalidArgument, StaleBinding, Unavailable if this host is itself a copy that is behind, and Overloaded
+        if the channel has too many feeds or the copy takes nothing.
+        """
+        opening = request.open
+        if len(opening.host_id) != ID_BYTES or not opening.target:
+            raise InvalidArgument("the feed's open has no host_id of 16 bytes, or no target; state both")
+        hosted = await self._store.bind(opening.channel_id, opening.epoch)  # perhaps nobody has used it yet
+        if hosted.fed is None:
+            hosted.fed = FedCopies()
+        if len([*hosted.fed]) >= FEEDS_MAX:
+            raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
+        place = place_of(opening.place) if opening.HasField("place") else None
+        feed = ChannelFeed(hosted.channel, place, self._store.now())
+        copy = FedCopy(opening.host_id, opening.target, lambda: hosted.channel.next_seq - feed.next_seq)
+        hosted.fed.add(copy)
+        hosted.group_observers[self] = None
+        self._take(request, hosted, copy)
+        reading = self._stream.spawn(self._read(hosted, copy))
+        try:
+            await self._serve(hosted, feed)
+        finally:
+            reading.cancel()
+            feed.close()
+            hosted.group_observers.pop(self, None)
+            hosted.fed.discard(copy)
+
+    async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
+        async for raw in requests_of(self._context.read):
+            request: pb.FeedRequest = parse(pb.FeedRequest, raw, "FeedRequest")
+            if request.HasField("open"):
+                raise InvalidArgument("the stream is open already; leave `open` out after the first request")
+            self._take(request, hosted, copy)
+        self._credit.end()
+
+    def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
+        self._heard_nanos = request.sent_nanos
+        self._credit.grant(request.credit_bytes)
+        copy.report(request.subscriptions, ready=request.ready)
+        if hosted.fed is not None:
+            hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
+        self._news.set()
+
+    async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+        lost_before = hosted.channel.lost_before
+        opened = pb.FeedOpened(begins_anew=feed.begins_anew, lost_before_unix_nano=lost_before)
+        await self._write(self._response(hosted, self._bare(feed), opened))
+        while not self._credit.is_final:
+            if self._work.must_wait:
+                await self._work.turn()
+            self._news.clear()
+            part = feed.take(self._store.now(), max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
+            if part is not None:
+                await self._send(hosted, part)
+            elif self._owes_sign(hosted):
+                await self._write(self._response(hosted, self._bare(feed)))
+            else:
+                await self._news.wait()
+
+    async def _send(self, hosted: HostedChannel, part: FeedPart) -> None:
+        about = self._response(hosted, part)
+        delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
+        del part  # so that the runs are not kept in memory while the message is written
+        self._credit.spend(delivery.charge_bytes)
+        self._work.spend(WRITE_NANOS)
+        await self._write(delivery.encoded)
+
+    def _bare(self, feed: ChannelFeed) -> FeedPart:
+        """A part in which nothing has changed."""
+        return FeedPart(feed.next_seq, None, (), feed.next_seq, None, None)
+
+    def _owes_sign(self, hosted: HostedChannel) -> bool:
+        return self._heard_nanos != self._sent_heard_nanos or hosted.record.message != self._sent_record
+
+    def _response(self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None) -> bytes:
+        """The encoded message, without the part's items."""
+        state = state_to(part)
+        state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
+        state.source_next_seq = hosted.channel.next_seq
+        if hosted.copy is not None:
+            state.staleness_nanos = hosted.copy.staleness_nanos
+            state.source_next_seq = max(state.source_next_seq, hosted.copy.source_next_seq)
+        if hosted.record.message != self._sent_record:
+            self._sent_record = hosted.record.message
+            state.channel.CopyFrom(channel_message(hosted.record))
+        return pb.FeedResponse(opened=opened, state=state).SerializeToString()
+
+    async def _write(self, message: bytes) -> None:
+        try:
+            async with asyncio.timeout(WRITE_SECONDS_MAX):
+                await self._context.write(message)
+        except TimeoutError:
+            raise Overloaded(
+                f"the copy took nothing for {WRITE_SECONDS_MAX:g} s, and its feed is ended; feed it again when it can "
+                "take items"
+            ) from None

@@ -1,0 +1,183 @@
+"""The copies at this host: begins them, keeps their feeds, reports their loads, and ends those that were removed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from collections.abc import Callable, Iterator, Sequence
+from typing import NoReturn
+
+import grpc
+
+from stampede_rt.errors import ChannelNotFound, StampedeError, Unavailable
+from stampede_rt.v1 import replica_pb2, subject_pb2
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.copy_state import SERVED_STALENESS_NANOS_MAX, CopyState, gone
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.copy_feed import CopyFeed
+from stampede_rt_channel_host.copies.replica_directory import FeedSource, ReplicaDirectory
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+logger = logging.getLogger(__name__)
+
+COPIES_MAX = 1000  # the feeds of one host; each has a stream and two tasks
+READY_SECONDS_MAX = 5.0  # the longest wait of a caller that binds a new copy
+PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.1, 2.0
+REPORT_SECONDS = 2.0
+LOADS_MAX = 1000  # in one report
+
+
+class _Copy:
+    """One copy: its state, and the task that keeps its feed."""
+
+    def __init__(self, record: RecordedChannel, state: CopyState) -> None:
+        self.record = record
+        self.state = state
+        self.task: asyncio.Task[None] | None = None
+        self.delivered_bytes = 0  # at the last report
+
+
+class CopyKeeper:
+    """Keeps the copies of one host, on its event loop. `dial` opens connections to other hosts."""
+
+    def __init__(
+        self, identity: HostIdentity, store: ChannelStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel], bytes_per_second: int = 0,
+    ) -> None:  # fmt: skip
+        """`bytes_per_second`: the most that each feed takes; 0: without a limit."""
+        self._identity = identity
+        self._store = store
+        self._directory = directory
+        self._dial = dial
+        self._bytes_per_second = bytes_per_second
+        self._copies: dict[bytes, _Copy] = {}
+        store.copies.on_bound = self.begin
+        self.target = ""  # the gatekeeper of this host; set before the host gets a lease
+
+    async def begin(self, record: RecordedChannel) -> None:
+        """Begin the copy of a channel unless there is one, and wait until it can serve readers.
+
+        Waits READY_SECONDS_MAX at most. Raises StaleBinding (MOVED) if the copy cannot serve readers by then, and
+        Unavailable if this host has too many copies.
+        """
+        copy = self._copies.get(record.channel_id)
+        if copy is None:
+            if len(self._copies) >= COPIES_MAX:
+                raise Unavailable(f"host {self._identity.name} has {COPIES_MAX} copies, the limit; use another host")
+            copy = self._copies[record.channel_id] = _Copy(record, CopyState())
+            copy.state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
+            copy.task = asyncio.create_task(self._keep(copy), name=f"copy of {record.name}")
+            copy.task.add_done_callback(_check)
+            logger.info("a copy begins", extra={"channel": record.name})
+        await copy.state.ready(record.name, READY_SECONDS_MAX)
+
+    async def report_forever(self) -> NoReturn:
+        """Report the loads of copies and of the channels with copies every REPORT_SECONDS."""
+        while True:  # paced by the sleep
+            await asyncio.sleep(REPORT_SECONDS)
+            if loads := [*self._loads()]:
+                await self._report(loads)
+
+    async def aclose(self) -> None:
+        """End all feeds."""
+        tasks = [copy.task for copy in self._copies.values() if copy.task is not None]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _keep(self, copy: _Copy) -> None:
+        pause_s = PAUSE_SECONDS_MIN
+        while True:  # paced by the sleep; `_stop` cancels this task
+            try:
+                source = await self._source_of(copy)
+                if source is None:
+                    return
+                if source.target and self._store.lease_held():
+                    await self._feed(copy, source)
+            except StampedeError as error:
+                extra = {"channel": copy.record.name, "why": str(error)}
+                logger.info("the feed of a copy is broken; the host tries again", extra=extra)
+            if copy.state.staleness_nanos < 2 * PAUSE_SECONDS_MAX * 10**9:
+                pause_s = PAUSE_SECONDS_MIN
+            await self._pause(copy, pause_s)
+            pause_s = min(2 * pause_s, PAUSE_SECONDS_MAX)
+
+    async def _source_of(self, copy: _Copy) -> FeedSource | None:
+        """The source of the copy. None if the directory has the copy no more; then drops the copy."""
+        channel_id, name = copy.record.channel_id, copy.record.name
+        try:
+            source = await self._directory.source_of(channel_id, self._identity.host_id)
+        except ChannelNotFound:
+            self._end(channel_id, refusals.deleted(name))
+            return None
+        if source is None:
+            self._end(channel_id, gone(name))
+        return source
+
+    async def _feed(self, copy: _Copy, source: FeedSource) -> None:
+        channel = self._dial(source.target)
+        feed = CopyFeed(
+            self._store, copy.record, copy.state, self._identity.host_id, self.target, self._bytes_per_second
+        )
+        try:
+            await feed.run(source, channel)
+        finally:
+            copy.state.reconnects += 1
+            await channel.close(None)
+
+    async def _pause(self, copy: _Copy, pause_s: float) -> None:
+        """Wait before the next try. End the readers of a copy that is too old by then."""
+        await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
+        held = self._store.copies.of(copy.record.channel_id)
+        if held is not None and copy.state.staleness_nanos > SERVED_STALENESS_NANOS_MAX:
+            self._store.scheduler.begin(held.ending(refusals.copy_cannot(copy.record.name, "has lost its source")))
+
+    def _end(self, channel_id: bytes, error: StampedeError) -> None:
+        """Drop a copy; its readers get `error`."""
+        self._stop(channel_id, error.message)
+        self._store.copies.drop(channel_id, error)
+
+    def _stop(self, channel_id: bytes, why: str) -> None:
+        """Stop the feed of a copy. Idempotent."""
+        copy = self._copies.pop(channel_id, None)
+        if copy is None:
+            return
+        logger.info("a copy ends", extra={"channel": copy.record.name, "why": why})
+        if copy.task is not None and copy.task is not asyncio.current_task():
+            copy.task.cancel()
+
+    def _loads(self) -> Iterator[replica_pb2.ReplicaLoad]:
+        for channel_id, copy in [*self._copies.items()][:LOADS_MAX]:
+            held = self._store.copies.of(channel_id)
+            delivered = 0 if held is None else held.delivered_bytes
+            rate, copy.delivered_bytes = max(0, delivered - copy.delivered_bytes) / REPORT_SECONDS, delivered
+            yield replica_pb2.ReplicaLoad(
+                subject=subject_pb2.Subject(channel_id=channel_id),
+                host_id=self._identity.host_id,
+                subscriptions=0 if held is None else len(held.subscriptions),
+                delivered_bytes_per_second=round(rate),
+                next_seq=0 if held is None else held.channel.next_seq,
+                lag_nanos=copy.state.staleness_nanos,
+            )
+
+    async def _report(self, loads: list[replica_pb2.ReplicaLoad]) -> None:
+        identity = self._identity
+        try:
+            removed = await self._directory.report(identity.host_id, identity.boot_incarnation, loads)
+            await self._check_removed(removed)
+        except StampedeError as error:
+            logger.debug("the loads of copies were not reported", extra={"why": str(error)})
+
+    async def _check_removed(self, channel_ids: Sequence[bytes]) -> None:
+        """Ask the directory for the copies that its leader does not know, and drop those that are gone."""
+        for channel_id in channel_ids:
+            copy = self._copies.get(channel_id)
+            if copy is not None:
+                await self._source_of(copy)
+
+
+def _check(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (failure := task.exception()) is not None:
+        logger.error("a copy has ended with a defect", exc_info=failure, extra={"task": task.get_name()})

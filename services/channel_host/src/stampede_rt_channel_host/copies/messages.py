@@ -1,0 +1,107 @@
+"""Converts the parts of feeds to and from protobuf (`replica_service.proto`)."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import item_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.core.channel import FIRST_KEY, Collection, FeedPart, FeedPlace, ItemKey, Run, make_run
+
+_CAUSES = {
+    "age": pb.FEED_CAUSE_AGE,
+    "count": pb.FEED_CAUSE_COUNT,
+    "bytes": pb.FEED_CAUSE_BYTES,
+    "consumption": pb.FEED_CAUSE_CONSUMPTION,
+}
+_FROM_CAUSES: dict[int, str] = {number: cause for cause, number in _CAUSES.items()}
+
+
+def place_to(place: FeedPlace) -> pb.FeedPlace:
+    """The place of a copy, as a message."""
+    return pb.FeedPlace(incarnation=place.incarnation, next_seq=place.next_seq, floor_resets=place.floor_resets)
+
+
+def place_of(message: pb.FeedPlace) -> FeedPlace:
+    """The place of a copy, from a message. Raises InvalidArgument for a place without a seq."""
+    if not message.next_seq:
+        raise InvalidArgument("the feed's place has no next_seq; leave the place out for a copy that holds nothing")
+    return FeedPlace(message.incarnation, message.next_seq, message.floor_resets)
+
+
+def state_to(part: FeedPart) -> pb.FeedState:
+    """The facts of a part, without its items and without the facts about the source itself."""
+    return pb.FeedState(
+        first_seq=part.first_seq,
+        next_seq=part.next_seq,
+        cleared=None if part.cleared is None else _key_to(part.cleared),
+        collection=None if part.collection is None else _collection_to(part.collection),
+        advance_unix_nano=part.advance,
+    )
+
+
+def cleared_of(state: pb.FeedState) -> ItemKey | None:
+    """The key below which the copy drops its items before it takes the part; None: it drops none."""
+    return _key_of(state.cleared) if state.HasField("cleared") else None
+
+
+def collection_of(state: pb.FeedState) -> Collection | None:
+    """What retention has taken; None: as before. Raises InvalidArgument for an unknown cause."""
+    if not state.HasField("collection"):
+        return None
+    message = state.collection
+    return Collection(
+        _key_of(message.floor) if message.HasField("floor") else FIRST_KEY,
+        message.floor_resets,
+        _cause_of(message.last_cause),
+        message.newest_collected_unix_nano if message.HasField("newest_collected_unix_nano") else None,
+        message.collected_end_unix_nano if message.HasField("collected_end_unix_nano") else None,
+        _cause_of(message.collected_by),
+        message.newest_consumed_unix_nano if message.HasField("newest_consumed_unix_nano") else None,
+        message.came_up_to_unix_nano if message.HasField("came_up_to_unix_nano") else None,
+    )
+
+
+def advance_of(state: pb.FeedState) -> int | None:
+    """The advance; None: as before."""
+    return state.advance_unix_nano if state.HasField("advance_unix_nano") else None
+
+
+def run_of(body: bytes) -> Run:
+    """The run of a feed, as the copy stores it. Raises InvalidArgument if the source sends no valid run."""
+    run = item_pb2.ItemRun.FromString(body)
+    lengths, times = run.payload_length_bytes, run.time_unix_nano
+    if not lengths or len(times) != len(lengths) or len(run.duration_nanos) not in (0, len(lengths)):
+        raise InvalidArgument("the feed has a run whose columns disagree; install the same release on both hosts")
+    return make_run(run.first_seq, list(times), list(run.duration_nanos) or None, list(lengths), body)
+
+
+def _collection_to(collection: Collection) -> pb.FeedCollection:
+    return pb.FeedCollection(
+        floor=None if collection.floor == FIRST_KEY else _key_to(collection.floor),
+        floor_resets=collection.floor_resets,
+        last_cause=_CAUSES[collection.last_cause],
+        newest_collected_unix_nano=collection.newest_collected,
+        collected_end_unix_nano=_clamped(collection.collected_end),
+        collected_by=_CAUSES[collection.collected_by],
+        newest_consumed_unix_nano=collection.newest_consumed,
+        came_up_to_unix_nano=collection.came_up_to,
+    )
+
+
+def _cause_of(number: int) -> str:
+    if number not in _FROM_CAUSES:
+        raise InvalidArgument(f"the feed names cause {number}; install the same release on both hosts")
+    return _FROM_CAUSES[number]
+
+
+def _key_to(key: ItemKey) -> pb.FeedKey:
+    return pb.FeedKey(time_unix_nano=key[0], seq=key[1])
+
+
+def _key_of(message: pb.FeedKey) -> ItemKey:
+    return message.time_unix_nano, message.seq
+
+
+def _clamped(instant: int | None) -> int | None:
+    """The instant, at most the greatest int64: a span may end later."""
+    return None if instant is None else min(instant, 2**63 - 1)

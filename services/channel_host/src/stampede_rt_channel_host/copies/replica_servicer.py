@@ -1,0 +1,39 @@
+"""ReplicaService on the wire: feeds to copies at other hosts."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.requests import opening_of
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_runtime.rpc import Context
+
+SERVICE = "stampede_rt.v1.ReplicaService"
+
+
+class ReplicaServicer:
+    """Serves ReplicaService. `streams` ends all open streams when the host ends."""
+
+    def __init__(self, store: ChannelStore, streams: OpenStreams) -> None:
+        self._store = store
+        self._streams = streams
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        """Add the method of ReplicaService to `server`. Its handler reads and writes encoded messages."""
+        handlers: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
+            "Feed": grpc.stream_stream_rpc_method_handler(self.feed)
+        }
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
+        server.add_registered_method_handlers(SERVICE, handlers)
+
+    async def feed(self, requests: AsyncIterator[bytes], context: Context) -> None:
+        """ReplicaService.Feed: between hosts only."""
+        async with self._streams.serve(context) as stream:
+            request: pb.FeedRequest = opening_of(await context.read(), pb.FeedRequest, "FeedRequest")
+            await FeedStream(self._store, context, stream).run(request)

@@ -1,0 +1,107 @@
+"""Subscriptions of a test, each in a thread, and a producer: what everybody must have seen at the end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import stampede_rt as st
+from tests.support.waiting import wait_until
+
+PUT_PAUSE_S = 0.002
+
+
+class Reading:
+    """One subscription, and the seqs that it got."""
+
+    def __init__(self, subscription: Any) -> None:
+        self.subscription = subscription
+        self.seqs: list[int] = []
+        self.error: st.StampedeError | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            for item in self.subscription:
+                self.seqs.append(item.seq)
+        except st.StampedeError as error:
+            self.error = error
+
+    @property
+    def last(self) -> int:
+        return self.seqs[-1] if self.seqs else 0
+
+    def close(self) -> None:
+        self.subscription.close()
+        self._thread.join(20)
+
+
+class Producing:
+    """Puts small items, one after the other, until it is stopped."""
+
+    def __init__(self, channel: Any) -> None:
+        self._channel = channel
+        self._stop = threading.Event()
+        self.last = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(PUT_PAUSE_S):
+            self.last = self._channel.put(b"an item").seq
+
+    def stop(self) -> int:
+        """The seq of the last item."""
+        self._stop.set()
+        self._thread.join(20)
+        return self.last
+
+
+@contextmanager
+def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) -> Iterator[list[Reading]]:
+    """So many subscriptions of a channel."""
+    readers = [Reading(channel.subscribe(start, **options)) for _ in range(count)]
+    try:
+        yield readers
+    finally:
+        for reader in readers:
+            reader.close()
+
+
+@contextmanager
+def produced(channel: Any) -> Iterator[Producing]:
+    """A producer that is stopped at the end, whatever happens."""
+    producing = Producing(channel)
+    try:
+        yield producing
+    finally:
+        producing.stop()
+
+
+def all_saw(readers: list[Reading], last: int) -> None:
+    """Every reader got each item up to `last` once and in order."""
+    wait_until(lambda: all(reader.last >= last or reader.error for reader in readers), f"all have seen seq {last}")
+    for reader in readers:
+        assert reader.error is None, reader.error
+        assert reader.seqs == [*range(reader.seqs[0], last + 1)]
+
+
+def passes(producing: Producing, items: int) -> None:
+    """Let so many further items be put."""
+    goal = producing.last + items
+    wait_until(lambda: producing.last >= goal, f"{items} further items")
+
+
+def eventually(holds: Callable[[], Any], what: str) -> None:
+    """`wait_until`, for conditions that ask the cluster, which may not answer for a moment."""
+
+    def asked() -> bool:
+        try:
+            return bool(holds())
+        except st.StampedeError:
+            return False
+
+    wait_until(asked, what)

@@ -1,0 +1,126 @@
+"""Owners and proxies that are killed or frozen, and links that are cut: readers go on, or hear of the loss."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceProcess
+from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.support.cluster import cluster_fixture, running_cluster
+from tests.support.cutting_relay import CUTS, CuttingRelay
+
+cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
+READY_S = 40.0
+
+
+@contextmanager
+def frozen(process: ServiceProcess) -> Iterator[None]:
+    """The process is stopped meanwhile."""
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+
+
+def opened(rt: Any) -> Any:
+    return rt.channel("cam", max_items=100_000, host="h1")
+
+
+def has_readers(rt: Any, channel: Any, host: str) -> bool:
+    return any(one.host == host and one.subscriptions for one in rt.proxies(channel))
+
+
+def test_readers_of_a_killed_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = opened(rt)
+        rt.proxy(channel, "h2")
+        with reading(channel, 6) as readers, produced(channel) as producing:
+            eventually(lambda: has_readers(rt, channel, "h2"), "some are at the proxy")
+            cluster.hosts[1].kill()
+            passes(producing, 100)
+            all_saw(readers, producing.stop())
+            eventually(lambda: rt.proxies(channel) == [], "the directory has it no more")
+            assert channel.stats().subscriptions == 6
+
+
+def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = opened(rt)
+        rt.proxy(channel, "h2")
+        with reading(channel, 4) as readers, produced(channel) as producing:
+            eventually(lambda: has_readers(rt, channel, "h2"), "some are at the proxy")
+            with frozen(cluster.hosts[1]):
+                passes(producing, 100)
+                eventually(lambda: channel.stats().subscriptions == 4, "all are at the owner")
+                all_saw(readers, producing.stop())
+
+
+def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> None:
+    """For less than the lease: the owner comes back with its items, and the proxy continues where it was."""
+    with st.connect(cluster.address) as rt:
+        channel = opened(rt)
+        rt.proxy(channel, "h2")
+        with reading(channel, 4) as readers:
+            first = channel.put(b"an item").seq
+            with frozen(cluster.hosts[0]):
+                eventually(lambda: all(one.last == first for one in readers if one.seqs), "they wait")
+            with produced(channel) as producing:
+                passes(producing, 50)
+                all_saw(readers, producing.stop())
+            eventually(lambda: rt.proxies(channel)[0].ready, "the proxy serves readers")
+
+
+def test_after_the_owner_was_killed_the_readers_hear_of_the_loss_and_the_proxy_follows_the_new_owner(
+    cluster: LocalCluster,
+) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = opened(rt)
+        rt.proxy(channel, "h2")
+        incarnation = channel.incarnation
+        with reading(channel, 4) as readers:
+            all_saw(readers, channel.put(b"an item").seq)
+            cluster.hosts[0].kill()
+            item = channel.put(b"of the next incarnation")
+            assert item.incarnation != incarnation
+            eventually(
+                lambda: all(isinstance(one.error, st.IncarnationLost) for one in readers), "all hear of the loss"
+            )
+        if channel.host != "h2":  # else the proxy's host has become the owner, and the proxy has ended
+            eventually(lambda: rt.proxies(channel)[0].ready, "the proxy follows the new owner")
+            eventually(lambda: rt.proxies(channel)[0].held == 1, "it has the items of the new incarnation alone")
+        with reading(channel, 4) as readers:
+            all_saw(readers, item.seq)
+
+
+def test_a_proxy_goes_on_over_a_link_that_is_cut(tmp_path: Any) -> None:
+    """The link from the owner to the proxy breaks in all ways; the readers of the proxy miss and repeat nothing."""
+    with running_cluster(hosts=1, supernodes=1) as cluster:
+        port, inner_port = free_ports(2)
+        words = ["--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", "relayed"]
+        words += ["--frontend", cluster.address, "--secret-file", str(cluster.secret_file)]
+        owner = ServiceProcess("relayed host", "stampede_rt_channel_host", words)
+        with CuttingRelay(port, inner_port) as relay:
+            owner.start()
+            try:
+                owner.wait_ready(READY_S)
+                with st.connect(cluster.address) as rt:
+                    channel = rt.channel("cam", max_items=100_000, host="relayed")
+                    rt.proxy(channel, "h1")
+                    with reading(channel, 4) as readers, produced(channel) as producing:
+                        eventually(lambda: has_readers(rt, channel, "h1"), "some are at the proxy")
+                        for how in CUTS:
+                            passes(producing, 30)
+                            relay.cut(how)
+                        passes(producing, 30)
+                        all_saw(readers, producing.stop())
+                        eventually(lambda: rt.proxies(channel)[0].reconnects >= 1, "the feed was opened again")
+            finally:
+                owner.stop()

@@ -1,0 +1,57 @@
+"""The parts of feeds, there and back."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_channel_host.copies.messages import (
+    advance_of,
+    cleared_of,
+    collection_of,
+    place_of,
+    place_to,
+    run_of,
+    state_to,
+)
+from stampede_rt_channel_host.core.channel import FIRST_KEY, Collection, FeedPart, FeedPlace
+
+FULL = Collection((5, 7), 3, "bytes", 4, 2**63 + 5, "age", 2, 9)
+EMPTY = Collection(FIRST_KEY, 0, "age", None, None, "age", None, None)
+
+
+@pytest.mark.parametrize("collection", [FULL, EMPTY])
+def test_what_retention_has_taken_comes_back_as_it_was(collection: Collection) -> None:
+    state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6))
+    clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
+    assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped
+    assert (cleared_of(state), advance_of(state), state.first_seq, state.next_seq) == ((1, 2), 6, 2, 8)
+
+
+def test_what_has_not_changed_is_left_out() -> None:
+    state = state_to(FeedPart(2, None, (), 2, None, None))
+    assert (cleared_of(state), collection_of(state), advance_of(state)) == (None, None, None)
+
+
+def test_a_place_comes_back_as_it_was_and_needs_a_seq() -> None:
+    place = FeedPlace(11, 12, 13)
+    assert place_of(place_to(place)) == place
+    with pytest.raises(InvalidArgument, match="no next_seq"):
+        place_of(pb.FeedPlace(incarnation=11))
+
+
+def test_a_run_is_stored_with_the_bytes_that_came() -> None:
+    body = seal_run(encode_run([b"a", b"bc"], times=[3, 1], durations=[-1, 4]), 20)
+    run = run_of(body)
+    assert run.body == body
+    assert ([*run.times], [*(run.durations or ())], [*run.lengths]) == ([3, 1], [-1, 4], [1, 2])
+    assert run.first_seq == 20
+
+
+def test_a_source_that_sends_nonsense_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="columns disagree"):
+        run_of(encode_run([b"a"], times=None))
+    with pytest.raises(InvalidArgument, match="cause 0"):
+        collection_of(pb.FeedState(collection=pb.FeedCollection()))
