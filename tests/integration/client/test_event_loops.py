@@ -69,3 +69,57 @@ async def test_a_use_on_another_event_loop_is_refused_and_disturbs_nothing(clust
             await things.channel.put(b"2")
             assert (await things.channel.newest()).payload == b"2"
             things.subscription.close()
+
+
+def watched(things: Things) -> list[tuple[Any, Callable[[], object]]]:
+    """Handles that run in the background or can be iterated, each with its method that ends it."""
+    handles = [
+        things.subscription,
+        things.group.subscribe(),
+        things.group.match(things.channel, tolerance="1s"),
+        things.rt.watch(),
+    ]
+    running = [things.channel.on_item(print), things.channel.sample(lambda: None)]
+    return [(one, one.close) for one in handles] + [(one, one.cancel) for one in running]
+
+
+@pytest.mark.parametrize("on_a_loop", [True, False])
+async def test_what_ends_a_handle_is_refused_on_another_thread(cluster: LocalCluster, on_a_loop: bool) -> None:
+    async with aio.connect(cluster.address) as rt:
+        things = Things(rt)
+        await things.prepare()
+        ends = watched(things)
+
+        def elsewhere(end: Callable[[], object]) -> None:
+            async def run() -> None:
+                end()
+
+            with pytest.raises(st.WrongEventLoop, match="call_soon_threadsafe"):
+                asyncio.run(run()) if on_a_loop else end()
+
+        for _, end in ends:
+            await asyncio.to_thread(elsewhere, end)
+        await things.channel.put(b"2")
+        assert (await anext(things.subscription)).payload == b"2", "nothing has ended it"
+        loop = asyncio.get_running_loop()
+        for _, end in ends:
+            await asyncio.to_thread(loop.call_soon_threadsafe, end)
+        with pytest.raises(StopAsyncIteration):
+            async with asyncio.timeout(20):
+                await anext(things.subscription)
+
+
+def test_a_handle_can_be_ended_once_its_loop_has_ended(cluster: LocalCluster) -> None:
+    async def opened() -> Any:
+        rt = await aio.connect(cluster.address)
+        channel = await rt.channel("loops/left")
+        await channel.put(b"1")
+        subscription = channel.subscribe(start=st.OLDEST)
+        await anext(subscription)
+        return rt, subscription
+
+    with asyncio.Runner() as runner:
+        rt, subscription = runner.run(opened())
+        subscription.close()  # the loop stands still
+        runner.run(rt.aclose())
+    subscription.close()

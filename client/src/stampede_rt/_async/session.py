@@ -126,6 +126,10 @@ class Session:
         """Raise ForkedProcess in a forked child, WrongEventLoop on another event loop."""
         self.endpoints.check_process()
 
+    def check_thread(self) -> None:
+        """Raise WrongEventLoop on another thread than the one that runs the connection's event loop."""
+        self.endpoints.check_thread()
+
     def check(self) -> None:
         """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
         self.check_process()

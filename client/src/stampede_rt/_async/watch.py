@@ -81,8 +81,10 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
     def close(self) -> None:
         """End the watch.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
+        it raises WrongEventLoop.
         """
+        self._session.check_thread()
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream

@@ -62,6 +62,11 @@ class EndpointPool:
         forking.check(self._forks)
         self._event_loop.check()
 
+    def check_thread(self) -> None:
+        """Raise WrongEventLoop on another thread than the one that runs the connection's event loop."""
+        if not self.inherited:  # in a forked child nothing runs that loop
+            self._event_loop.check_thread()
+
     def _look_at_certificates(self) -> None:
         material = self.credentials.material()
         if material is not self._material:

@@ -119,8 +119,10 @@ class MatchSubscription(BoundToProcess):
     def close(self) -> None:
         """End the subscription.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
+        it raises WrongEventLoop.
         """
+        self._group.session.check_thread()
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream

@@ -149,6 +149,21 @@ class EventLoopCheck:
                 "connection's loop with asyncio.run_coroutine_threadsafe"
             )
 
+    def check_thread(self) -> None:
+        """Raise WrongEventLoop on another thread than the one that runs the loop at present.
+
+        asyncio does not notice such a call, and may go on without a look at what it has changed.
+        """
+        try:
+            running = asyncio.get_running_loop()
+        except RuntimeError:
+            running = None
+        if self._loop is not None and running is not self._loop and (running is not None or self._loop.is_running()):
+            raise WrongEventLoop(
+                "this handle belongs to the event loop of another thread; call the method there, with "
+                "loop.call_soon_threadsafe"
+            )
+
 
 class BackgroundTask:
     """A task of the library. `operation` must handle its errors itself."""

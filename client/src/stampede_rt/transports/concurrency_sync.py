@@ -186,6 +186,9 @@ class EventLoopCheck:
     def check(self) -> None:
         """Do nothing."""
 
+    def check_thread(self) -> None:
+        """Do nothing."""
+
 
 class BackgroundStart:
     """A handle that has started when the program gets it. The handle of the asyncio client starts in the background."""
