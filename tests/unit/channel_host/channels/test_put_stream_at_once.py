@@ -83,6 +83,21 @@ async def test_puts_that_come_together_are_acked_together_and_in_order() -> None
         assert acks_in(stream.send(put_of(channel, 31)))[0].first_seq == 31
 
 
+async def test_the_runs_of_a_producer_that_come_one_by_one_are_acked_at_once() -> None:
+    async with stream_of("Put") as (stream, channel):
+        assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == 1
+        for number in (2, 3):
+            [ack] = acks_in(stream.send(put_request(b"", number, run_parts((b"x",), times=None), 10**9)))
+            assert (ack.first_number, ack.first_seq) == (number, number)
+
+
+async def test_a_first_run_that_names_no_channel_is_refused() -> None:
+    async with stream_of("Put") as (stream, _):
+        assert stream.send(put_request(b"", 1, run_parts((b"x",), times=None), 10**9)) == []
+        [refusal] = acks_in(await stream.until_written(1))
+        assert "names no channel" in refusal.error.message
+
+
 async def test_a_put_that_may_wait_for_room_goes_to_the_stream() -> None:
     policy = {"max_items": 1, "max_age": "10s", "on_full": "block"}
     async with stream_of("Put", **policy) as (stream, channel):

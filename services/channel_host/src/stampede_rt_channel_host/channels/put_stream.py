@@ -115,20 +115,23 @@ class PutStream:
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
     def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
-        """Judge a single put, which surely need not wait, and write its ack. Returns False for any other message."""
+        """Judge the only run of a request, which surely need not wait, and write its ack.
+
+        Returns False for any other message.
+        """
         is_idle = not (self._acks or self._is_writing or self._whole.is_joining or self._requests.is_ahead)
         if not is_idle or len(raw) > SHORT_BYTES or raw[:1] == PIECE_TAG:
             return False
         try:
             request = read_request(raw)
-            if not request.channel_id or len(request.puts) != 1:
-                return False
-            if self._store.find(request.channel_id, request.epoch).puts.may_wait:
+            names = bool(request.channel_id)
+            channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
+            if len(request.puts) != 1 or self._store.find(channel_id, epoch).puts.may_wait:
                 return False
         except StampedeError:  # the loop that reads the requests comes to the same error
             return False
-        self._channel_id, self._epoch = request.channel_id, request.epoch
-        self._producer_id = request.producer_id
+        if names:
+            self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
         ack = self._judge(request.puts[0], time.monotonic())
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
         write(pb.PutResponse(acks=[ack]).SerializeToString())
