@@ -13,7 +13,7 @@ from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import serving
 from stampede_rt_runtime.tls import load_tls
-from stampede_rt_supernode.joining.probe import Finding, Probe
+from stampede_rt_supernode.joining.probe import Probe, ProbeResult
 from stampede_rt_supernode.replica import DirectoryReplica
 from tests.support.supernode.memory_log import OTHER, MemoryLog
 
@@ -32,6 +32,6 @@ async def test_a_member_of_another_authority_is_logged_once_with_the_reason(
             await probe.round()
             await probe.round()
         await probe._hang_up([server.address])
-    assert probe.finding("s2") == Finding(False, None)
+    assert probe.finding("s2") == ProbeResult(False, None)
     (told,) = [record.getMessage() for record in caplog.records if "member s2" in record.getMessage()]
     assert told.startswith("no certificates in common with member s2: the certificate of localhost:")

@@ -23,7 +23,7 @@ PROBE_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ProbeResult:
     """The result of the last probe of a member. `healthy`: the member has answered that it can serve.
 
     `round_trip_nanos` is None if the member did not answer. `clock`: how far this supernode's clock is ahead of the
@@ -53,9 +53,9 @@ class Probe:
         self._logged: dict[str, str] = {}  # address -> the last logged reason why the member refuses this one
         self._dial = dial
         self._channels: dict[str, grpc.aio.Channel] = {}
-        self._findings: dict[str, Finding] = {}
+        self._findings: dict[str, ProbeResult] = {}
 
-    def finding(self, member_id: str) -> Finding | None:
+    def finding(self, member_id: str) -> ProbeResult | None:
         """The result of the last probe of a member; None before the first probe."""
         return self._findings.get(member_id)
 
@@ -85,7 +85,7 @@ class Probe:
         findings = await asyncio.gather(*(self._ask(member) for member in others))
         self._findings = {member.member_id: found for member, found in zip(others, findings, strict=True)}
 
-    async def _ask(self, member: Member) -> Finding:
+    async def _ask(self, member: Member) -> ProbeResult:
         channel = self._channels.get(member.address)
         if channel is None:
             channel = self._channels[member.address] = self._dial(member.address)
@@ -95,7 +95,7 @@ class Probe:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
         except grpc.aio.AioRpcError:  # whatever the reason, this supernode cannot reach the member
             await self._tell_why(member)
-            return Finding(False, None)
+            return ProbeResult(False, None)
         self._logged.pop(member.address, None)
         took = time.monotonic_ns() - began
         clock = ClockOffset.measured(
@@ -104,7 +104,7 @@ class Probe:
             told_unix_nano=pong.time_unix_nano,
             supernode=member.member_id,
         )
-        return Finding(pong.ready, took, clock)
+        return ProbeResult(pong.ready, took, clock)
 
     async def _tell_why(self, member: Member) -> None:
         """Log once that certificates are the reason why the member does not answer, if they are the reason."""
