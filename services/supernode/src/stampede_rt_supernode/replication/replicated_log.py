@@ -24,7 +24,7 @@ from stampede_rt_supernode.replication.interface import (
 from stampede_rt_supernode.replication.network.hello import introduction
 from stampede_rt_supernode.replication.network.links import PeerLinks
 from stampede_rt_supernode.replication.network.peer_link import Dial
-from stampede_rt_supernode.replication.network.refusals import Grounds
+from stampede_rt_supernode.replication.network.refusals import RefusalGrounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
@@ -136,9 +136,9 @@ class PySyncObjLog:
             return status
         return replace(
             status,
-            removed=confirmed is Grounds.REMOVED,
-            has_lost_store=confirmed in (Grounds.ANOTHER_STORE, Grounds.NO_STORE),
-            has_old_store=confirmed is Grounds.OLDER_STORE,
+            removed=confirmed is RefusalGrounds.REMOVED,
+            has_lost_store=confirmed in (RefusalGrounds.ANOTHER_STORE, RefusalGrounds.NO_STORE),
+            has_old_store=confirmed is RefusalGrounds.OLDER_STORE,
             other_cluster=links.other_cluster,
             too_old=too_old,
             refused=refused,

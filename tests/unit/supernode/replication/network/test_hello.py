@@ -10,7 +10,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import HelloRefusal, introduction, refusal_of
 from stampede_rt_supernode.replication.network.links import PeerLinks
-from stampede_rt_supernode.replication.network.refusals import Grounds
+from stampede_rt_supernode.replication.network.refusals import RefusalGrounds
 from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
@@ -69,7 +69,7 @@ def test_the_word_of_the_leader_or_of_most_ends_an_old_release_with_a_vote_and_a
     links = Links3(leader_id)
     for member_id in refusing:
         links.hear(member_id, refused(knows=1, cluster=2))
-    assert links.outdated.confirmed is Grounds.TOO_OLD
+    assert links.outdated.confirmed is RefusalGrounds.TOO_OLD
     assert "it knows feature level 1, and the cluster is at level 2 (says s1" in links.outdated.why
     assert links.done == [], "neither is it disputed, nor is its folder marked"
     assert not links.refusals.by
@@ -81,7 +81,7 @@ def test_what_two_members_say_of_two_things_does_not_add_up() -> None:
     links.hear("s3", refused(term=0))
     assert links.outdated.confirmed is links.refusals.confirmed is None
     links.hear("s1", refused(term=0))
-    assert links.refusals.confirmed is Grounds.OLDER_STORE
+    assert links.refusals.confirmed is RefusalGrounds.OLDER_STORE
     assert not links.outdated.by, "s1 takes the release now"
 
 

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.network.hello import (
     REMOVED,
     UNKNOWN,
 )
-from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
+from stampede_rt_supernode.replication.network.refusals import RefusalGrounds, Refusals, grounds_of
 
 COPY = f"PERMISSION_DENIED: 'a' {OLDER_STORE}: it held term 3 before"
 
@@ -38,7 +38,7 @@ def test_the_leader_or_most_of_the_others_confirm_a_refusal(
     refusals = Refusals()
     outcomes = [refusals.refused(name, COPY, others=others, leader_id=leader_id) for name in refusing]
     assert outcomes[-1] is confirmed
-    assert (refusals.confirmed is Grounds.OLDER_STORE) is confirmed
+    assert (refusals.confirmed is RefusalGrounds.OLDER_STORE) is confirmed
     assert not any(outcomes[:-1])
 
 

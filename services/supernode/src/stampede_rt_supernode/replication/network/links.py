@@ -12,7 +12,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import OTHER_CLUSTER
 from stampede_rt_supernode.replication.network.peer_link import Dial, Introduce, PeerLink
-from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
+from stampede_rt_supernode.replication.network.refusals import RefusalGrounds, Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import ReplicationSettings
@@ -126,7 +126,7 @@ class PeerLinks:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
         grounds, why = grounds_of(why), _STATUS.sub("", why)
-        if grounds is Grounds.TOO_OLD:
+        if grounds is RefusalGrounds.TOO_OLD:
             self._count(self.outdated, member_id, why, OUTDATED_FOLLOWS)
         elif grounds is not None:
             self.outdated.accepted(member_id)

@@ -20,7 +20,7 @@ from stampede_rt_supernode.replication.network.hello import (
 )
 
 
-class Grounds(Enum):
+class RefusalGrounds(Enum):
     """The grounds of a refusal that lasts until a person acts, each with the words that refusals contain."""
 
     REMOVED = REMOVED
@@ -30,9 +30,9 @@ class Grounds(Enum):
     TOO_OLD = TOO_OLD
 
 
-def grounds_of(why: str) -> Grounds | None:
+def grounds_of(why: str) -> RefusalGrounds | None:
     """The grounds of a refusal; None if it may end by itself."""
-    return next((grounds for grounds in Grounds if grounds.value in why), None)
+    return next((grounds for grounds in RefusalGrounds if grounds.value in why), None)
 
 
 class Refusals:
@@ -45,7 +45,7 @@ class Refusals:
         # member id -> the words of its refusal
         self.by: dict[str, str] = {}
         # the grounds and words of the confirmed refusal; None and empty as long as there is none
-        self.confirmed: Grounds | None = None
+        self.confirmed: RefusalGrounds | None = None
         self.why = ""
 
     def refused(self, member_id: str, why: str, *, others: Collection[str], leader_id: str | None) -> bool:
