@@ -31,7 +31,7 @@ from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.background import background
 from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
-from stampede_rt_supernode.joining.copies import OwnAddress
+from stampede_rt_supernode.joining.copied_folder import OwnAddress
 from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare

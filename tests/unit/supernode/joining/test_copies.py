@@ -11,7 +11,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
-from stampede_rt_supernode.joining.copies import FINDINGS_NEEDED, OwnAddress
+from stampede_rt_supernode.joining.copied_folder import FINDINGS_NEEDED, OwnAddress
 
 
 class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
