@@ -11,7 +11,7 @@ from stampede_rt_frontend.roster import SupernodeRoster
 START_SECONDS = 5.0
 
 
-class Note(NamedTuple):
+class LogLine(NamedTuple):
     """One line of the log, with the name of its event.
 
     `is_well`: the line reports a good state. `is_return`: the line reports the end of a bad state that an earlier line
@@ -37,7 +37,7 @@ class StatusLog:
         self._served: dict[str, bool] = {}  # by target: whether the supernode could serve, as reported last
         self._any_served: bool | None = None  # whether any could, as reported last; None: not reported yet
 
-    def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[Note]:
+    def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[LogLine]:
         """A line for each change since the last call. `now_s` is read from a clock that never goes back."""
         if self._starts_until_s is None:
             self._starts_until_s = now_s + START_SECONDS
@@ -53,23 +53,25 @@ class StatusLog:
         self._served = served
         yield from self._of_all(roster.any_healthy(), may_tell=len(served) == len(roster.targets()))
 
-    def _of_all(self, any_serves: bool, *, may_tell: bool) -> Iterator[Note]:
+    def _of_all(self, any_serves: bool, *, may_tell: bool) -> Iterator[LogLine]:
         if any_serves is not self._any_served and (any_serves or may_tell):
             is_return = any_serves and self._any_served is not None
             self._any_served = any_serves
             yield _of_all(any_serves, is_return=is_return)
 
 
-def _of_one(target: str, why: str | None, *, is_return: bool) -> Note:
+def _of_one(target: str, why: str | None, *, is_return: bool) -> LogLine:
     if why is None:
-        return Note("supernode_serves", "a supernode can serve", True, is_return, {"supernode": target})
-    return Note("supernode_cannot_serve", "a supernode cannot serve", False, False, {"supernode": target, "why": why})
+        return LogLine("supernode_serves", "a supernode can serve", True, is_return, {"supernode": target})
+    return LogLine(
+        "supernode_cannot_serve", "a supernode cannot serve", False, False, {"supernode": target, "why": why}
+    )
 
 
-def _of_all(any_serves: bool, *, is_return: bool) -> Note:
+def _of_all(any_serves: bool, *, is_return: bool) -> LogLine:
     if any_serves:
-        return Note("directory_serves", "the directory can serve: callers can connect", True, is_return, {})
-    return Note(
+        return LogLine("directory_serves", "the directory can serve: callers can connect", True, is_return, {})
+    return LogLine(
         "directory_cannot_serve",
         "no supernode can serve this front-end: no client can connect through it until one can",
         False,
