@@ -19,7 +19,7 @@ CALL_SECONDS = 1.0  # the timeout of one call to one part
 PAUSE_SECONDS = 0.02  # between two rounds; a round asks each part once
 
 
-class Judge(NamedTuple):
+class EnforcingPart(NamedTuple):
     """A part of the cluster that decides what callers may do. `ask` makes a call to the part, and returns the answer.
 
     The answer has the version of access that the part applies. The version is the log position of the last change of
@@ -31,7 +31,7 @@ class Judge(NamedTuple):
     ask: Callable[[ServerEndpoint], Any]
 
 
-def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
+def parts_behind(endpoints: EndpointPool, judges: Iterable[EnforcingPart], version: int) -> dict[str, str]:
     """Wait until all `judges` apply `version` of access or a later one. Begins no round after IN_FORCE_SECONDS.
 
     A round asks one part after the other, so a part that hangs makes it up to CALL_SECONDS longer. Returns the names of
@@ -46,7 +46,7 @@ def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int)
         time.sleep(PAUSE_SECONDS)
 
 
-def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
+def _why_behind(endpoints: EndpointPool, one: EnforcingPart, version: int) -> str:
     """Return why a part does not apply `version` yet; an empty text if the part applies it."""
     try:
         known = one.ask(endpoints.to(one.target)).access.version

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from stampede_rt._sync.endpoints import EndpointPool
-from stampede_rt.administration.in_force import CALL_SECONDS, Judge
+from stampede_rt.administration.in_force import CALL_SECONDS, EnforcingPart
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import quota_use_service_pb2 as pb
 from stampede_rt.v1 import quota_use_service_pb2_grpc
@@ -20,7 +20,7 @@ class PartUse(NamedTuple):
     failure: str = ""
 
 
-def uses_at(endpoints: EndpointPool, parts: Iterable[Judge], subject_glob: str) -> Iterator[PartUse]:
+def uses_at(endpoints: EndpointPool, parts: Iterable[EnforcingPart], subject_glob: str) -> Iterator[PartUse]:
     """Ask each part how much the callers that match `subject_glob` use. Yields one PartUse for each part."""
     request = pb.ListQuotaUseRequest(subject_glob=subject_glob)
     for part in parts:

@@ -12,7 +12,7 @@ from typing import Any
 import grpc
 
 from stampede_rt._sync.endpoints import EndpointPool
-from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
+from stampede_rt.administration.in_force import EnforcingPart, parts_behind, ping_frontend, ping_host, ping_supernode
 from stampede_rt.administration.quota_use import PartUse, uses_at
 from stampede_rt.administration.removal import remove_member
 from stampede_rt.cluster.connecting import parse_target
@@ -117,14 +117,14 @@ class Cluster:
         """Ask each part how much the callers that match `subject_glob` use of their quotas. Raises Unavailable."""
         return uses_at(self._endpoints, self._parts(with_frontends=True), subject_glob)
 
-    def _parts(self, *, with_frontends: bool) -> list[Judge]:
+    def _parts(self, *, with_frontends: bool) -> list[EnforcingPart]:
         """Return the supernodes, front-ends and live hosts, which judge callers. Raises StampedeError."""
         members = [one for one in self.members().supernodes if one.endpoint.target]
         hosts = list(self._live_hosts())
         return [
-            *(Judge(f"supernode {one.supernode_id}", one.endpoint.target, ping_supernode) for one in members),
-            *(Judge(f"front-end {one}", one, ping_frontend) for one in self._frontends if with_frontends),
-            *(Judge(f"host {one.name}", one.gatekeepers[0].target, ping_host) for one in hosts),
+            *(EnforcingPart(f"supernode {one.supernode_id}", one.endpoint.target, ping_supernode) for one in members),
+            *(EnforcingPart(f"front-end {one}", one, ping_frontend) for one in self._frontends if with_frontends),
+            *(EnforcingPart(f"host {one.name}", one.gatekeepers[0].target, ping_host) for one in hosts),
         ]
 
     def _live_hosts(self) -> Iterator[HostRecord]:
