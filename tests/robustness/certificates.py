@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
-from stampede_rt_runtime.certificates import Issued, issue
+from stampede_rt_runtime.certificates import IssuedCertificate, issue
 from stampede_rt_runtime.certs_command import main as stampede_certs
 from stampede_rt_runtime.certs_command import write_pair
 from stampede_rt_runtime.identity import Identity, Role
@@ -62,7 +62,9 @@ class Certificates:
 
     def expired(self, role: Role, name: str) -> TlsFiles:
         """A genuine certificate that ended yesterday. `stampede certs` makes none, for good reasons."""
-        authority = Issued((self._authority / "ca.pem").read_bytes(), (self._authority / "ca.key").read_bytes())
+        authority = IssuedCertificate(
+            (self._authority / "ca.pem").read_bytes(), (self._authority / "ca.key").read_bytes()
+        )
         identity = Identity(CLUSTER, role, name)
         made = issue(authority, identity, (), now=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
         certificate, key = write_pair(made, self.folder, f"expired-{role}-{name}")

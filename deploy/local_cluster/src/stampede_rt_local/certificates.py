@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
-from stampede_rt_runtime.certificates import Issued, issue, make_authority
+from stampede_rt_runtime.certificates import IssuedCertificate, issue, make_authority
 from stampede_rt_runtime.certs_command import write_pair
 from stampede_rt_runtime.identity import Identity, Role
 
@@ -35,7 +35,7 @@ class ClusterCertificates:
         """The file with the authorities that all parts trust."""
         return self.folder / "ca.pem"
 
-    def take_over(self) -> Issued:
+    def take_over(self) -> IssuedCertificate:
         """Use a new authority from now on. All parts still trust the former ones."""
         self._authority = make_authority(self._cluster, now=datetime.now(UTC), lifetime=LIFETIME)
         self._trust([*self._trusted, self._authority.certificate])

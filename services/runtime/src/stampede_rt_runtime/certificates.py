@@ -39,18 +39,18 @@ class CertificateError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Issued:
+class IssuedCertificate:
     """A certificate with its private key, both PEM."""
 
     certificate: bytes
     key: bytes
 
     def __repr__(self) -> str:
-        return "Issued(...)"  # never show the key
+        return "IssuedCertificate(...)"  # never show the key
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
+class CertificateContents:
     """The contents of a certificate. `identity` is None for an authority and for certificates of others."""
 
     subject: str
@@ -73,7 +73,7 @@ class Described:
         return self.not_after - now < min(at_most, self.lifetime / 3)
 
 
-def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issued:
+def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> IssuedCertificate:
     """A new authority for `cluster`, signed by itself. It may sign certificates, but no further authorities."""
     key = ec.generate_private_key(ec.SECP256R1())
     # A cluster may have two authorities while one replaces the other. They need different names.
@@ -83,12 +83,12 @@ def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issue
     )
     usage = _key_usage(sign_certificates=True)
     signed = builder.add_extension(usage, critical=True).sign(key, hashes.SHA256())
-    return Issued(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
+    return IssuedCertificate(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
 
 
 def issue(
-    authority: Issued, identity: Identity, addresses: tuple[str, ...], *, now: datetime, lifetime: timedelta
-) -> Issued:
+    authority: IssuedCertificate, identity: Identity, addresses: tuple[str, ...], *, now: datetime, lifetime: timedelta
+) -> IssuedCertificate:
     """A certificate for `identity`. A service's certificate also names its `addresses` (host names or IPs, no ports).
 
     It ends with its authority at the latest. Raises CertificateError.
@@ -114,10 +114,10 @@ def issue(
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
     )
     signed = builder.sign(signer_key, hashes.SHA256())
-    return Issued(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
+    return IssuedCertificate(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
 
 
-def describe(pem: bytes) -> list[Described]:
+def describe(pem: bytes) -> list[CertificateContents]:
     """The contents of the certificates in `pem`, in order. Raises CertificateError."""
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
@@ -151,12 +151,12 @@ def cluster_of(authority: bytes) -> str:
     return str(found[0].value)
 
 
-def _described(certificate: x509.Certificate) -> Described:
+def _described(certificate: x509.Certificate) -> CertificateContents:
     names, is_authority = _alternative_names(certificate), False
     with contextlib.suppress(x509.ExtensionNotFound):  # a certificate without this extension is no authority
         is_authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     addresses = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
-    return Described(
+    return CertificateContents(
         subject=_readable(certificate.subject),
         issuer=_readable(certificate.issuer),
         identity=identity_among(names.get_values_for_type(x509.UniformResourceIdentifier)),
@@ -183,7 +183,7 @@ def _readable(name: x509.Name) -> str:
     return f"{common} of {cluster[0].value!s}" if found and cluster else common
 
 
-def _load_authority(authority: Issued) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+def _load_authority(authority: IssuedCertificate) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     try:
         certificate = x509.load_pem_x509_certificate(authority.certificate)
         key = serialization.load_pem_private_key(authority.key, password=None)

@@ -17,9 +17,9 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.values.timeline import parse_duration
 from stampede_rt_runtime.certificates import (
+    CertificateContents,
     CertificateError,
-    Described,
-    Issued,
+    IssuedCertificate,
     cluster_of,
     describe,
     issue,
@@ -179,13 +179,13 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
     return [*lines, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
 
 
-def _authority(folder: Path) -> Issued:
+def _authority(folder: Path) -> IssuedCertificate:
     """The authority in a folder. Reads files. Raises CertificateError, OSError."""
     if not (folder / "ca.pem").exists() and not (folder / "ca.key").exists():
         raise CertificateError(
             f"there is no authority in {folder}; make one with `stampede certs init`, or name its folder with --dir"
         )
-    return Issued((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
+    return IssuedCertificate((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
 
 
 def _renew(arguments: argparse.Namespace) -> list[str]:
@@ -199,7 +199,7 @@ def _renew(arguments: argparse.Namespace) -> list[str]:
     return lines
 
 
-def _renewed(authority: Issued, file: Path, now: datetime) -> tuple[Identity, Issued]:
+def _renewed(authority: IssuedCertificate, file: Path, now: datetime) -> tuple[Identity, IssuedCertificate]:
     """The owner of the certificate in `file`, and a new certificate for it. Raises CertificateError, OSError."""
     former = _described(file)[0]
     if former.identity is None or former.is_authority or file.suffix != ".pem":
@@ -243,7 +243,7 @@ def _show(arguments: argparse.Namespace) -> list[str]:
     return [f"{file}: {_line(one, now)}" for file in arguments.files for one in _described(file)]
 
 
-def _described(file: Path) -> list[Described]:
+def _described(file: Path) -> list[CertificateContents]:
     """The contents of the certificates in `file`. Raises CertificateError, OSError."""
     try:
         return describe(file.read_bytes())
@@ -278,7 +278,7 @@ def serial_of(text: str) -> str:
     return serial
 
 
-def _line(one: Described, now: datetime) -> str:
+def _line(one: CertificateContents, now: datetime) -> str:
     who = str(one.identity or one.subject)
     what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (of no role)"
     where = f", called at {', '.join(one.addresses)}" if one.addresses else ""
@@ -286,7 +286,7 @@ def _line(one: Described, now: datetime) -> str:
     return f"{what}{where}; {_validity(one, now)}; issued by {one.issuer}; serial {serial}; SHA-256 {one.sha256}"
 
 
-def _validity(one: Described, now: datetime) -> str:
+def _validity(one: CertificateContents, now: datetime) -> str:
     if now < one.not_before:
         return f"NOT VALID BEFORE {one.not_before:%Y-%m-%d %H:%M} UTC"
     if now > one.not_after:
@@ -295,7 +295,7 @@ def _validity(one: Described, now: datetime) -> str:
     return f"valid until {one.not_after:%Y-%m-%d %H:%M} UTC{soon}"
 
 
-def write_pair(made: Issued, folder: Path, name: str) -> tuple[Path, Path]:
+def write_pair(made: IssuedCertificate, folder: Path, name: str) -> tuple[Path, Path]:
     """Write `name`.pem and `name`.key (mode 0600), each whole or not at all, and replace former files.
 
     Returns both paths.
