@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import stampede_rt.v1
-from stampede_rt_runtime.access.caller import Caller, Certified, by_certificate, by_secret
+from stampede_rt_runtime.access.caller import Caller, CallerCertificate, by_certificate, by_secret
 from stampede_rt_runtime.identity import Identity, Role, identity_among, parse_identity
 from stampede_rt_runtime.roles import roles_for, why_refused
 
@@ -19,7 +19,7 @@ CLIENT = Identity("c", Role.CLIENT, "n")
 
 
 def caller(role: Role, *, name: str = "n") -> Caller:
-    return by_certificate(Certified(Identity("c", role, name)))
+    return by_certificate(CallerCertificate(Identity("c", role, name)))
 
 
 def rpcs_of_the_contract() -> list[str]:

@@ -11,9 +11,9 @@ import grpc
 
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
-from stampede_rt_runtime.access.caller import Caller, Certified
+from stampede_rt_runtime.access.caller import Caller, CallerCertificate
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.proofs import Accepted, identify, of_certificate_alone
+from stampede_rt_runtime.access.proofs import AcceptedProofs, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import is_for_members, why_refused
@@ -36,7 +36,7 @@ def caller_identity(context: Context) -> Identity | None:
 class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Refuses every call whose caller brings no accepted proof, or whose caller may not make the call."""
 
-    def __init__(self, accepted: Accepted, control: AccessControl) -> None:
+    def __init__(self, accepted: AcceptedProofs, control: AccessControl) -> None:
         self._accepted = accepted
         self._control = control
 
@@ -116,10 +116,10 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return identify(self._accepted, _authorization(context), certificate)
 
 
-def _certified(context: Context) -> Certified | None:
+def _certified(context: Context) -> CallerCertificate | None:
     identity = caller_identity(context)
     found = tuple(context.auth_context().get("x509_pem_cert", ()))
-    return None if identity is None else Certified(identity, *(_serial_and_end(found[0]) if found else ()))
+    return None if identity is None else CallerCertificate(identity, *(_serial_and_end(found[0]) if found else ()))
 
 
 @lru_cache(CERTIFICATES_KEPT_MAX)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerKind, Certified
-from stampede_rt_runtime.access.proofs import Accepted, identify
+from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerCertificate, CallerKind
+from stampede_rt_runtime.access.proofs import AcceptedProofs, identify
 from stampede_rt_runtime.identity import Identity, Role
 
 TOKEN = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name="cam", serial="1")
@@ -18,11 +18,11 @@ def read_token(text: str) -> Caller | None:
     return TOKEN if text == "token" else None
 
 
-OPEN = Accepted(read_token=read_token)
-ONE = Accepted(secrets=("s",), read_token=read_token)
-TWO = Accepted(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
-CERTIFIED = Accepted(cluster="lab", read_token=read_token)
-HOST = Certified(Identity("lab", Role.HOST, "h1"))
+OPEN = AcceptedProofs(read_token=read_token)
+ONE = AcceptedProofs(secrets=("s",), read_token=read_token)
+TWO = AcceptedProofs(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
+CERTIFIED = AcceptedProofs(cluster="lab", read_token=read_token)
+HOST = CallerCertificate(Identity("lab", Role.HOST, "h1"))
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ HOST = Certified(Identity("lab", Role.HOST, "h1"))
     ],
 )
 def test_each_proof_gives_a_name_and_roles(
-    accepted: Accepted, brought: bytes | None, certificate: Certified | None, name: str, roles: set[Role]
+    accepted: AcceptedProofs, brought: bytes | None, certificate: CallerCertificate | None, name: str, roles: set[Role]
 ) -> None:
     caller = identify(accepted, brought, certificate)
     assert (caller.name, caller.roles) == (name, roles)
@@ -59,11 +59,11 @@ def test_each_proof_gives_a_name_and_roles(
         (ONE, b"Bearer c", None, "a secret that differs"),
         (ONE, b"Bearer token-that-is-over", None, "the token is over"),
         (CERTIFIED, b"Bearer token", None, "does not name exactly one role"),
-        (CERTIFIED, None, Certified(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
+        (CERTIFIED, None, CallerCertificate(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
     ],
 )
 def test_what_is_no_proof_is_refused_and_told_why(
-    accepted: Accepted, brought: bytes | None, certificate: Certified | None, told: str
+    accepted: AcceptedProofs, brought: bytes | None, certificate: CallerCertificate | None, told: str
 ) -> None:
     with pytest.raises(PermissionDenied, match=told):
         identify(accepted, brought, certificate)
@@ -71,7 +71,7 @@ def test_what_is_no_proof_is_refused_and_told_why(
 
 def test_a_token_is_valid_only_as_long_as_the_certificate_of_its_connection() -> None:
     """A client went on with a revoked or expired certificate if it also brought a token."""
-    certificate = Certified(Identity("lab", Role.CLIENT, "shared"), serial="ce", ends_unix_nano=50)
+    certificate = CallerCertificate(Identity("lab", Role.CLIENT, "shared"), serial="ce", ends_unix_nano=50)
     caller = identify(CERTIFIED, b"Bearer token", certificate)
     assert (caller.name, caller.kind, caller.first_end_unix_nano) == ("cam", CallerKind.TOKEN, 50)
     for serial, kind in (("1", CallerKind.TOKEN), ("ce", CallerKind.CERTIFICATE)):

@@ -91,7 +91,7 @@ def by_secret(*, of_cluster: bool) -> Caller:
 
 
 @dataclass(frozen=True, slots=True)
-class Certified:
+class CallerCertificate:
     """The contents of a caller's certificate.
 
     `serial`: its serial number, in hexadecimal digits. `ends_unix_nano`: the end of its validity; 0: unknown.
@@ -102,7 +102,7 @@ class Certified:
     ends_unix_nano: int = 0
 
 
-def by_certificate(certified: Certified) -> Caller:
+def by_certificate(certified: CallerCertificate) -> Caller:
     """The caller that brings that certificate."""
     identity = certified.identity
     return Caller(

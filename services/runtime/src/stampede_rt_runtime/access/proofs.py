@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_runtime.access.caller import ANYONE, Caller, Certified, by_certificate, by_secret
+from stampede_rt_runtime.access.caller import ANYONE, Caller, CallerCertificate, by_certificate, by_secret
 
 SCHEME = b"Bearer "
 _SEARCHED_FILES = (
@@ -17,7 +17,7 @@ _SEARCHED_FILES = (
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Accepted:
+class AcceptedProofs:
     """The proofs that a service accepts. A service that accepts no proof asks for none.
 
     `cluster`: the cluster of the service's own certificate; empty if callers need no certificates. `read_token`:
@@ -30,7 +30,7 @@ class Accepted:
     read_token: Callable[[str], Caller | None] = lambda text: None
 
 
-def identify(accepted: Accepted, authorization: bytes | None, certificate: Certified | None) -> Caller:
+def identify(accepted: AcceptedProofs, authorization: bytes | None, certificate: CallerCertificate | None) -> Caller:
     """The caller who sent this `authorization` metadata and this certificate.
 
     Raises PermissionDenied, and the errors of `read_token`.
@@ -45,7 +45,7 @@ def identify(accepted: Accepted, authorization: bytes | None, certificate: Certi
     return certified or secret or ANYONE
 
 
-def of_certificate_alone(accepted: Accepted, certificate: Certified | None) -> Caller:
+def of_certificate_alone(accepted: AcceptedProofs, certificate: CallerCertificate | None) -> Caller:
     """The caller of a method that needs no secret: the owner of the certificate if the service has certificates."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
@@ -57,7 +57,7 @@ def _brought(authorization: bytes | None) -> bytes | None:
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""
 
 
-def _certified(accepted: Accepted, certificate: Certified | None) -> Caller:
+def _certified(accepted: AcceptedProofs, certificate: CallerCertificate | None) -> Caller:
     if certificate is None:
         raise PermissionDenied(
             "the caller's certificate does not name exactly one role of a cluster (one URI "
@@ -72,7 +72,7 @@ def _certified(accepted: Accepted, certificate: Certified | None) -> Caller:
     return by_certificate(certificate)
 
 
-def _token(accepted: Accepted, brought: bytes | None) -> Caller | None:
+def _token(accepted: AcceptedProofs, brought: bytes | None) -> Caller | None:
     if brought is None:
         return None
     try:
@@ -81,7 +81,7 @@ def _token(accepted: Accepted, brought: bytes | None) -> Caller | None:
         return None
 
 
-def _by_secret(accepted: Accepted, brought: bytes | None) -> Caller:
+def _by_secret(accepted: AcceptedProofs, brought: bytes | None) -> Caller:
     if brought is None:
         raise _refused(
             "the call brought no secret",
