@@ -12,7 +12,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.group import GroupDefinition
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
-from stampede_rt_channel_host.groups.exchange import Exchange
+from stampede_rt_channel_host.groups.exchange import TimesExchange
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.peers import PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
@@ -43,7 +43,7 @@ class Groups:
         identity: Any = SimpleNamespace(host_id=OWN, name="own")
         channels: Any = SimpleNamespace(scheduler=PieceScheduler(), lease_held=lambda: True, now=lambda: 0)
         dial: Any = None
-        self.exchange = Exchange(
+        self.exchange = TimesExchange(
             identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_asked=lambda _: None
         )
 

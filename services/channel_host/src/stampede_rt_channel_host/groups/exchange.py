@@ -23,7 +23,7 @@ FLOORS_MAX_PER_HOST = 1000  # the most of these floors that one host has reporte
 GROUPS_PER_PIECE = 16
 
 
-class Exchange:
+class TimesExchange:
     """Implements `LinkHandler`: gives the links the messages to send, and takes in the messages of other hosts.
 
     Calls `on_stale` with groups that are new here, or that other hosts know in a newer version. Calls `on_asked` with

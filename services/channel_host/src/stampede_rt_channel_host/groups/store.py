@@ -17,7 +17,7 @@ from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.core.records import RecordedChange, ResolvedGroup
 from stampede_rt_channel_host.groups.background_lookups import BackgroundLookups
-from stampede_rt_channel_host.groups.exchange import Exchange
+from stampede_rt_channel_host.groups.exchange import TimesExchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, began_anew
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
@@ -50,7 +50,7 @@ class GroupStore:
         self._identity = identity
         self._directory = directory
         self._table = HostedGroups()
-        self.exchange = Exchange(
+        self.exchange = TimesExchange(
             identity, channels, self._table, dial, cluster_id, on_stale=self._stale, on_asked=self._learn_of
         )
         self._single_flight = SingleFlight()
