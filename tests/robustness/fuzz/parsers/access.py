@@ -6,7 +6,7 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.v1 import access_pb2
 from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.messages import rule_from, rule_message
-from stampede_rt_runtime.access.proofs import Accepted, identify
+from stampede_rt_runtime.access.proofs import AcceptedProofs, identify
 from stampede_rt_runtime.access.rules import AccessKind, AccessRules, AccessVerb, check_rule
 from stampede_rt_runtime.access.tokens import TokenClaims, make_token, public_key, read_token
 from stampede_rt_runtime.identity import Role
@@ -37,7 +37,7 @@ def client_token(source: ByteSource) -> None:
 def proof(source: ByteSource) -> None:
     """Whatever a header brings, nobody is let in who brings no secret."""
     brought = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
-    caller = identify(Accepted(secrets=("the secret of the cluster",)), brought, None)
+    caller = identify(AcceptedProofs(secrets=("the secret of the cluster",)), brought, None)
     raise AssertionError(f"{caller} was let in with {brought!r}")
 
 

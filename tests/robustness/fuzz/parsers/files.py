@@ -18,7 +18,14 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.security.credentials import read_secrets
 from stampede_rt_channel_host.cluster.identity import HomeCluster, load_host_id
 from stampede_rt_runtime.auth import load_secret
-from stampede_rt_runtime.certificates import CertificateError, Issued, cluster_of, describe, issue, make_authority
+from stampede_rt_runtime.certificates import (
+    CertificateError,
+    IssuedCertificate,
+    cluster_of,
+    describe,
+    issue,
+    make_authority,
+)
 from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
 from stampede_rt_supernode.replication import Member
@@ -134,7 +141,7 @@ def secret(source: ByteSource) -> None:
 
 
 @cache
-def _authority() -> Issued:
+def _authority() -> IssuedCertificate:
     return make_authority("cluster", now=MADE, lifetime=timedelta(days=1))
 
 
@@ -153,7 +160,7 @@ def certificate(source: ByteSource) -> None:
         warnings.simplefilter("ignore")  # of the library, at numbers that a standard forbids
         for read in (describe, cluster_of):
             read(data)
-        issue(Issued(data, authority.key), IDENTITY, (), now=MADE, lifetime=timedelta(days=1))
+        issue(IssuedCertificate(data, authority.key), IDENTITY, (), now=MADE, lifetime=timedelta(days=1))
 
 
 @cache

@@ -23,7 +23,14 @@ from stampede_rt.status import DETAILS_KEY, from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, directory_pb2, peer_pb2
 from stampede_rt.wire import peers, reads, records
 from stampede_rt_channel_host.cluster.identity import HomeCluster, load_host_id
-from stampede_rt_runtime.certificates import CertificateError, Issued, cluster_of, describe, issue, make_authority
+from stampede_rt_runtime.certificates import (
+    CertificateError,
+    IssuedCertificate,
+    cluster_of,
+    describe,
+    issue,
+    make_authority,
+)
 from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_runtime.settings import SettingsError, load_settings
 from stampede_rt_supernode.joining.founding import FILE_NAME as FOUNDING_NAME
@@ -167,4 +174,4 @@ def test_a_certificate_with_any_byte_changed_is_read_or_refused() -> None:
         with contextlib.suppress(CertificateError):
             cluster_of(pem)
         with contextlib.suppress(CertificateError):
-            issue(Issued(pem, authority.key), client, (), now=MADE, lifetime=timedelta(days=1))
+            issue(IssuedCertificate(pem, authority.key), client, (), now=MADE, lifetime=timedelta(days=1))
