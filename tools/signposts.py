@@ -1,4 +1,4 @@
-"""Check the pages for newcomers: the paths on them, the picture of the layers, and the index of decisions.
+"""Check the documents: the paths that they name, the picture of the layers, and the index of decisions.
 
 Without an option, draw the layers into ARCHITECTURE.md again. With --check, print what is wrong, and change nothing.
 """
@@ -17,7 +17,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE_PAGE = "ARCHITECTURE.md"
-PAGES = (PICTURE_PAGE, "CONTRIBUTING.md", "docs/glossary.md", "docs/finding-your-way.md")
+REPORTS = {"docs/benchmarks.md"}  # names files that the reader's own run of a benchmark writes
+WAY, WAY_LINES_MAX = "docs/finding-your-way.md", 60
 DECISIONS = "docs/decisions"
 BEGIN, END = "<!-- layers: drawn by tools/signposts.py from pyproject.toml -->", "<!-- end of the layers -->"
 WIDTH = 112
@@ -106,15 +107,18 @@ def complaints() -> list[str]:
         cwd=ROOT, check=True, capture_output=True, text=True,
     ).stdout.splitlines()  # fmt: skip
     there = [file for file in files if (ROOT / file).exists()]
+    pages = {file: (ROOT / file).read_text() for file in there if file.endswith(".md")}
     lines = [
         f"{page} names {name}, which does not exist; correct the name"
-        for page in PAGES
-        for name in unknown_names((ROOT / page).read_text(), there)
+        for page in sorted(pages.keys() - REPORTS)
+        for name in unknown_names(pages[page], there)
     ]
+    if len(pages[WAY].splitlines()) > WAY_LINES_MAX:
+        lines.append(f"{WAY} has more than {WAY_LINES_MAX} lines; shorten it, because a newcomer reads all of it")
     page = (ROOT / PICTURE_PAGE).read_text()
     if with_layers(page, layers(_contracts())) != page:
         lines.append(f"the layers in {PICTURE_PAGE} are not those of pyproject.toml; run: make stubs")
-    lines += merge_complaints({file: (ROOT / file).read_text() for file in there if file.endswith(".md")})
+    lines += merge_complaints(pages)
     folder = ROOT / DECISIONS
     records = {path.name: path.read_text() for path in folder.glob("[0-9]*.md")}
     return lines + index_complaints((folder / "README.md").read_text(), records)
