@@ -1,12 +1,14 @@
 """The attacker's process: reads the ground from its standard input, and attacks until that is closed.
 
-It prints a line once the attack is under way.
+It prints a line once the attack is under way. With the further argument "apart" it takes only the processor time that
+no other program wants, as if it ran on another machine.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import sys
 
 from stampede_rt_runtime import open_files
@@ -33,7 +35,9 @@ async def _attack(name: str, ground: Ground) -> None:
 
 
 def main() -> None:
-    """Be the attacker whose name the first argument is."""
+    """Be the attacker whose name the first argument is. With another argument it takes only what nobody else wants."""
+    if len(sys.argv) > 2:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     open_files.raise_limit()
     asyncio.run(attack(sys.argv[1], Ground.from_line(sys.stdin.readline())))
 

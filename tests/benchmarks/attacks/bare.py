@@ -1,4 +1,4 @@
-"""The floods of long messages on bare grpcio: what no service can hold back, because gRPC's own threads read them.
+"""Floods on bare grpcio: what no service can hold back, because gRPC itself accepts calls and reads messages.
 
     python -m tests.benchmarks.attacks.bare [NAME...] [--seconds 3] [--runs 3]
 
@@ -25,13 +25,13 @@ from tests.benchmarks.attacks.own_process import in_own_process
 from tests.benchmarks.attacks.trial import Found, run_trial
 from tests.support.processes import started
 
-FLOODS = ("unknown-fields", "repeated-fields")
+FLOODS = ("unknown-fields", "repeated-fields", "resets", "health-watches", "many-streams", "single-calls")
 RUN_SECONDS_MAX = 180.0
 _SERVE = "serve"
 
 
 class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
-    """Reads every stream, echoes those that ask for it, and ends a stream of gets at a long message, as a host does."""
+    """Does what a host does with the calls of the floods, and nothing more. Echoes what the good clients send."""
 
     def service(self, details: Any) -> Any:
         """See grpc."""
@@ -43,6 +43,11 @@ class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
                     await context.write(message)
                 elif method == "Get":
                     await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "too long")
+            if method == "Watch":
+                await context.write(b"")
+                await asyncio.Event().wait()
+            elif method in ("Check", "GetChannelStatus"):
+                await context.write(b"")
 
         return grpc.stream_stream_rpc_method_handler(serve)
 

@@ -31,7 +31,7 @@ CHANNELS: list[grpc.aio.Channel] = []  # one that nobody holds is closed
 class Ground:
     """The addresses of a cluster with one host and one supernode, and the attacker's token or secret.
 
-    `flooded`: where long messages go instead of the host; empty: to the host.
+    `flooded`: a bare server that gets the calls of an attack instead of the host, see `bare.py`; empty: the host.
     """
 
     frontend: str
@@ -39,6 +39,11 @@ class Ground:
     host: str
     secret: str
     flooded: str = ""
+
+    @property
+    def target(self) -> str:
+        """The host, or the bare server that the attack floods instead of it."""
+        return self.flooded or self.host
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:

@@ -50,7 +50,7 @@ async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any, *, run
             for message in messages_of(raw_run_pb2.RawPutRequest(**known, puts=puts).SerializeToString()):
                 yield message
 
-    async with ground.channel(ground.flooded or ground.host) as channel:
+    async with ground.channel(ground.target) as channel:
         call = channel.stream_stream("/stampede_rt.v1.ChannelService/Put")
         with suppress(grpc.aio.AioRpcError):
             async for _ in call(requests(), metadata=ground.metadata):
@@ -181,9 +181,7 @@ async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
         raw = get + FIELD_999 + _varint(UNKNOWN_BYTES) + bytes(UNKNOWN_BYTES)
         under_way()
         calls = [
-            ground.channel(ground.flooded or ground.host).stream_stream("/stampede_rt.v1.ChannelService/Get")(
-                metadata=ground.metadata
-            )
+            ground.channel(ground.target).stream_stream("/stampede_rt.v1.ChannelService/Get")(metadata=ground.metadata)
             for _ in range(GETS)
         ]
         await all_of(*(call.write(raw) for call in calls))

@@ -180,7 +180,7 @@ async def health_watches(ground: Ground, under_way: Callable[[], None]) -> None:
     """4096 Watch streams of the health service, with the secret, that nobody reads."""
     calls = []
     for _ in range(5):
-        watch = ground.channel(ground.host).unary_stream("/grpc.health.v1.Health/Watch")
+        watch = ground.channel(ground.target).unary_stream("/grpc.health.v1.Health/Watch")
         calls += [watch(b"", metadata=ground.metadata) for _ in range(1000)]
     under_way()
     await for_ever()

@@ -29,7 +29,7 @@ async def many_streams(ground: Ground, under_way: Callable[[], None]) -> None:
     """5000 streams of puts, on which nothing is put."""
     calls: list[Any] = []
     for _ in range(CONNECTIONS):
-        one = stub(ground, ChannelServiceStub)
+        one = ChannelServiceStub(ground.channel(ground.target))
         calls += [one.Put(metadata=ground.metadata) for _ in range(STREAMS_OF_ONE)]
     await all_of(*(call.wait_for_connection() for call in calls))
     under_way()
@@ -87,7 +87,7 @@ async def single_calls(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def _ask_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
-    ask: Any = stub(ground, ChannelServiceStub).GetChannelStatus
+    ask: Any = ChannelServiceStub(ground.channel(ground.target)).GetChannelStatus
     request = pb.GetChannelStatusRequest(channel_id=known["channel_id"])
     for _ in itertools.count():
         with suppress(grpc.aio.AioRpcError):

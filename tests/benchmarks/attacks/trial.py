@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import math
 import resource
 import secrets
@@ -25,6 +26,7 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
+from tests.benchmarks.attacks.competitor import SLOT_SECONDS
 from tests.benchmarks.attacks.ground import GOOD_CHANNEL, OPTIONS, Ground
 
 MEMORY_BUDGET = "64MiB"
@@ -33,7 +35,6 @@ ROUNDS_PER_CHANNEL = 20
 GOOD_CLIENTS, PERIOD_SECONDS, CALL_SECONDS = 2, 0.01, 10.0
 ECHOED = b"x" * 150
 PUTS_ALONE_MIN = 20
-SAMPLE_SECONDS = 0.05
 LEASE_LOST = "the lease has ended"
 UNDER_WAY_SECONDS = 60.0
 TOKEN_NANOS = 3600 * 10**9
@@ -61,11 +62,16 @@ class Good:
 
 @dataclass
 class Found:
-    """What one attack did. Memory is the resident set of the watched process, in MiB."""
+    """What one attack did. Memory is the resident set of the watched process, in MiB.
+
+    `competing`: beside a program that takes as much processor time as the attacker took, and calls nobody.
+    """
 
     name: str
     alone: Good = field(default_factory=Good)
     beside: Good = field(default_factory=Good)
+    competing: Good = field(default_factory=Good)
+    attacker_slots: list[float] = field(default_factory=list)
     before_mib: float = 0.0
     most_mib: float = 0.0
     after_mib: float = 0.0
@@ -75,7 +81,16 @@ class Found:
     @property
     def p99_ratio(self) -> float:
         """How many times as long a put takes beside the attack, at the 99th percentile."""
-        return self.beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
+        return self.longer(self.beside)
+
+    def longer(self, beside: Good) -> float:
+        """How many times as long as alone a put took, at the 99th percentile."""
+        return beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
+
+    @property
+    def attacker_percent(self) -> float:
+        """The processor time of the attacker, in percent of one processor."""
+        return 100 * statistics.fmean(self.attacker_slots or [0.0]) / SLOT_SECONDS
 
 
 class Field:
@@ -136,15 +151,19 @@ async def field_for(name: str, bare: str = "", *, good_go_there: bool = False) -
         await asyncio.to_thread(one.cluster.__exit__, None, None, None)
 
 
-def run_trial(name: str, seconds: float, bare: str = "", good_go_there: bool = False) -> Found:
+def run_trial(name: str, seconds: float, bare: str = "", good_go_there: bool = False, apart: bool = False) -> Found:
     """A trial in a loop of its own."""
-    return asyncio.run(trial(name, seconds, bare, good_go_there=good_go_there))
+    return asyncio.run(trial(name, seconds, bare, good_go_there=good_go_there, apart=apart))
 
 
-async def trial(name: str, seconds: float, bare: str = "", *, good_go_there: bool = False) -> Found:
+async def trial(
+    name: str, seconds: float, bare: str = "", *, good_go_there: bool = False, apart: bool = False
+) -> Found:
     """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays.
 
-    Then alone again, so that other load of the machine counts in both.
+    Then alone again, so that other load of the machine counts in both. `apart`: the attacker gets only processor time
+    that nobody else wants, as if it ran on another machine. Otherwise the good clients are measured also beside a
+    program that takes as much processor time as the attacker took.
     """
     async with field_for(name, bare, good_go_there=good_go_there) as one:
         found = one.found
@@ -152,36 +171,52 @@ async def trial(name: str, seconds: float, bare: str = "", *, good_go_there: boo
             await rt.channel(GOOD_CHANNEL, max_age="10s")
             await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
             found.before_mib, found.log_bytes = one.memory_mib(), 0
-            await _good_clients(one, found.beside, _attacked(one, found.beside, seconds))
+            await _good_clients(one, found.beside, _attacked(one, seconds, apart=apart))
             await _still(one)
             found.after_mib = one.memory_mib()
+            if not apart and found.attacker_slots:
+                await _good_clients(one, found.competing, _competing(one, seconds))
             await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
     if len(found.alone.puts_ms) < PUTS_ALONE_MIN:
         raise ValueError(f"good clients alone made {len(found.alone.puts_ms)} puts; measure for longer (--seconds)")
     return found
 
 
-async def _attacked(one: Field, good: Good, seconds: float) -> None:
+async def _attacked(one: Field, seconds: float, *, apart: bool) -> None:
+    line = (await asyncio.to_thread(lambda: one.ground)).to_line()
+    words = ("tests.benchmarks.attacks.attacker", one.found.name, *(["apart"] if apart else []))
+    async with _program(words, line, one.found.beside) as process:
+        watching = asyncio.create_task(_watch(one, process.pid))
+        try:
+            await asyncio.sleep(seconds)
+            assert process.returncode is None, f"the attacker of {one.found.name} ended by itself"
+        finally:
+            watching.cancel()
+
+
+async def _competing(one: Field, seconds: float) -> None:
+    words, line = ("tests.benchmarks.attacks.competitor",), json.dumps(one.found.attacker_slots)
+    async with _program(words, line, one.found.competing):
+        await asyncio.sleep(seconds)
+
+
+@asynccontextmanager
+async def _program(words: tuple[str, ...], line: str, good: Good) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A program that is under way. `good` counts from now on."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "tests.benchmarks.attacks.attacker", one.found.name),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
+        *(sys.executable, "-m", *words), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
     )
     assert process.stdin is not None
     assert process.stdout is not None
-    watching = asyncio.create_task(_watch_memory(one))
     try:
-        ground = await asyncio.to_thread(lambda: one.ground)
-        process.stdin.write(ground.to_line().encode() + b"\n")
+        process.stdin.write(line.encode() + b"\n")
         async with asyncio.timeout(UNDER_WAY_SECONDS):
-            line = await process.stdout.readline()
-        assert line.decode().strip() == UNDER_WAY, f"the attacker of {one.found.name} failed"
-        good.calls = len(good.failures)  # what was before the attack was under way is not counted
+            told = await process.stdout.readline()
+        assert told.decode().strip() == UNDER_WAY, f"{' '.join(words)} failed"
+        good.calls = len(good.failures)  # what was before it was under way is not counted
         good.puts_ms.clear()
-        await asyncio.sleep(seconds)
-        assert process.returncode is None, f"the attacker of {one.found.name} ended by itself"
+        yield process
     finally:
-        watching.cancel()
         process.stdin.close()
         with suppress(TimeoutError):
             async with asyncio.timeout(5.0):
@@ -191,17 +226,22 @@ async def _attacked(one: Field, good: Good, seconds: float) -> None:
             await process.wait()
 
 
-async def _watch_memory(one: Field) -> None:
+async def _watch(one: Field, attacker: int) -> None:
+    """Note the memory of the watched process, and the processor time of the attacker."""
+    clock = ~attacker << 3 | 2  # of all threads of the process, see clock_getcpuclockid(3)
+    used_s = time.clock_gettime(clock)
     while True:
         one.found.most_mib = max(one.found.most_mib, one.memory_mib())
-        await asyncio.sleep(SAMPLE_SECONDS)
+        await asyncio.sleep(SLOT_SECONDS)
+        before_s, used_s = used_s, time.clock_gettime(clock)
+        one.found.attacker_slots.append(used_s - before_s)
 
 
 async def _still(one: Field) -> None:
     """Until its memory has not changed by a MiB for 3 s, 15 s at most: services give memory back each second."""
     last, since_s, until_s = one.memory_mib(), time.monotonic(), time.monotonic() + 15.0
     while time.monotonic() < min(since_s + 3.0, until_s):
-        await asyncio.sleep(SAMPLE_SECONDS)
+        await asyncio.sleep(SLOT_SECONDS)
         if abs(one.memory_mib() - last) > 1.0:
             last, since_s = one.memory_mib(), time.monotonic()
 

@@ -84,7 +84,7 @@ async def resets(ground: Ground, under_way: Callable[[], None]) -> None:
 async def _flood(ground: Ground) -> None:
     while True:
         with suppress(OSError, asyncio.IncompleteReadError):
-            raw = await RawConnection.open(ground.host)
+            raw = await RawConnection.open(ground.target)
             for _ in range(FLOOD_CALLS):
                 await raw.reset(await raw.call(CHECK))
             await asyncio.sleep(0)
