@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 OWNER = "services/supernode/src/stampede_rt_supernode/replication/library/node.py"
 # This test shows faults of the unchanged library.
 BARE_LIBRARY_TEST = "tests/unit/supernode/replication/rules/test_rules_closed_faults.py"
-FOLDERS = ("client/src", "services", "deploy", "demos", "benchmarks", "tests")
+FOLDERS = ("client/src", "services", "deploy", "demos", "benchmarks", "web", "tests")
 PRIVATE = "_SyncObj__"
 
 

@@ -23,6 +23,7 @@ SOURCES = {
     "runtime": "services/runtime/src/stampede_rt_runtime",
     "supernode": "services/supernode/src/stampede_rt_supernode",
     "tools": "tools",
+    "web": "web/src/stampede_rt_web",
 }
 
 

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
@@ -107,6 +108,17 @@ def test_it_runs_as_many_hosts_and_supernodes_as_asked(home: Path) -> None:
     with running("--hosts", "2", "--supernodes", "3") as dev:
         assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
         assert len(dev.children) == 6
+
+
+def test_with_web_it_serves_the_page_and_ends_it_too(home: Path) -> None:
+    with running("--web", "--web-listen", "localhost:0") as dev:
+        match = re.search(r"See all streams on one time line: (http://localhost:\d+/)", dev.screen)
+        assert match is not None, dev.screen
+        with urlopen(f"{match[1]}api/overview", timeout=READY_SECONDS) as answer:
+            assert b'"supernodes"' in answer.read()
+        dev.process.send_signal(signal.SIGINT)
+        dev.process.communicate(timeout=READY_SECONDS)
+        assert dev.all_ended()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

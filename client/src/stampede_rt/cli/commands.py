@@ -27,6 +27,7 @@ SERVICE_VERBS = {
     "frontend": "run a front-end",
     "supernode": "run a supernode",
     "host": "run a channel host",
+    "web": "serve a page that shows all streams on one time line",
     "certs": "make the certificates of a cluster",
     "demo": "run a demonstration on real media",
     "bench": "run a benchmark, such as the paper's figures",
@@ -84,7 +85,7 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
         return administer(arguments)
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
-        extra = verb if verb in ("demo", "bench") else "server"
+        extra = verb if verb in ("demo", "bench", "web") else "server"
         print(
             f"stampede: `{verb}` is not installed here: it belongs to the extra [{extra}] of stampede-rt; install that "
             "extra from where stampede-rt came from, or run `make setup` in a clone of the repository",

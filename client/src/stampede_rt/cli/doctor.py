@@ -28,25 +28,33 @@ def add_verbs(subparsers: Any) -> None:
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Examine every part of the cluster. Returns exit status 1 if an operator should fix something."""
+    findings, held = examine(arguments.url or os.environ.get("STAMPEDE_URL"), arguments.member)
+    print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
+    advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
+    if arguments.output == "table":
+        print("\n" + ("\n".join(map(escaped, advice)) if advice else _all_well(held)))
+    return 1 if advice else 0
+
+
+def examine(url: str | None, member: str | None) -> tuple[list[CheckResult], Sequence[Inventory]]:
+    """Examine every part of a cluster. Return the findings, and the channels, queues and peers that the parts listed.
+
+    `url` names the front-ends. `member` names the supernodes to ask if no front-end answers. Each part has a few
+    seconds to answer. Raises PermissionDenied, InvalidArgument.
+    """
     from stampede_rt._sync.endpoints import EndpointPool
     from stampede_rt.cli.examining import Examination
     from stampede_rt.cluster.connecting import parse_target
 
-    url = arguments.url or os.environ.get("STAMPEDE_URL")
-    target = parse_target(url or arguments.member, name=None, secret=None, zone=None)
-    members = parse_target(arguments.member, name=None, secret=None, zone=None).frontends if arguments.member else ()
+    target = parse_target(url or member, name=None, secret=None, zone=None)
+    members = parse_target(member, name=None, secret=None, zone=None).frontends if member else ()
     frontends = target.frontends if url or not members else ()
     endpoints = EndpointPool(target.credentials)
     try:
         seen, held = Examination(endpoints).look(frontends, members)
     finally:
         endpoints.close()
-    findings = diagnose(seen, held, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN)
-    print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
-    advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
-    if arguments.output == "table":
-        print("\n" + ("\n".join(map(escaped, advice)) if advice else _all_well(held)))
-    return 1 if advice else 0
+    return diagnose(seen, held, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN), held
 
 
 def _all_well(held: Sequence[Inventory]) -> str:

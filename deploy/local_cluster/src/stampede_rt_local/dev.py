@@ -8,8 +8,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 from stampede_rt.cli.interrupts import unwinding
@@ -24,6 +26,8 @@ from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, Setti
 from stampede_rt_runtime.values import parse_address, parse_address_text
 
 DEFAULT_ADDRESS = "localhost:7580"
+PAGE_MODULE = "stampede_rt_web"
+PAGE_SECONDS = 20.0  # for the start of the page
 _WILDCARDS = frozenset({"0.0.0.0", "::"})
 
 
@@ -45,6 +49,13 @@ class DevSettings:
     )
     supernodes: int = field(
         default=1, metadata=setting(metavar="N", minimum=1, maximum=7, help="the number of supernodes")
+    )
+    web: bool = field(default=False, metadata=setting(shared=False, help="serve the page of `stampede web`, too"))
+    web_listen: str = field(
+        default="localhost:7581",
+        metadata=setting(
+            metavar="HOST:PORT", parse=parse_address_text, help="the page's address; port 0: any free one"
+        ),
     )
     secret_file: Path | None = field(
         default=None,
@@ -81,6 +92,8 @@ class DevSettings:
     )
 
     def __post_init__(self) -> None:
+        if self.web and find_spec(PAGE_MODULE) is None:
+            raise ValueError("--web needs the extra [web] of stampede-rt; install it from where stampede-rt came from")
         if parse_address(self.listen).host in _WILDCARDS:
             raise ValueError(
                 f"--listen: {self.listen!r} cannot be used; name one address of this machine: hosts and supernodes "
@@ -137,8 +150,12 @@ def _run(settings: DevSettings, began: float) -> int:
         on_exit=ended.put,
     )
     try:
-        with unwinding(signal.SIGINT, signal.SIGTERM, signal.SIGHUP), cluster:
-            print(_welcome(cluster, settings, time.monotonic() - began), flush=True)
+        with (
+            unwinding(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+            cluster,
+            _page(settings, cluster, pass_on) as page,
+        ):
+            print(_welcome(cluster, settings, time.monotonic() - began, page), flush=True)
             ready.set()
             story = _last_story(cluster, ended)
     except KeyboardInterrupt:
@@ -146,6 +163,23 @@ def _run(settings: DevSettings, began: float) -> int:
         return 0
     print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
     return 1
+
+
+@contextmanager
+def _page(
+    settings: DevSettings, cluster: LocalCluster, on_line: Callable[[ServiceProcess, str], None]
+) -> Iterator[str | None]:
+    """Run the page beside the cluster, and give its URL; None without --web. If the page ends, the cluster goes on."""
+    if not settings.web:
+        yield None
+        return
+    words = ["--listen", settings.web_listen, "--url", cluster.address, "--secret-file", str(cluster.secret_file)]
+    page = ServiceProcess("the page", PAGE_MODULE, words, on_line=on_line)
+    try:
+        page.start()
+        yield page.wait_ready(PAGE_SECONDS)
+    finally:
+        page.stop()
 
 
 def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess]) -> str:
@@ -165,7 +199,7 @@ def _goes_on_without(process: ServiceProcess, cluster: LocalCluster) -> bool:
     return not is_frontend and bool(hosts) and 2 * len(supernodes) > len(cluster.supernodes)
 
 
-def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> str:
+def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float, page: str | None) -> str:
     address = cluster.address
     default = address == os.environ.get("STAMPEDE_URL", DEFAULT_ADDRESS) == DEFAULT_ADDRESS
     where = "" if default else f'"{address}"'
@@ -173,12 +207,13 @@ def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> st
     export += f"  export STAMPEDE_SECRET_FILE={cluster.secret_file}\n" if settings.secret_file else ""
     metrics = "".join(f"  {title}: http://{where}/metrics\n" for title, where in cluster.metrics.items())
     metrics = f"Metrics for Prometheus:\n\n{metrics}\n" if metrics else ""
+    see = f"\nSee all streams on one time line: {page}\n" if page else ""
     parts = f"{_count(settings.supernodes, 'supernode')}, {_count(settings.hosts, 'host')}, 1 front-end"
     return f"""\
 Stampede RT is ready at {address} ({parts}; {seconds:.1f} s).
 Everything is held in memory. Callers need the secret in {cluster.secret_file}, which
 programs of this user find by themselves.
-
+{see}
 In another terminal:
 
 {export}  stampede put cam/left "hello"

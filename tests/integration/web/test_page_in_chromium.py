@@ -1,0 +1,154 @@
+"""The page in headless Chromium: what a person sees and does there."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.live_page import LivePage, live_page
+
+np = pytest.importorskip("numpy")
+playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: the page is not tested")
+CHROMIUM = shutil.which("chromium")
+if CHROMIUM is None:
+    pytest.skip("Chromium is not installed: the page is not tested", allow_module_level=True)
+
+from stampede_rt_web.png import png_of  # noqa: E402  # after the skips
+
+WAIT_MILLIS = 60_000
+SCRIPT = "<img src=x onerror=\"window.ran='payload'\"><script>window.ran='payload'</script>"
+cluster = cluster_fixture(hosts=1, supernodes=1)
+
+
+@pytest.fixture(scope="module")
+def items(cluster: LocalCluster) -> Iterator[dict[str, st.Item]]:
+    """Some channels with one or two items each, a group, and payloads that would like to be markup."""
+    with st.connect(cluster.address) as rt:
+        camera = rt.channel("cam/left", max_age="1h", content_type="image/png")
+        number = rt.channel("imu", max_age="1h", codec="json")
+        evil = rt.channel("evil", max_age="1h", content_type="text/html")
+        rt.group("rig", [camera, number])
+        first = number.put({"x": 1.0, "label": SCRIPT})
+        picture = camera.put(png_of(np.zeros((8, 8, 3), dtype=np.uint8)) or b"", attributes={"lens": SCRIPT})
+        second = number.put({"x": 2.0, "label": "later"})
+        evil.put(SCRIPT.encode())
+        yield {"first": first, "second": second, "picture": picture}
+
+
+@pytest.fixture(scope="module")
+def page_server(cluster: LocalCluster, items: dict[str, st.Item]) -> Iterator[LivePage]:
+    with live_page(cluster.address) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        found = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])  # CI runs as root
+        yield found
+        found.close()
+
+
+class Tab:
+    """A tab of the browser, and everything that went wrong in it."""
+
+    def __init__(self, context: Any) -> None:
+        self.page = context.new_page()
+        self.page.set_default_timeout(WAIT_MILLIS)
+        self.troubles: list[str] = []
+        self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
+        self.page.on("console", lambda said: self.troubles.append(said.text) if said.type == "error" else None)
+
+    def show(self, url: str) -> None:
+        self.page.goto(url)
+        self.page.wait_for_selector(".row")
+        self.page.wait_for_selector(".card img")
+
+
+@pytest.fixture
+def tab(browser: Any, page_server: LivePage) -> Iterator[Tab]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    made = Tab(context)
+    made.show(page_server.url)
+    yield made
+    context.close()
+    assert made.troubles == []
+
+
+def test_the_page_shows_each_channel_and_its_newest_item(tab: Tab) -> None:
+    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "evil", "imu"]
+    tab.page.wait_for_function("document.querySelector('.card img').naturalWidth === 8")
+    tab.page.wait_for_selector("text=x 2")
+    assert tab.page.locator("#trouble").is_hidden()
+    assert "rig" in tab.page.locator("#state").inner_text()
+
+
+def test_names_attributes_and_payloads_stay_text(tab: Tab) -> None:
+    tab.page.wait_for_selector("article[aria-label=evil] pre")
+    assert SCRIPT in tab.page.locator("article[aria-label=evil] pre").inner_text()
+    assert SCRIPT in tab.page.locator("article[aria-label='cam/left'] dl").inner_text()
+    assert tab.page.evaluate("window.ran") is None
+
+
+def test_keys_stop_the_page_at_an_instant_and_step_from_item_to_item(tab: Tab, items: dict[str, st.Item]) -> None:
+    page = tab.page
+    page.locator(".row h3", has_text="imu").click()
+    page.keyboard.press(" ")
+    assert page.locator("#live").get_attribute("aria-pressed") == "false"
+    for expected in (items["second"], items["first"]):
+        shown = f"{expected.time % 1_000_000_000:09d}"[:6]
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_function("text => document.querySelector('#instant').textContent.endsWith(text)", arg=shown)
+    page.wait_for_selector("article[aria-label='cam/left'].none")  # no picture yet at the time of the first number
+    page.keyboard.press(" ")
+    page.wait_for_selector("article[aria-label='cam/left'] img")
+
+
+def test_a_click_on_the_time_line_shows_what_every_channel_held_then(tab: Tab) -> None:
+    tab.page.select_option("#window", "600")
+    tab.page.locator(".row canvas").first.click(position={"x": 3, "y": 10})
+    tab.page.wait_for_selector("article[aria-label='cam/left'].none")
+    assert tab.page.locator("#live").get_attribute("aria-pressed") == "false"
+
+
+def test_through_a_group_the_page_hides_what_the_group_hides(tab: Tab) -> None:
+    tab.page.select_option("#group", "rig")
+    tab.page.wait_for_selector("article[aria-label=imu] >> text=x 1")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1280])
+def test_the_page_fits_and_is_readable_in_both_themes(
+    browser: Any, page_server: LivePage, scheme: str, width: int
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
+    tab = Tab(context)
+    tab.show(page_server.url)
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert tab.page.evaluate(CONTRAST) >= 4.5
+    context.close()
+    assert tab.troubles == []
+
+
+# The least contrast of the shown texts with the page's background, as WCAG computes it.
+CONTRAST = """() => {
+  const light = (text) => {
+    const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map((one) => {
+      const part = one / 255;
+      return part <= 0.03928 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+    });
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const paper = light(getComputedStyle(document.body).backgroundColor);
+  const shown = [...document.querySelectorAll("h1, h2, h3, small, dt, dd, td, th, .dim")];
+  return Math.min(...shown.map((one) => {
+    const ink = light(getComputedStyle(one).color);
+    return (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05);
+  }));
+}"""

@@ -1,0 +1,12 @@
+"""`python -m stampede_rt_web`."""
+
+import signal
+import sys
+
+# until the service handles the signal itself: a signal during the imports ends the process without a traceback
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import stampede_rt.grpc_quiet  # noqa: E402, F401  # before the service imports gRPC
+from stampede_rt_web.app import main  # noqa: E402
+
+sys.exit(main())

@@ -1,0 +1,60 @@
+// Instants are BigInt nanoseconds since the epoch; everything that is shown is text.
+
+export const MILLI = 1_000_000n;
+
+export function clockText(nanos, digits = 3) {
+  const date = new Date(Number(nanos / MILLI));
+  const fraction = String(((nanos % 1_000_000_000n) + 1_000_000_000n) % 1_000_000_000n).padStart(9, "0");
+  const time = [date.getHours(), date.getMinutes(), date.getSeconds()].map((n) => String(n).padStart(2, "0")).join(":");
+  return digits ? `${time}.${fraction.slice(0, digits)}` : time;
+}
+
+export function durationText(nanos) {
+  if (nanos === null || nanos === undefined) return "–";
+  const sign = nanos < 0 ? "−" : "";
+  let rest = Math.abs(Number(nanos));
+  for (const [unit, size] of [["ns", 1000], ["µs", 1000], ["ms", 1000]]) {
+    if (rest < size) return `${sign}${trim(rest)} ${unit}`;
+    rest /= size;
+  }
+  if (rest < 120) return `${sign}${trim(rest)} s`;
+  return rest < 7200 ? `${sign}${trim(rest / 60)} min` : `${sign}${trim(rest / 3600)} h`;
+}
+
+export function bytesText(count) {
+  if (count === null || count === undefined) return "–";
+  for (const unit of ["B", "KiB", "MiB", "GiB"]) {
+    if (count < 1024) return `${trim(count)} ${unit}`;
+    count /= 1024;
+  }
+  return `${trim(count)} TiB`;
+}
+
+export function rateText(rate) {
+  return rate === null || rate === undefined ? "–" : `${trim(rate)}/s`;
+}
+
+function trim(number) {
+  return number >= 100 || Number.isInteger(number) ? String(Math.round(number)) : number.toFixed(number >= 10 ? 1 : 2);
+}
+
+// Makes an element. Text goes in as text, never as HTML, because names and payloads come from any producer.
+export function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "class") made.className = value;
+    else if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value !== null && value !== undefined) made.setAttribute(key, value);
+  }
+  made.append(...children.filter((child) => child !== null && child !== undefined));
+  return made;
+}
+
+export function colour(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+}
+
+export function globPattern(glob) {
+  const escaped = glob.replace(/[.+^${}()|[\]\\]/g, "\\$&").replaceAll("*", ".*").replaceAll("?", ".");
+  return new RegExp(`^${escaped}$`);
+}
