@@ -106,7 +106,7 @@ class Reader(Reference):
 
         With `max_staleness`, such as "500ms", a proxy of the channel may answer whose state is at most this old. With
         `least_seq`, such as the seq of the program's own last item, a proxy may answer that has this item. If no proxy
-        can, the owner answers. `staleness_nanos` of the answer tells. Reads through a group go to the owner. Raises
+        can, the owner answers. `staleness_nanos` of the answer tells. Raises
         InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)

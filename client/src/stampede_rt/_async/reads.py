@@ -59,7 +59,7 @@ async def _read_once(session: Session, state: ChannelState, query: ReadQuery, vi
             view.saw(items.cut)
         return items
 
-    if view is None and (query.max_staleness_nanos is not None or query.least_seq is not None):
+    if query.max_staleness_nanos is not None or query.least_seq is not None:
         copy = await copy_for_gets(session, state)
         if copy is not None:
             try:

@@ -60,7 +60,7 @@ def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: Se
             view.saw(items.cut)
         return items
 
-    if view is None and (query.max_staleness_nanos is not None or query.least_seq is not None):
+    if query.max_staleness_nanos is not None or query.least_seq is not None:
         copy = copy_for_gets(session, state)
         if copy is not None:
             try:

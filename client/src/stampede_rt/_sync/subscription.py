@@ -90,7 +90,7 @@ class Subscription(BoundToProcess):
         if after is not None and not isinstance(after, Item):
             raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
         begun = channel_pb.SubscribeOpen(
-            mode=_MODES[mode], without_payloads=not payloads, group_id=group_id, stale_ok=stale_ok and group_id is None
+            mode=_MODES[mode], without_payloads=not payloads, group_id=group_id, stale_ok=stale_ok
         )
         if start is not None:
             begun.start.CopyFrom(bound_to_message(start))

@@ -1,4 +1,5 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import group_pb2 as _group_pb2
 from stampede_rt.v1 import item_pb2 as _item_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
@@ -87,7 +88,7 @@ class FeedKey(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class FeedState(_message.Message):
-    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq")
+    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors")
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     CLEARED_FIELD_NUMBER: _ClassVar[int]
@@ -97,6 +98,7 @@ class FeedState(_message.Message):
     HEARD_NANOS_FIELD_NUMBER: _ClassVar[int]
     STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    FLOORS_FIELD_NUMBER: _ClassVar[int]
     first_seq: int
     next_seq: int
     cleared: FeedKey
@@ -106,7 +108,8 @@ class FeedState(_message.Message):
     heard_nanos: int
     staleness_nanos: int
     source_next_seq: int
-    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ...) -> None: ...
+    floors: _containers.RepeatedCompositeFieldContainer[_group_pb2.CutFloor]
+    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ...) -> None: ...
 
 class FeedCollection(_message.Message):
     __slots__ = ("floor", "floor_resets", "last_cause", "newest_collected_unix_nano", "collected_end_unix_nano", "collected_by", "newest_consumed_unix_nano", "came_up_to_unix_nano")

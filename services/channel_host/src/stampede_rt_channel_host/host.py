@@ -32,6 +32,7 @@ from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
+from stampede_rt_channel_host.groups.copied_groups import CopiedGroups
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
 from stampede_rt_channel_host.groups.reading import GroupReads
@@ -155,10 +156,12 @@ class ChannelHost:
     def add_to(self, server: grpc.aio.Server) -> None:
         """Serve the gatekeeper and the data services on `server`."""
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self._gatekeeper, server)
-        ChannelServicer(self.store, GroupReads(self.groups), self._streams).add_to(server)
+        ChannelServicer(
+            self.store, GroupReads(self.groups, CopiedGroups(GroupDirectory(self._supernodes))), self._streams
+        ).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
-        ReplicaServicer(self.store, self._streams).add_to(server)
+        ReplicaServicer(self.store, self._streams, self.groups.floors_of).add_to(server)
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
         """Register the host under the address `target`, and keep the lease from then on.

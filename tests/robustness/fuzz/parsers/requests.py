@@ -12,8 +12,9 @@ from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
 from stampede_rt_channel_host.channels import put_requests, requests
+from stampede_rt_channel_host.cluster.cut_floors import floor_from_message, floor_to_message
 from stampede_rt_channel_host.cluster.records import recorded_group
-from stampede_rt_channel_host.groups.messages import floor_from_message, floor_to_message, times_from_message
+from stampede_rt_channel_host.groups.messages import times_from_message
 from stampede_rt_channel_host.queues.incoming import enqueue_of
 from stampede_rt_channel_host.queues.incoming import read_request as read_enqueues
 from stampede_rt_channel_host.queues.requests import page_size_of, settlements_of, taker_of

@@ -86,7 +86,14 @@ def test_readers_that_want_the_owner_stay_and_only_a_few_move_at_a_time() -> Non
 
 
 def test_small_differences_move_nobody() -> None:
-    observers, copy = Observers(), copy_with(2)
+    observers, copy = Observers(), copy_with(3)
     readers = [Reader(observers) for _ in range(4)]
     fed(copy).relieve("cam", copy, observers)
     assert not any(one.sent_to for one in readers)
+
+
+def test_a_further_copy_gets_readers_although_the_host_has_hardly_more_than_its_share() -> None:
+    observers, new, old = Observers(), copy_with(0, "h3:1"), copy_with(3, "h2:1")
+    readers = [Reader(observers) for _ in range(3)]
+    fed(old, new).relieve("cam", new, observers)
+    assert [one.sent_to for one in readers] == ["h3:1", "", ""]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.timeline import format_duration
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.core.group import CutFloor
 
 SERVED_STALENESS_NANOS_MAX = 5_000_000_000
 """A copy that is older than this serves nobody."""
@@ -41,6 +42,7 @@ class CopyState:
         self.heard_nanos: int | None = None
         self.caught_up = False
         self.reconnects = 0
+        self.floors: dict[bytes, CutFloor] = {}  # by group: the cut up to which the copy may show the group
         self._changed = asyncio.Event()
 
     def steady_nanos(self) -> int:
@@ -56,6 +58,18 @@ class CopyState:
     def is_ready(self) -> bool:
         """Whether the copy can serve readers."""
         return self.caught_up and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
+
+    def merge_floors(self, floors: Iterable[CutFloor]) -> None:
+        """Take in the cuts of groups that the source has told. A cut falls only if its group has begun anew."""
+        for floor in floors:
+            known = self.floors.get(floor.group_id)
+            if known is None or known.incarnation != floor.incarnation or known.cut <= floor.cut:
+                self.floors[floor.group_id] = floor
+
+    async def wait_for(self, condition: Callable[[], bool], seconds_max: float) -> bool:
+        """Wait until `condition` holds after a part of the feed. Returns whether it holds after `seconds_max`."""
+        await self._wait(condition, seconds_max)
+        return condition()
 
     def note_progress(self) -> None:
         """Wake those who wait for the copy."""

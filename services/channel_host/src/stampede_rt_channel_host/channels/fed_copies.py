@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.observers import Observers
 HEARD_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
 READERS_MOVED_MAX = 16  # at each report of a copy, about once a second
 BALANCED_SHARE = 8
-"""The host sends connected readers away only if it has an eighth more readers than its share, and at least one more."""
+"""The host sends connected readers to a copy only if it has two more than the copy, and an eighth of a share more."""
 
 
 class FedCopy:
@@ -86,8 +86,8 @@ class FedCopies:
         if copy not in serving:
             return
         share = (own + sum(one.subscriptions for one in serving)) // (len(serving) + 1)
-        least = max(1, share // BALANCED_SHARE)
-        wanted = min(own - share, share - copy.subscriptions, READERS_MOVED_MAX) if own - share > least else 0
+        is_balanced = own - copy.subscriptions <= max(1, share // BALANCED_SHARE)
+        wanted = 0 if is_balanced else min(own - share, share - copy.subscriptions, READERS_MOVED_MAX)
         for reader in readers:
             if wanted <= 0:
                 return

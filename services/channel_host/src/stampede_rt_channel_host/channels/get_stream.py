@@ -20,7 +20,7 @@ from stampede_rt_channel_host.channels.get_plans import REQUEST_BYTES_MAX, GetCa
 from stampede_rt_channel_host.channels.get_summaries import kept_bytes_of, summary_of
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.hosted_copies import check_no_copy, refusal_of
+from stampede_rt_channel_host.channels.hosted_copies import refusal_of
 from stampede_rt_channel_host.channels.outbox import Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -172,7 +172,6 @@ class GetStream:
         hosted, now = self._store.find_readable(plan.channel_id, plan.epoch, plan.demand), self._store.now()
         self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
         if plan.group is not None:
-            check_no_copy(hosted)
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
         get = _OpenGet(call_id, plan, hosted, now)
@@ -250,7 +249,7 @@ class GetStream:
                 self._free(found.answer)
                 del found
                 await self._outbox.room()
-                self._store.find(plan.channel_id, plan.epoch)
+                self._store.find_readable(plan.channel_id, plan.epoch, plan.demand)
                 left_nanos = wait_nanos if wait_nanos < 0 else max(0, began + wait_nanos - self._store.now())
                 found = await self._groups.read(params, hosted, plan.query, left_nanos, check)
         except StampedeError as error:

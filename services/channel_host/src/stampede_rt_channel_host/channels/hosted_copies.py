@@ -71,12 +71,6 @@ def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError
     return None
 
 
-def check_no_copy(hosted: HostedChannel) -> None:
-    """Raises StaleBinding (MOVED) for a read through a group at a copy, which does not know the cuts of groups."""
-    if hosted.copy is not None:
-        raise refusals.copy_cannot(hosted.record.name, "does not know the cuts of groups")
-
-
 def _nothing() -> None:
     """Does nothing: the feed of a copy goes on."""
 

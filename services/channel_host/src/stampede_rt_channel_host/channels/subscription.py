@@ -17,7 +17,6 @@ from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
-from stampede_rt_channel_host.channels.hosted_copies import check_no_copy
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.requests import (
@@ -167,10 +166,7 @@ class Subscription(ChangeObserver):
     def _check_place(self, opening: pb.SubscribeOpen) -> None:
         """Note whether the reader may move to a copy. Raises StaleBinding (MOVED) if it is to begin at another host."""
         hosted = self._hosted
-        in_group = opening.HasField("group_id")
-        if in_group:
-            check_no_copy(hosted)
-        if not opening.stale_ok or in_group:
+        if not opening.stale_ok:
             return
         self._movable_at_s = asyncio.get_running_loop().time() + (STAY_SECONDS if opening.stay else 0)
         if hosted.fed is not None and not opening.stay:

@@ -15,6 +15,7 @@ from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, place_to, run_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
@@ -165,6 +166,7 @@ class CopyFeed:
         copy, held = self._state, self._held()
         copy.heard_nanos = state.heard_nanos - state.staleness_nanos
         copy.source_next_seq = state.source_next_seq
+        copy.merge_floors(map(floor_from_message, state.floors))
         if not copy.caught_up and held is not None and held.channel.next_seq >= state.source_next_seq:
             copy.caught_up = True
             self._news.set()  # the source may send readers now

@@ -7,6 +7,7 @@ message. The source writes only if something has changed, or if the copy has sen
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -17,23 +18,31 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.copies.messages import place_of, state_to
 from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 FEEDS_MAX = 64  # of one channel at one host; the directory allows 16 copies, and a broken stream may linger
+FLOORS_MAX = 64  # groups of one channel of which a copy learns; reads through others go to the owner
 WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
 
 
 class FeedStream:
     """Feeds one copy. Observes its channel, on the event loop."""
 
-    def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
+    def __init__(
+        self, store: ChannelStore, context: Context, stream: OpenStream, floors_of: Callable[[bytes], list[CutFloor]]
+    ) -> None:
+        """`floors_of` returns the cuts of the groups of a channel that this host owns."""
         self._store = store
+        self._floors_of = floors_of
+        self._sent_floors: dict[bytes, CutFloor] = {}
         self._context = context
         self._stream = stream
         self._work = current_work()
@@ -135,10 +144,20 @@ class FeedStream:
         if hosted.copy is not None:
             state.staleness_nanos = hosted.copy.staleness_nanos
             state.source_next_seq = max(state.source_next_seq, hosted.copy.source_next_seq)
+        if part.next_seq == hosted.channel.next_seq:
+            state.floors.extend(map(floor_to_message, self._new_floors(hosted)))
         if hosted.record.message != self._sent_record:
             self._sent_record = hosted.record.message
             state.channel.CopyFrom(channel_message(hosted.record))
         return pb.FeedResponse(opened=opened, state=state).SerializeToString()
+
+    def _new_floors(self, hosted: HostedChannel) -> list[CutFloor]:
+        """The cuts that have changed since the copy got them. The copy of this part has all items before them."""
+        copy = hosted.copy
+        floors = self._floors_of(hosted.record.channel_id) if copy is None else [*copy.floors.values()]
+        new = [one for one in floors[:FLOORS_MAX] if self._sent_floors.get(one.group_id) != one]
+        self._sent_floors |= {one.group_id: one for one in new}
+        return new
 
     async def _write(self, message: bytes) -> None:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import grpc
@@ -12,6 +12,7 @@ from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.rpc import Context
 
 SERVICE = "stampede_rt.v1.ReplicaService"
@@ -20,8 +21,10 @@ SERVICE = "stampede_rt.v1.ReplicaService"
 class ReplicaServicer:
     """Serves ReplicaService. `streams` ends all open streams when the host ends."""
 
-    def __init__(self, store: ChannelStore, streams: OpenStreams) -> None:
+    def __init__(self, store: ChannelStore, streams: OpenStreams, floors_of: Callable[[bytes], list[CutFloor]]) -> None:
+        """`floors_of`: see `FeedStream`."""
         self._store = store
+        self._floors_of = floors_of
         self._streams = streams
 
     def add_to(self, server: grpc.aio.Server) -> None:
@@ -36,4 +39,4 @@ class ReplicaServicer:
         """ReplicaService.Feed: between hosts only."""
         async with self._streams.serve(context) as stream:
             request: pb.FeedRequest = opening_of(await context.read(), pb.FeedRequest, "FeedRequest")
-            await FeedStream(self._store, context, stream).run(request)
+            await FeedStream(self._store, context, stream, self._floors_of).run(request)

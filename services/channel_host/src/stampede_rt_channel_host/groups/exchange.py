@@ -10,11 +10,12 @@ from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.observers import Backlog
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.link import HostLink
-from stampede_rt_channel_host.groups.messages import floor_from_message, times_from_message, times_to_message
+from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
 from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 

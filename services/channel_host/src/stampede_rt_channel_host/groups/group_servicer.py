@@ -12,10 +12,10 @@ import grpc
 
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.groups.cut_events import CutEvents
 from stampede_rt_channel_host.groups.group_status import group_status
 from stampede_rt_channel_host.groups.match_stream import MatchStream
-from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_runtime.access.control import check_access, check_known

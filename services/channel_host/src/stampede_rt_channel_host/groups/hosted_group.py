@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE, ChannelObserver, Observers
 from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANOS
-from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, Horizon, TimesBoard
+from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, GroupDefinition, Horizon, TimesBoard
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 
 _WHY_ANEW = (
@@ -89,6 +89,11 @@ class HostedGroup:
         self.cut.define(definition)
         self.generation += 1
         return anew
+
+    @property
+    def definition(self) -> GroupDefinition:
+        """The members and settings of the group."""
+        return self.cut.definition
 
     def check_incarnation(self, incarnation: int) -> None:
         """Raises IncarnationLost if the group has begun anew since `incarnation`.

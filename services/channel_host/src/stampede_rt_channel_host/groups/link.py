@@ -15,9 +15,9 @@ from typing import Any, Protocol
 from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable, VersionMismatch
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.core.group import CutFloor
-from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005

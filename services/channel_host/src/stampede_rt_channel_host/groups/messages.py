@@ -1,9 +1,9 @@
-"""Converts the times of channels, and the cuts of groups (`CutFloor`), from and to protobuf (`group.proto`)."""
+"""Converts the times of channels from and to protobuf (`group.proto`)."""
 
 from __future__ import annotations
 
 from stampede_rt.v1 import group_pb2
-from stampede_rt_channel_host.core.group import ChannelTimes, CutFloor
+from stampede_rt_channel_host.core.group import ChannelTimes
 
 
 def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) -> group_pb2.ChannelTimes:
@@ -28,18 +28,3 @@ def times_from_message(message: group_pb2.ChannelTimes) -> ChannelTimes:
         newest_end=message.newest_end_unix_nano if message.HasField("newest_end_unix_nano") else None,
         advance=message.advance_unix_nano if message.HasField("advance_unix_nano") else None,
     )
-
-
-def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
-    """The message in which a host tells other hosts its cut of a group."""
-    return group_pb2.CutFloor(
-        group_id=floor.group_id,
-        incarnation=floor.incarnation,
-        cut_unix_nano=floor.cut,
-        spec_version=floor.spec_version,
-    )
-
-
-def floor_from_message(message: group_pb2.CutFloor) -> CutFloor:
-    """The cut of a group that another host has sent in a message."""
-    return CutFloor(message.group_id, message.incarnation, message.cut_unix_nano, message.spec_version)

@@ -13,6 +13,7 @@ from contextlib import asynccontextmanager
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
@@ -29,6 +30,7 @@ from stampede_rt_channel_host.core.channel import (
     first_of,
 )
 from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, VisibleNewest
+from stampede_rt_channel_host.groups.copied_groups import CopiedGroup, CopiedGroups
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
@@ -42,8 +44,10 @@ SETTLE_SECONDS_MAX = 5.0  # the longest wait for the cut at the beginning of a s
 class GroupReads:
     """Implements `GroupAccess`."""
 
-    def __init__(self, groups: GroupStore) -> None:
+    def __init__(self, groups: GroupStore, copied: CopiedGroups) -> None:
+        """`copied`: the groups of copies at this host."""
         self._groups = groups
+        self._copied = copied
 
     def read_now(
         self,
@@ -55,7 +59,7 @@ class GroupReads:
         check: Callable[[str], None],
     ) -> GroupAnswer | None:
         """See `GroupAccess`."""
-        group = self._groups.known(params.group_id)
+        group = self._groups.known(params.group_id) if hosted.copy is None else None
         if group is not None:
             check(group.record.name)
         if group is None or not group.has_reached(_wanted(params)):
@@ -77,6 +81,8 @@ class GroupReads:
         check: Callable[[str], None],
     ) -> GroupAnswer:
         """See `GroupAccess`."""
+        if hosted.copy is not None:
+            return await self._read_copy(params, hosted, query, wait_nanos, check)
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
         group = await self._groups.find(params.group_id)
@@ -89,6 +95,28 @@ class GroupReads:
             return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
         self._check_served(hosted)
         return await self._get(group, hosted, params.at, query, deadline_s)
+
+    async def _read_copy(
+        self,
+        params: GroupReadParams,
+        hosted: HostedChannel,
+        query: Query,
+        wait_nanos: int,
+        check: Callable[[str], None],
+    ) -> GroupAnswer:
+        """Read a copy. Raises StaleBinding (MOVED) for a get that would have to wait for items."""
+        group = await self._copied.find(params.group_id, hosted)
+        check(group.record.name)
+        await group.reach(_wanted(params), STALL_SECONDS_MAX)
+        channels, horizon = self._groups.channels, group.horizon(params.at)
+        view = VisibleChannel(member_of(group, hosted).channel)
+        if not wait_nanos:
+            return GroupAnswer(await channels.scheduler.do(view.reading(query, horizon, channels.now())), horizon.cut)
+        pending = view.begin(query, horizon, channels.now())
+        found = await channels.scheduler.do(view.polling(pending, horizon, channels.now()))
+        if isinstance(found, WakeAt):
+            raise refusals.copy_cannot(hosted.record.name, "has no answer yet, and reads of groups wait at the owner")
+        return GroupAnswer(found, horizon.cut)
 
     async def _get(
         self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
@@ -123,7 +151,11 @@ class GroupReads:
         self, opening: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if this host does not learn the cut in time."""
-        group = await self._groups.find(opening.group_id)
+        group: HostedGroup | CopiedGroup
+        if hosted.copy is None:
+            group = await self._groups.find(opening.group_id)
+        else:
+            group = await self._copied.find(opening.group_id, hosted)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         member_of(group, hosted)
         saved = opening.cursor  # a cursor of another incarnation needs no wait, because it is refused
@@ -141,7 +173,7 @@ class GroupReads:
 
     def _check_served(self, hosted: HostedChannel) -> None:
         """Check after a wait that this host still serves the channel. Raises StaleBinding or Unavailable if not."""
-        found = self._groups.channels.find(hosted.record.channel_id, hosted.epoch)
+        found = self._groups.channels.find_readable(hosted.record.channel_id, hosted.epoch, Freshness())
         if found is not hosted:
             raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
 
@@ -151,7 +183,7 @@ class _All:
 
     skipped = 0
 
-    def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
+    def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
         self._group = group
         self._incarnation = group.record.incarnation
         self._hosted = hosted
@@ -174,7 +206,7 @@ class _All:
 class _Newest:
     """The cursor of a subscription through a group in SUBSCRIBE_MODE_NEWEST."""
 
-    def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
+    def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
         self._group = group
         self._incarnation = group.record.incarnation
         self._hosted = hosted
@@ -198,16 +230,18 @@ class _Newest:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), skipped=self._cursor.skipped)
 
 
-def _cursor(group: HostedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> _All | _Newest:
+def _cursor(
+    group: HostedGroup | CopiedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, now: int
+) -> _All | _Newest:
     where, horizon = beginning_of(opening), group.horizon()
     if is_newest(opening):
         return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
     return _All(group, hosted, VisibleAll(hosted.channel, horizon, now, **where))
 
 
-def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
+def member_of(group: HostedGroup | CopiedGroup, hosted: HostedChannel) -> HostedChannel:
     """Return the channel. Raises InvalidArgument if the channel is no member of the group."""
-    if hosted.record.channel_id not in group.cut.definition.members:
+    if hosted.record.channel_id not in group.definition.members:
         raise InvalidArgument(
             f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"
         )

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.core.records import RecordedChange, ResolvedGroup
 from stampede_rt_channel_host.groups.background_lookups import BackgroundLookups
 from stampede_rt_channel_host.groups.exchange import TimesExchange
@@ -94,6 +95,11 @@ class GroupStore:
     def all(self) -> list[HostedGroup]:
         """All groups that this host knows."""
         return list(self._table.groups.values())
+
+    def floors_of(self, channel_id: bytes) -> list[CutFloor]:
+        """The cuts of the channel's groups that this host knows and has confirmed."""
+        floors = (group.floor() for group in self._table.groups_of(channel_id) if group.cut.is_confirmed)
+        return [one for one in floors if one is not None]
 
     def own(self, channel_id: bytes) -> OwnChannel | None:
         """The channel, if it is a member that this host owns and serves; else None."""
