@@ -15,6 +15,7 @@ from stampede_rt._async.sampler import MonotonicClock, Sampler
 from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelLocator, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import ServerEndpoint
@@ -68,7 +69,8 @@ class Channel(Reader):
         on_full = self.info.policy.on_full
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
         may_fill = on_full in ("block", "reject")
-        ack = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
+        with span("put", channel=self.name):
+            ack = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:

@@ -19,6 +19,7 @@ from stampede_rt._async.proxies import Proxies
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._async.queue_locator import open_queue, queue_state
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
 from stampede_rt.transports.concurrency_async import monotonic_s
@@ -197,7 +198,8 @@ class Connection(Proxies, Reference):
             request = group_directory_pb.OpenGroupRequest(
                 request_id=request_id(), name=parse_name(name, "group"), spec=spec, create=True
             )
-        response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
+        with span("open", group=name):
+            response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         handles = member_handles(self._session, response, channels or ())
         return Group(GroupMembers(self._session, group_info(response.group), handles, create=channels is not None))
 

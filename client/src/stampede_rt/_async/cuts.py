@@ -8,6 +8,7 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
@@ -159,7 +160,8 @@ class CutSubscription(BoundToProcess):
         if self._streams or self._closed:
             return
         try:
-            await self._reconnecting.open(self._open_within)
+            with span("subscribe", group=self._group.name):
+                await self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise self._group.explained(error) from None

@@ -16,6 +16,7 @@ from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read
 from stampede_rt._async.session import CALL_TIMEOUT_S, request_id
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
@@ -162,7 +163,8 @@ class Group(Reference):
         return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
     async def _read(self, query: ReadQuery) -> ByChannel[Channel, Items]:
-        return await self._with_members_of_now(functools.partial(self._read_all, query))
+        with span("get", group=self.name):
+            return await self._with_members_of_now(functools.partial(self._read_all, query))
 
     async def _with_members_of_now(self, operation: Callable[[], Awaitable[Result]]) -> Result:
         """Return the result of `operation`.

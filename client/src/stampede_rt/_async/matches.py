@@ -13,6 +13,7 @@ from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
@@ -133,7 +134,8 @@ class MatchSubscription(BoundToProcess):
         if self._stream is not None or self._closed:
             return
         try:
-            await self._reconnecting.open(self._open_within)
+            with span("match", group=self._group.name):
+                await self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise self._group.explained(error) from None

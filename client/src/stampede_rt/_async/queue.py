@@ -16,6 +16,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_async import monotonic_s, when_dropped
@@ -92,7 +93,8 @@ class MessageTaking:
         host serves the taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached
         for 10 s; InvalidArgument if this handle is closed.
         """
-        return await self._taker.get(Wait.parse(timeout))
+        with span("take", queue=self.name):
+            return await self._taker.get(Wait.parse(timeout))
 
     def __aiter__(self) -> MessageTaking:
         return self
@@ -196,7 +198,8 @@ class Queue(MessageTaking, Reference):
         CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
-        return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
+        with span("enqueue", queue=self.name):
+            return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
 
     async def configure(
         self,

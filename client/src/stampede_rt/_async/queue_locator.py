@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt.cluster.binding import Binding, Owner
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable
 from stampede_rt.v1 import directory_pb2, queue_directory_service_pb2, queue_pb2
 from stampede_rt.values.codecs import Coding
@@ -61,7 +62,8 @@ async def open_queue(
         create=flag_of("create", create),
         host_name=parse_name(host, "host") if host else "",
     )
-    response = await session.supernodes.call("OpenQueue", request, timeout_s)
+    with span("open", queue=name):
+        response = await session.supernodes.call("OpenQueue", request, timeout_s)
     return learn_queue(session, response.queue, response.host)
 
 

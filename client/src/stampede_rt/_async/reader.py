@@ -11,6 +11,7 @@ from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
+from stampede_rt.cluster.tracing import span
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import ChannelInfo, Item, Items
@@ -189,7 +190,8 @@ class Reader(Reference):
         return items[0] if items else None
 
     async def _read(self, query: ReadQuery) -> Items:
-        return await read(self._session, self._state, query, self._view)
+        with span("get", channel=self.name):
+            return await read(self._session, self._state, query, self._view)
 
     def subscribe(
         self,

@@ -20,6 +20,7 @@ from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._sync.queue_locator import open_queue, queue_state
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
 from stampede_rt.transports.concurrency_sync import monotonic_s
@@ -198,7 +199,8 @@ class Connection(Proxies, Reference):
             request = group_directory_pb.OpenGroupRequest(
                 request_id=request_id(), name=parse_name(name, "group"), spec=spec, create=True
             )
-        response = self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
+        with span("open", group=name):
+            response = self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         handles = member_handles(self._session, response, channels or ())
         return Group(GroupMembers(self._session, group_info(response.group), handles, create=channels is not None))
 

@@ -17,6 +17,7 @@ from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.session import CALL_TIMEOUT_S, request_id
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
@@ -161,7 +162,8 @@ class Group(Reference):
         return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
     def _read(self, query: ReadQuery) -> ByChannel[Channel, Items]:
-        return self._with_members_of_now(functools.partial(self._read_all, query))
+        with span("get", group=self.name):
+            return self._with_members_of_now(functools.partial(self._read_all, query))
 
     def _with_members_of_now(self, operation: Callable[[], Result]) -> Result:
         """Return the result of `operation`.

@@ -17,6 +17,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_i
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_sync import monotonic_s, when_dropped
@@ -93,7 +94,8 @@ class MessageTaking:
         host serves the taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached
         for 10 s; InvalidArgument if this handle is closed.
         """
-        return self._taker.get(Wait.parse(timeout))
+        with span("take", queue=self.name):
+            return self._taker.get(Wait.parse(timeout))
 
     def __iter__(self) -> MessageTaking:
         return self
@@ -197,7 +199,8 @@ class Queue(MessageTaking, Reference):
         CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
-        return enqueued(self._puts.put(self._numbers, item, Wait.parse(timeout)))
+        with span("enqueue", queue=self.name):
+            return enqueued(self._puts.put(self._numbers, item, Wait.parse(timeout)))
 
     def configure(
         self,

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stampede_rt.cluster.cluster_ids import cluster_metadata
+from stampede_rt.cluster.tracing import trace_metadata
 from stampede_rt.security.credentials import call_metadata
 
 
 class CallMetadata:
-    """The metadata of the calls of one connection: its present secret, and the id of its cluster once the id is known.
+    """The metadata of the calls of one connection: its present secret, the id of its cluster once the id is known,
+    and the trace to which a call belongs.
 
     All endpoints of the connection share this object.
     """
@@ -21,7 +23,7 @@ class CallMetadata:
 
     def __call__(self) -> tuple[tuple[str, str], ...]:
         """Return the metadata of a call that begins now."""
-        return call_metadata(self._present_secret()) + self._of_cluster
+        return call_metadata(self._present_secret()) + self._of_cluster + trace_metadata()
 
     @property
     def cluster_id(self) -> str:

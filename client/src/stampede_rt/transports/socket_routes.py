@@ -83,4 +83,5 @@ def opening_of(method: str, metadata: Iterable[tuple[str, str]], ticket: bytes) 
         cluster_id=named.get(CLUSTER_KEY, ""),
         authorization=named.get("authorization", ""),
         ticket=ticket,
+        trace_parent=named.get("traceparent", ""),
     ).SerializeToString()

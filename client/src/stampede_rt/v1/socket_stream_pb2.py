@@ -24,13 +24,13 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/socket_stream.proto\x12\x0estampede_rt.v1\"t\n\rStreamOpening\x12\x0e\n\x06method\x18\x01 \x01(\t\x12\x18\n\x10protocol_version\x18\x02 \x01(\r\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x15\n\rauthorization\x18\x04 \x01(\t\x12\x0e\n\x06ticket\x18\x05 \x01(\x0c\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/socket_stream.proto\x12\x0estampede_rt.v1\"\x8a\x01\n\rStreamOpening\x12\x0e\n\x06method\x18\x01 \x01(\t\x12\x18\n\x10protocol_version\x18\x02 \x01(\r\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x15\n\rauthorization\x18\x04 \x01(\t\x12\x0e\n\x06ticket\x18\x05 \x01(\x0c\x12\x14\n\x0ctrace_parent\x18\x06 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.socket_stream_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_STREAMOPENING']._serialized_start=54
-  _globals['_STREAMOPENING']._serialized_end=170
+  _globals['_STREAMOPENING']._serialized_start=55
+  _globals['_STREAMOPENING']._serialized_end=193
 # @@protoc_insertion_point(module_scope)

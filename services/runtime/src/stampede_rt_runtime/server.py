@@ -28,6 +28,7 @@ from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.reflecting import describe_services, noting_names
 from stampede_rt_runtime.sockets.server import SocketServer
 from stampede_rt_runtime.tls import ServiceTls
+from stampede_rt_runtime.tracing import tracing_interceptors
 from stampede_rt_runtime.values import Address
 
 logger = logging.getLogger(__name__)
@@ -77,6 +78,7 @@ class ServiceServer:
             *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
             CapacityInterceptor(self.slots, self.refused_calls),
             PacingInterceptor(),
+            *tracing_interceptors(),
         ]
         self.sockets = SocketServer(interceptors, limits, self.refused_calls)
         """Streams over sockets of their own. It serves nobody until it listens."""

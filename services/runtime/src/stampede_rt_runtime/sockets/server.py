@@ -252,4 +252,5 @@ class SocketServer:
 
 def _metadata(opening: pb.StreamOpening) -> Metadata:
     credential = (("authorization", opening.authorization),) if opening.authorization else ()
-    return credential + cluster_metadata(opening.cluster_id)
+    trace = (("traceparent", opening.trace_parent),) if opening.trace_parent else ()
+    return credential + cluster_metadata(opening.cluster_id) + trace
