@@ -9,6 +9,7 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
@@ -160,7 +161,8 @@ class CutSubscription(BoundToProcess):
         if self._streams or self._closed:
             return
         try:
-            self._reconnecting.open(self._open_within)
+            with span("subscribe", group=self._group.name):
+                self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise self._group.explained(error) from None

@@ -14,6 +14,7 @@ from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
@@ -134,7 +135,8 @@ class MatchSubscription(BoundToProcess):
         if self._stream is not None or self._closed:
             return
         try:
-            self._reconnecting.open(self._open_within)
+            with span("match", group=self._group.name):
+                self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise self._group.explained(error) from None

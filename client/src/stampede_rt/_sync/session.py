@@ -21,6 +21,7 @@ from stampede_rt._sync.endpoints import EndpointPool, connection_closed
 from stampede_rt._sync.put_streams import PutStreams
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.cluster.copy_cache import CopyCache
+from stampede_rt.cluster.tracing import span
 from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials
@@ -169,7 +170,8 @@ class Session:
             host_name=parse_name(host, "host") if host else "",
             beside=parse_name(beside) if beside else "",
         )
-        response = self.supernodes.call("OpenChannel", request, timeout_s)
+        with span("open", channel=name):
+            response = self.supernodes.call("OpenChannel", request, timeout_s)
         return self._learn(response.channel, response.host)
 
     def _learn(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord) -> ChannelInfo:

@@ -70,7 +70,7 @@ class CopyKeeper:
             copy.state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
             copy.task = asyncio.create_task(self._keep(copy), name=f"copy of {record.name}")
             copy.task.add_done_callback(_check)
-            logger.info("a copy begins", extra={"channel": record.name})
+            logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
         await copy.state.ready(record.name, READY_SECONDS_MAX)
 
     async def report_forever(self) -> NoReturn:
@@ -97,7 +97,7 @@ class CopyKeeper:
                 if source.target and self._store.lease_held():
                     await self._feed(copy, source)
             except StampedeError as error:
-                extra = {"channel": copy.record.name, "why": str(error)}
+                extra = {"event": "copy_feed_broken", "channel": copy.record.name, "why": str(error)}
                 logger.info("the feed of a copy is broken; the host tries again", extra=extra)
             if copy.state.staleness_nanos < 2 * PAUSE_SECONDS_MAX * 10**9:
                 pause_s = PAUSE_SECONDS_MIN
@@ -144,7 +144,7 @@ class CopyKeeper:
         copy = self._copies.pop(channel_id, None)
         if copy is None:
             return
-        logger.info("a copy ends", extra={"channel": copy.record.name, "why": why})
+        logger.info("a copy ends", extra={"event": "copy_ended", "channel": copy.record.name, "why": why})
         if copy.task is not None and copy.task is not asyncio.current_task():
             copy.task.cancel()
 
@@ -168,7 +168,9 @@ class CopyKeeper:
             removed = await self._directory.report(identity.host_id, identity.boot_incarnation, loads)
             await self._check_removed(removed)
         except StampedeError as error:
-            logger.debug("the loads of copies were not reported", extra={"why": str(error)})
+            logger.debug(
+                "the loads of copies were not reported", extra={"event": "copy_loads_not_reported", "why": str(error)}
+            )
 
     async def _check_removed(self, channel_ids: Sequence[bytes]) -> None:
         """Ask the directory for the copies that its leader does not know, and drop those that are gone."""
@@ -180,4 +182,6 @@ class CopyKeeper:
 
 def _check(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (failure := task.exception()) is not None:
-        logger.error("a copy has ended with a defect", exc_info=failure, extra={"task": task.get_name()})
+        logger.error(
+            "a copy has ended with a defect", exc_info=failure, extra={"event": "task_defect", "task": task.get_name()}
+        )
