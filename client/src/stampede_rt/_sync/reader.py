@@ -12,6 +12,7 @@ from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
+from stampede_rt.cluster.tracing import span
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import ChannelInfo, Item, Items
@@ -190,7 +191,8 @@ class Reader(Reference):
         return items[0] if items else None
 
     def _read(self, query: ReadQuery) -> Items:
-        return read(self._session, self._state, query, self._view)
+        with span("get", channel=self.name):
+            return read(self._session, self._state, query, self._view)
 
     def subscribe(
         self,

@@ -14,6 +14,7 @@ from stampede_rt._sync.copies import bound_at, copy_target_of, may_serve_elsewhe
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StaleBinding, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
@@ -160,7 +161,8 @@ class Subscription(BoundToProcess):
         if self._stream is not None or self._closed:
             return
         try:
-            self._reconnecting.open(self._open_within)
+            with span("subscribe", channel=self._state.info.name):
+                self._reconnecting.open(self._open_within)
         except IncarnationLost as error:
             self._closed = True
             raise self._lost(error) from error

@@ -61,20 +61,22 @@ class StatusLog:
 
 
 def _of_one(target: str, why: str | None, *, is_return: bool) -> LogLine:
-    if why is None:
-        return LogLine("supernode_serves", "a supernode can serve", True, is_return, {"supernode": target})
+    facts = {"supernode": target} if why is None else {"supernode": target, "why": why}
     return LogLine(
-        "supernode_cannot_serve", "a supernode cannot serve", False, False, {"supernode": target, "why": why}
+        event="supernode_serves" if why is None else "supernode_cannot_serve",
+        text="a supernode can serve" if why is None else "a supernode cannot serve",
+        is_well=why is None,
+        is_return=is_return,
+        facts=facts,
     )
 
 
 def _of_all(any_serves: bool, *, is_return: bool) -> LogLine:
-    if any_serves:
-        return LogLine("directory_serves", "the directory can serve: callers can connect", True, is_return, {})
+    not_one = "no supernode can serve this front-end: no client can connect through it until one can"
     return LogLine(
-        "directory_cannot_serve",
-        "no supernode can serve this front-end: no client can connect through it until one can",
-        False,
-        False,
-        {},
+        event="directory_serves" if any_serves else "directory_cannot_serve",
+        text="the directory can serve: callers can connect" if any_serves else not_one,
+        is_well=any_serves,
+        is_return=is_return,
+        facts={},
     )
