@@ -1,4 +1,4 @@
-"""The core and the oracle side by side: every step is made on both, and everything that can be seen must agree."""
+"""A channel of the core beside one of the oracle. Each step runs on both, and all their visible results must agree."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TIED_ITEMS_MAX = 3  # a bucket of a story has hardly more
 
 
 def items_of(slices: Sequence[Slice]) -> list[Item]:
-    """The items of slices, by their columns."""
+    """The items of slices, read from the columns of their runs."""
     found = []
     for part in slices:
         for at in range(part.lo, part.hi):
@@ -56,7 +56,7 @@ def facts(items: Sequence[Item]) -> list[tuple[int, int, int | None, int]]:
 
 
 def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
-    """The get was to be looked at again: what it needs has come, or its instant."""
+    """Whether the host had to poll the get again: one of its needs is met, or its instant has come."""
     assert wake.needs is not None, "a blocked get knows what it waits for"
     pairs = zip(wake.needs, reach, strict=True)
     reached = any(need is not None and come is not None and need <= come for need, come in pairs)
@@ -64,7 +64,10 @@ def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
 
 
 def ends_as_read(items: Sequence[Item], next_time: int | None, overlap: int) -> list[int | None]:
-    """The ends that a reader derives: by duration, by the next later item, for the last ones by `next_time`."""
+    """The ends of the items' spans as a reader computes them, from durations and the next later items.
+
+    `next_time` is the time of the next item after the last one.
+    """
     ends: list[int | None] = []
     for item in items:
         bounds = [other.time for other in items if other.time > item.time][:1]
@@ -77,10 +80,10 @@ def ends_as_read(items: Sequence[Item], next_time: int | None, overlap: int) -> 
 
 
 def check_causes(collected: Mapping[str, int], expected: Mapping[str, int]) -> None:
-    """How much each limit took.
+    """Check the numbers of collected items by cause.
 
-    What two limits are due to take at the same moment counts under either: the core settles a run's excess in one go,
-    the oracle item by item, so that a bucket that was cut in half may age in between.
+    Items that two limits outdate at the same moment may count for either cause. The core collects the excess of a whole
+    run in one step. The oracle collects it item by item, so the rest of a bucket may become too old between two items.
     """
     assert collected.keys() == expected.keys()
     assert sum(collected.values()) == sum(expected.values())
@@ -91,7 +94,7 @@ def check_causes(collected: Mapping[str, int], expected: Mapping[str, int]) -> N
 
 @dataclass
 class ChannelPair:
-    """One channel, twice, and everybody who waits for it."""
+    """One channel in the core and in the oracle, with its gets, waiting puts and subscriptions."""
 
     policy: Policy
     clock: int
@@ -103,8 +106,12 @@ class ChannelPair:
     waiting: list[Offer] = field(default_factory=list)
     all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
-    skipped_before: dict[OracleNewest, int] = field(default_factory=dict)  # by cursors that were gone on from
-    may_count_more: set[OracleSubscription] = field(default_factory=set)  # gaps that what a start left out may be in
+    skipped_before: dict[OracleNewest, int] = field(
+        default_factory=dict
+    )  # items that the cursors before a resumption skipped
+    may_count_more: set[OracleSubscription] = field(
+        default_factory=set
+    )  # their gaps may count items that `start` excluded
 
     def __post_init__(self) -> None:
         self.core = ChannelCore(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
@@ -112,7 +119,7 @@ class ChannelPair:
         self.tracker = ReachTracker(self.core)
 
     def put(self, offer: Offer) -> None:
-        """An offer; what has to wait is kept for later."""
+        """Put an offer into both. Keeps the items that have to wait for `retry_put`."""
         sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
 
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
@@ -162,13 +169,13 @@ class ChannelPair:
                 self.core.advance(instant, self.clock)
 
     def configure(self, policy: Policy) -> None:
-        """Whether items overlap is fixed when the channel is made."""
+        """Change the policy, except `overlap`, which never changes."""
         policy = replace(policy, overlap_nanos=self.oracle.policy.overlap_nanos)
         self.core.configure(policy, self.clock)
         self.oracle.configure(policy, self.clock)
 
     def consume(self, consumer_id: int, seqs: Sequence[int], lease: int) -> None:
-        """By one consumer, on a channel that counts consumption, and refused on another."""
+        """Consume for one consumer. A channel without consumers must refuse the call."""
         if self.oracle.consumers is None:
             with pytest.raises(InvalidArgument, match="counts no consumption"):
                 self.core.consume(consumer_id, seqs, self.clock, lease_nanos=lease)
@@ -182,7 +189,7 @@ class ChannelPair:
             assert self.core.consume(consumer_id, seqs, self.clock, lease_nanos=lease).items == expected
 
     def carry_consumers(self) -> None:
-        """The places leave as values and come back."""
+        """Export the consumer places as values, and restore them, as for a move to another host."""
         self.oracle.age(self.clock)
         places, held = self.core.consumer_places(self.clock), len(self.oracle.held)
         assert all(len(one.consumed) <= held for one in places), "what is told of a consumer is bounded by what is held"
@@ -200,7 +207,7 @@ class ChannelPair:
         self.gets.append((self.core.begin(query, self.clock), blocked))
 
     def poll_all(self) -> None:
-        """As the owner does after every change, and when an instant comes."""
+        """Poll all gets, as a host does after each change and at the instants of the gets."""
         still, reach = [], self.tracker.reach(self.clock)
         for pending, blocked in self.gets:
             reader = OracleReader(self.oracle, self.clock)
@@ -238,7 +245,7 @@ class ChannelPair:
         assert answer.incarnation == INCARNATION
 
     def subscribe(self, start: Bound | None, exclusive: bool, after: Position | None) -> None:
-        """Both modes at once, from the same beginning."""
+        """Begin a subscription in each of the two modes, from the same position."""
         all_items = self.core.subscribe_all(self.clock, start=start, start_exclusive=exclusive, after=after)
         newest = self.core.subscribe_newest(self.clock, start=start, start_exclusive=exclusive, after=after)
         reader = OracleReader(self.oracle, self.clock)
@@ -256,11 +263,11 @@ class ChannelPair:
         self.all_subscriptions.append((all_items, OracleSubscription(self.oracle, owed)))
         book = OracleNewest(self.oracle, last, owed)
         self.newest_subscriptions.append((newest, book))
-        if after is None:  # behind a late item less than nothing may be skipped at first, which no cursor tells
+        if after is None:  # with `after`, a late item can make the number of skipped items negative at first
             self.skipped_before[book] = 0
 
     def resume(self, which: int) -> None:
-        """A subscription breaks off, and another goes on from where it stood: nothing is left out or counted twice."""
+        """Replace a subscription by one from its saved cursor. No item may be left out or counted twice."""
         if not self.all_subscriptions:
             return
         place = which % len(self.all_subscriptions)
@@ -276,7 +283,7 @@ class ChannelPair:
             self.newest_subscriptions[place] = again, newest
 
     def deliver(self, limit_bytes: int) -> None:
-        """Every subscription takes its next part."""
+        """Let every subscription take its next part."""
         for cursor, subscription in self.all_subscriptions:
             self._deliver(cursor, subscription, limit_bytes)
         for newest_cursor, newest in self.newest_subscriptions:
@@ -312,7 +319,7 @@ class ChannelPair:
         self.core.collect(self.clock, entries_max)
 
     def check(self) -> None:
-        """Counts add up and bounds agree."""
+        """Compare the counters, times and deadlines."""
         self.oracle.age(self.clock)
         counters = self.core.counters(self.clock)
         assert counters.accepted == counters.held + sum(counters.collected.values()) == len(self.oracle.log)

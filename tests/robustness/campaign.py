@@ -1,4 +1,4 @@
-"""Faults one after the other on a cluster that is in use; then the histories are judged."""
+"""Injects faults one after the other into a cluster that is in use, and then judges the histories of its calls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.robustness.traffic import Traffic
 
 OPEN_FAULTS: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS, **membership.FAULTS, **noise.FAULTS}
 SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
-# Where logs are compacted as rarely as in production: no partition of a campaign outlasts them.
+# For clusters that compact their logs as rarely as in production: no partition of a campaign outlasts such a log.
 RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
@@ -77,9 +77,9 @@ class Findings:
 
 
 def in_rounds(names: Iterable[str], seed: int, seconds: float) -> Iterator[str]:
-    """Every fault once, in an order of its own; and again, in another order, for as long as there is time.
+    """Yield every fault once, in random order, and then again in other orders until the time is over.
 
-    The first round may take twice as long: on a slow machine it is cut then, so that a run has an end.
+    The first round may take twice the time. On a slow machine it then ends early, so that a campaign has an end.
     """
     rng, known, began = random.Random(seed), sorted(names), time.monotonic()
     for turn in itertools.count():
@@ -100,7 +100,7 @@ async def run_campaign(
     compacts_early: bool = True,
     quiet_s: float = 0.5,
 ) -> Findings:
-    """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again."""
+    """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again."""
     async with running_cluster(folder, secured=secured, hosts=hosts, compacts_early=compacts_early) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 
@@ -113,7 +113,7 @@ async def run_campaign(
 
 
 async def run_weathers(folder: Path, title: str, *, seed: int, each_s: float) -> Findings:
-    """Every kind of bad network, with a kill -9 of the leader in the middle of each."""
+    """Simulate each kind of bad network, and kill the leader with SIGKILL in the middle of each."""
     async with running_cluster(folder, relayed=True) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 
@@ -125,7 +125,7 @@ async def run_weathers(folder: Path, title: str, *, seed: int, each_s: float) ->
 
 
 async def _weather(scene: Scene, kind: str, each_s: float) -> None:
-    """One kind of bad network before every supernode. Raises FaultHadNoEffect if the relays did nothing of it."""
+    """Put one kind of bad network before every supernode. Raises FaultHadNoEffect if no relay applied it."""
     supernodes = scene.cluster.supernodes
     began = time.monotonic()
     for one in supernodes:
@@ -149,7 +149,7 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
 
 
 class _Campaign:
-    """The callers, hosts and probe around a cluster, and what they find."""
+    """The callers, hosts and probe around a cluster, and their findings."""
 
     def __init__(self, cluster: Cluster, folder: Path, seed: int) -> None:
         self._cluster = cluster
@@ -166,8 +166,8 @@ class _Campaign:
     async def attempt(self, name: str, fault: Fault) -> None:
         """Inject one fault.
 
-        If it had no effect, or something did not come back in time, the campaign goes on and counts as failed. A broken
-        promise ends the campaign.
+        If the fault had no effect, or a process did not serve again in time, the campaign goes on and counts as failed.
+        A broken invariant ends the campaign.
         """
         began = time.monotonic()
         try:
@@ -183,12 +183,12 @@ class _Campaign:
             await self._cluster.all_serve()
 
     async def run(self, title: str, body: Callable[[], Awaitable[None]]) -> Findings:
-        """Run `body` with everything around it, then judge."""
+        """Run `body` beside the callers, hosts and probe, and then judge the histories."""
         began = time.monotonic()
         try:
             async with self._background(began) as work:
                 await with_background(work, body)
-        except Exception as error:  # noqa: BLE001 - what was found until then is judged and shown all the same
+        except Exception as error:  # noqa: BLE001 - the findings until then are still judged and shown
             self._broken.append(f"{type(error).__name__}: {error}")
             traceback.print_exc()
         return await asyncio.to_thread(self._judged, title, began)
@@ -229,7 +229,7 @@ class _Campaign:
 
 
 def longest_gap(served: Sequence[tuple[float, float]], outcomes: Sequence[Outcome]) -> tuple[float, float]:
-    """The longest time between two acknowledged writes, without the times when no majority could be had; and when."""
+    """The longest time between two acknowledged writes while a majority could serve, and when it began."""
     times = sorted(answered for _, answered in served)
     without = [(one.began, one.ended) for one in outcomes if not one.majority]
     gaps = [

@@ -1,4 +1,4 @@
-"""A TCP relay whose connections a test can cut, in all the ways of real networks."""
+"""A TCP relay whose connections a test can cut: with RST, with FIN, or in the middle of a frame."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class CuttingRelay:
         self._ready = threading.Event()
         self._stopped = asyncio.Event()
         self._writers: set[asyncio.StreamWriter] = set()
-        self._breaks_off = False
+        self._breaks_off = False  # whether the next chunk is forwarded in part, and then its connection is reset
         self.refuses = False
-        self.cuts = 0
+        self.cuts = 0  # the number of connections that the relay has ended
 
     def __enter__(self) -> CuttingRelay:
         self._thread.start()
@@ -101,7 +101,7 @@ class CuttingRelay:
                 if self._breaks_off:
                     self._breaks_off = False
                     writer.write(chunk[: self._random_source.randrange(len(chunk))])
-                    await asyncio.sleep(0)  # lets it go out
+                    await asyncio.sleep(0)  # the event loop sends the part first
                     for end in ends:
                         self._end(end, reset=True)
                     return

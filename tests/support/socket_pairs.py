@@ -1,4 +1,4 @@
-"""Streams over pairs of sockets: the other end is in the hands of the test."""
+"""The host's end of a stream over a pair of sockets. A test sends and receives its frames one by one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`stampede dev` as a user runs it: a process of its own, its screen, its exit codes, and what it leaves behind."""
+"""`stampede dev` as a user runs it: its own process, its screen, its exit codes, and the processes that are left."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 from stampede_rt.cli.interrupts import INTERRUPTED
 from stampede_rt_local.dev import main
 
-READY_SECONDS = 30  # generous: the machine may be busy; how long it takes on a quiet one is for the benchmarks
+READY_SECONDS = 30  # long, because the machine may be busy
 DEV = [sys.executable, "-m", "stampede_rt_local"]
 
 
@@ -133,7 +133,7 @@ def test_a_wish_to_stop_ends_it_in_order_with_code_0(home: Path, number: signal.
 
 def test_a_second_ctrl_c_ends_it_at_once_and_leaves_no_process_behind(home: Path) -> None:
     with running() as dev:
-        while dev.process.poll() is None:  # the system may tell of two as of one
+        while dev.process.poll() is None:  # the system may deliver two signals as one
             dev.process.send_signal(signal.SIGINT)
         _, err = dev.process.communicate(timeout=READY_SECONDS)
         assert (dev.process.returncode, err) == (INTERRUPTED, "")

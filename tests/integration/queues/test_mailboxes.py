@@ -1,4 +1,4 @@
-"""Mailboxes: what one participant sends, another gets, by its name."""
+"""Mailboxes: a peer gets the messages that others send to its name."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_message_that_is_not_acknowledged_comes_again(cluster: LocalCluster) -
         assert message.deliveries == 2
 
 
-def test_nobody_can_be_sent_to_who_is_not_there(cluster: LocalCluster) -> None:
+def test_a_message_to_a_peer_that_does_not_exist_is_refused(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         with pytest.raises(st.PeerNotFound, match="no live peer is named 'nobody'"):
             rt.send("nobody", b"x")
@@ -156,7 +156,7 @@ def test_a_mailbox_whose_host_is_lost_is_replaced(pair: LocalCluster) -> None:
 
 
 def _patient_get(rt: st.Connection) -> st.Message | None:
-    """What a participant does that outlives its host's lease."""
+    """Get again after each Unavailable, until the mailbox has a new host."""
     for _ in range(4):
         try:
             return rt.mailbox.get()

@@ -1,4 +1,4 @@
-"""Consumers' places and takers' deliveries belong to their callers: nobody else who is judged can touch them."""
+"""A consumer place or delivery belongs to the caller that uses it. No other caller that rules judge can change it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 
 class Thief:
-    """Calls a queue's host by hand, with what listings tell it of a delivery of somebody else."""
+    """A caller that learns the ids of another caller's delivery from a listing, and names them in its own calls."""
 
     def __init__(self, channel: grpc.Channel, queue: st.Queue, token: str) -> None:
         self._stub: Any = queue_grpc.QueueServiceStub(channel)
@@ -52,7 +52,7 @@ class Thief:
         )
 
     def take(self, taker_id: int, *settled: int) -> list[queue_pb.TakeResponse]:
-        """What a stream of that taker is told, which asks for nothing and settles these deliveries."""
+        """The responses on a stream that names that taker, asks for no message, and settles these deliveries."""
         first = queue_pb.TakeRequest(
             open=queue_pb.TakeOpen(**self._place, taker_id=taker_id),
             settlements=[Settlement(delivery_id=one, acknowledge=Acknowledge()) for one in settled],
@@ -62,7 +62,7 @@ class Thief:
 
 @contextmanager
 def robbed(operator: Operator) -> Iterator[tuple[Thief, st.Message]]:
-    """A thief, and the message that somebody else has taken."""
+    """Yield a thief, and the message that another caller has taken. At the end this other caller acknowledges it."""
     operator.add("worker-*", "take", "jobs", "--kind", "queue")
     tokens = [operator.token(name) for name in ("worker-1", "worker-2")]
     with st.connect(operator.cluster.address) as own, st.connect(operator.cluster.address, secret=tokens[0]) as rt:

@@ -1,4 +1,4 @@
-"""A channel of the core and those who wait for it, looked after as the core asks its owner to (`core.channel`)."""
+"""A channel of the core, with its waiting puts, gets and subscriptions, served as `core.channel` demands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DELIVERED_BYTES_MAX = 300
 
 
 class CoreOwner:
-    """`now` reads the host's clock. Whoever moves it calls `time_has_passed`."""
+    """Serves one channel. `now` reads the host's clock. After each change of the clock call `time_has_passed`."""
 
     def __init__(self, name: str, policy: Policy, now: Callable[[], int]) -> None:
         self.policy = policy
@@ -40,7 +40,7 @@ class CoreOwner:
     # --- puts
 
     def put(self, run: Run) -> Call:
-        """Judged, recognised, or in line."""
+        """Put a run: the channel judges it, recognises it as a repetition, or lets it wait in line."""
         call = Call(lambda: self._give_up_put(put))
         put = WaitingPut(run, call)
         try:
@@ -94,7 +94,7 @@ class CoreOwner:
         self._finish(put)
 
     def withdraw(self, run: Run) -> None:
-        """Nobody waits for the run any more; what is in of it is remembered, since it may be sent again."""
+        """End the wait of a run. Its accepted items are remembered, because its producer may send it again."""
         (put,) = [one for one in self.line if one.run is run][:1]
         self.line.remove(put)
         self._remember(put)
@@ -111,7 +111,7 @@ class CoreOwner:
         return self._items(self.channel.read(query, self._now()), query, payloads)
 
     def get(self, query: Query, payloads: bool) -> Call:
-        """A blocking one."""
+        """Begin a blocking get."""
         pending = self.channel.begin(query, self._now())
         call = Call(lambda: self._give_up_get(call))
         call.then(lambda answer: self._items(answer, query, payloads))
@@ -156,14 +156,14 @@ class CoreOwner:
     # --- subscriptions
 
     def follow(self, cursor: AllCursor | NewestCursor) -> CoreSubscription:
-        """One that is sent items as they come."""
+        """Begin a subscription that gets items as they come."""
         subscription = CoreSubscription(self, cursor)
         self.followers.append(subscription)
         self._deliver(subscription)
         return subscription
 
     def _deliver_all(self) -> None:
-        """Once all is done that came of an event: a subscription's writer is woken, and runs when it is its turn."""
+        """Deliver to all subscriptions, after all other work of an event, as a host's writers do."""
         for subscription in self.followers:
             self._deliver(subscription)
 
@@ -196,7 +196,7 @@ class CoreOwner:
         return consumed.items, consumed.lease_nanos
 
     def time_has_passed(self) -> None:
-        """Those are looked at whose instant has come, and nobody else."""
+        """Poll only the gets and puts whose instant has come."""
         now = self._now()
         for call, (_, instant) in list(self.gets.items()):
             if instant is not None and instant <= now:
@@ -205,7 +205,7 @@ class CoreOwner:
             self._advance_line()
 
     def end(self, error: st.StampedeError) -> None:
-        """The channel is not served any more."""
+        """End all gets and waiting puts with `error`."""
         for call in self.gets:
             call.finish(error)
         for put in self.line:
@@ -221,7 +221,7 @@ class CoreOwner:
 
 
 class CoreSubscription:
-    """`followed` collects what it was sent."""
+    """A subscription to the channel. `followed` collects its items."""
 
     def __init__(self, owner: CoreOwner, cursor: AllCursor | NewestCursor) -> None:
         self.cursor = cursor

@@ -1,4 +1,4 @@
-"""What a story over a path keeps in mind: runs, puts in line, subscriptions, and set-ups as callers state them."""
+"""The values of a story: runs, waiting puts, subscriptions, and policies as callers state them."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ class Started(Protocol):
     """A call under way."""
 
     def is_done(self) -> bool:
-        """It has its outcome."""
+        """Whether the call has its outcome."""
 
     def outcome(self) -> Any:
-        """Wait for the result or the StampedeError; fails after 20 s."""
+        """Wait for the result or the StampedeError. Fails after 20 s."""
 
 
 class Followed:
-    """A subscription and all that came of it, in a background of its own, until it ended with `error`."""
+    """A subscription that a background task reads: its items so far, and the error with which it ended."""
 
     def __init__(self) -> None:
         self.items: list[st.Item] = []
         self.subscription: Any = None
         self.error: st.StampedeError | None = None
         self.ended = False
-        self.work: Any = None  # held, or an event loop would forget it
+        self.work: Any = None  # the background task; without this reference Python may drop it
 
 
 @dataclass(frozen=True)
 class Run:
-    """Items as a producer in any language sends them; `waits` without limit for room, or not at all."""
+    """One run of a producer. `waits`: the run waits for room without limit; otherwise it does not wait."""
 
     offer: Offer
     payloads: Sequence[bytes]
@@ -50,7 +50,7 @@ class Run:
 
 @dataclass
 class RunInBook:
-    """A run and its verdicts up to now; `rest` is the offer of what has none yet."""
+    """A run in the oracle, and the verdicts on its first items. `rest` is the offer of the other items."""
 
     run: Run
     rest: Offer
@@ -62,7 +62,7 @@ class RunInBook:
         return any(isinstance(one, Item) for one in self.verdicts)
 
     def refuse_rest(self, reason: str) -> int:
-        """What has no verdict gets this one; how many items that are."""
+        """Refuse the items without a verdict for `reason`. Returns their number."""
         left = len(self.payloads_left)
         self.verdicts += [Refused(reason)] * left
         return left
@@ -72,14 +72,14 @@ class RunInBook:
         return self.run.payloads[len(self.verdicts) :]
 
     def resume(self, verdicts: Sequence[Item | Refused], clock: int) -> None:
-        """The run came before, and its front has its verdicts."""
+        """Take over the verdicts of an earlier put of the same run."""
         if len(verdicts) > len(self.verdicts):
             if len(verdicts) < len(self.run.payloads):
                 self.rest = self.rest.rest(len(verdicts) - len(self.verdicts), clock)
             self.verdicts = list(verdicts)
 
     def ack(self, clock: int) -> Ack:
-        """What its producer is told once every item has its verdict."""
+        """The ack of the run, once every item has its verdict."""
         stamped = self.run.offer.times is None
         accepted = [(at, one) for at, one in enumerate(self.verdicts) if isinstance(one, Item)]
         return Ack(
@@ -91,7 +91,7 @@ class RunInBook:
 
 @dataclass
 class Follower:
-    """A subscription, by the book and as it is."""
+    """A subscription of the tested path, and the oracle's subscription that predicts its items."""
 
     followed: Followed
     newest: bool
@@ -111,6 +111,6 @@ def stated(policy: Policy) -> dict[str, Any]:
 
 
 def merge(policy: Policy, change: Policy) -> Policy:
-    """What a channel is set up as after a change that leaves things out."""
+    """The policy of a channel after a change. Settings that the change does not state stay as they are."""
     given = {one.name: getattr(change, one.name) for one in fields(change)}
     return replace(policy, **{name: value for name, value in given.items() if value is not None})

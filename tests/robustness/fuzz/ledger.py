@@ -1,4 +1,4 @@
-"""What was put, what the client said became of it, and what is there in the end."""
+"""Compares the payloads that a client put, by their reported outcomes, with the payloads that are there at the end."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Ledger:
-    """Of one channel or queue; payloads are all different."""
+    """The payloads of one channel or queue, which all differ, by the outcome that the client reported."""
 
-    accepted: set[bytes] = field(default_factory=set)  # the client said so
-    open: set[bytes] = field(default_factory=set)  # interrupted or failed: it may be there or not
-    refused: set[bytes] = field(default_factory=set)  # the client says that it was never handed over
+    accepted: set[bytes] = field(default_factory=set)  # acknowledged to the client
+    open: set[bytes] = field(default_factory=set)  # the put was interrupted or failed: the payload may be there or not
+    refused: set[bytes] = field(default_factory=set)  # the client never sent them
 
     def judge(self, held: Counter[bytes]) -> None:
-        """`held`: each payload that is there, and how often."""
+        """Raises AssertionError if a payload is doubled, lost, or was never put. `held`: how often each is there."""
         doubled = [payload for payload, count in held.items() if count > 1]
         assert not doubled, f"doubled: {doubled[:5]}"
         lost = self.accepted - held.keys()

@@ -1,4 +1,4 @@
-"""What is planted in the history of a channel's items is found, and nothing where nothing is."""
+"""The check of a channel's history finds planted violations, and accepts histories without one."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ FIRST, SECOND = put(b"1", 0, A, 1), put(b"2", 2, A, 2)
     [
         [],
         [FIRST, SECOND, newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
-        # Two at once: either order will do.
+        # Two puts at the same time may be stored in either order.
         [put(b"1", 0, A, 2), put(b"2", 0, A, 1), newest(4, A, 2)],
-        # The channel has a new owner; what the former one held is gone, and a reader is told so by the incarnation.
+        # The channel has a new owner. The former owner's items are gone, and the new incarnation tells readers so.
         [FIRST, put(b"2", 2, B, 1), newest(4, B, 1), listed(6, B, (1, b"2"))],
         # A new owner without an item yet.
         [FIRST, newest(2, B, 0), put(b"2", 4, B, 1)],
-        # A put whose answer nobody heard was taken, or not.
+        # A put without an answer: the host has stored its item, or not.
         [FIRST, op(Put(b"2"), 2, None), newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
         [FIRST, op(Put(b"2"), 2, None), newest(4, A, 1)],
-        # A slow answer of the former owner, given before the new one took anything.
+        # The former owner stored an item before the new one stored any, and its answer came late.
         [FIRST, put(b"2", 2, A, 2, took=5), put(b"3", 4, B, 1)],
     ],
 )
@@ -58,11 +58,11 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
     [
         # The former owner takes an item after the new one has taken one.
         ([FIRST, put(b"2", 2, B, 1), put(b"3", 4, A, 2)], "no order of these operations"),
-        # Or answers a reader.
+        # The former owner answers a reader after the new one has taken an item.
         ([FIRST, put(b"2", 2, B, 1), newest(4, A, 1)], "no order of these operations"),
         # Two items with one seq.
         ([FIRST, put(b"2", 2, A, 1)], "no order of these operations"),
-        # A reader is shown what was the newest before an acknowledged put.
+        # A reader gets an item as the newest one after a later item was acknowledged.
         ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
         # An acknowledged item is lost, though its owner is still there and has newer ones.
         ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged and is lost"),

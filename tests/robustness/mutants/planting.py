@@ -1,4 +1,4 @@
-"""Plants one fault in a copy of the package that it is in, and asks whoever must notice it."""
+"""Plants one fault in a copy of its package, and runs the test or simulator that must notice it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ TESTS_FAILED = 1  # pytest's exit code
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What became of one mutant."""
+    """Whether the test or simulator of a mutant noticed its fault."""
 
     mutant: Mutant
     noticed: bool
-    # After how many seeds and why, or what went wrong.
+    # After how many seeds, and with which message; or why it was not noticed.
     how: str
     seconds: float
 
 
 def judge(mutant: Mutant) -> Verdict:
-    """Plant it, and ask; takes from a second to minutes. Raises LookupError if the fault does not fit the code."""
+    """Plant the fault, and run its test or simulator, for seconds or minutes. Raises LookupError if it fits no code."""
     source = ROOT / mutant.file.split("/src/")[0] / "src"
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
@@ -45,7 +45,10 @@ def judge(mutant: Mutant) -> Verdict:
 
 
 def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple[bool, str]:
-    """Whether a simulator or test finds fault with the code (None: as it is), and what it says."""
+    """Run a simulator or test. Returns whether it failed, and its message.
+
+    `package_path`: the folder of the changed package; None: the code as it is.
+    """
     simulated = who in SIMULATORS
     hunt = ["-m", "tests.robustness.mutants.hunt", who, str(seeds)]
     test = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *who.split()]

@@ -1,4 +1,4 @@
-"""Operations on groups and copies for the property tests, drawn from few ids so that they meet."""
+"""Draws operations on groups and copies for the property tests. Few ids are drawn, so many operations share one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def some_group(directory: Directory, number: int) -> GroupRecord | None:
 
 
 def ids_of(directory: Directory, chosen: list[int]) -> tuple[bytes, ...]:
-    """Return different ids of channels. Number 5 is the id of no channel."""
+    """Return the ids of the channels that the numbers choose, each once. Number 5 stands for an unknown id."""
     found = (some(directory, number) if number < 5 else None for number in chosen)
     return tuple(dict.fromkeys(channel.channel_id if channel else id_of(9999) for channel in found))
 

@@ -40,21 +40,21 @@ class MemoryLog:
         self.quorum = True
         self.diverged_at = 0
         self.disk_silent_seconds = 0.0
-        # The highest levels that the members have told; None: both know those of this release.
+        # The highest feature levels that the members have told; None: both know the levels of this release.
         self.highest_levels: dict[str, int] | None = None
         # The error of every change of the members; None: it succeeds.
         self.change_fails: Exception | None = None
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
         self.fates: deque[Fate] = deque()
-        # The next proposal is under way until `apply_held`, longer than its caller waits.
+        # With True the next proposal never ends for its caller. `apply_held` applies it later.
         self.holds = False
         self.held: list[bytes] = []
-        self.held_one = asyncio.Event()
+        self.held_one = asyncio.Event()  # set once a proposal is held
         self.reads_may_end = asyncio.Event()
         self.reads_may_end.set()
-        self.read_waits = asyncio.Event()
-        self.fate_met = asyncio.Event()
+        self.read_waits = asyncio.Event()  # set once a read has come; reads wait for `reads_may_end`
+        self.fate_met = asyncio.Event()  # set once a proposal has had one of the fates
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
         fate = self.fates.popleft() if self.fates else None

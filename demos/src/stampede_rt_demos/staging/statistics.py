@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 def percentile(values: Sequence[int], percent: float) -> int | None:
     """Return the percentile by nearest rank: at least `percent` % of the values do not exceed it.
 
-    None without values.
+    Returns None if there are no values.
     """
     if not 0 < percent <= 100:
         raise ValueError(f"a percentile lies above 0 and up to 100, not at {percent}")
