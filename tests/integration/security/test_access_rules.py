@@ -347,6 +347,18 @@ def audited(cluster: LocalCluster, *words: str) -> bool:
 
 
 @pytest.mark.without_rules("it makes the rules itself")
+def test_who_removes_a_rule_that_is_not_there_is_told_how_to_write_it(
+    operator: Operator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    operator.add("cam", "put", "video/9", "--kind", "channel")
+    capsys.readouterr()
+    assert operator.run("acl", "rm", "cam", "put", "video/9") == 0
+    told = capsys.readouterr().out
+    assert "The rule was not there: allow cam put video/9." in told
+    assert "Write it as `stampede acl ls` shows it, with --kind KIND" in told
+
+
+@pytest.mark.without_rules("it makes the rules itself")
 def test_an_operator_is_told_which_part_has_not_heard_of_a_rule_yet(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

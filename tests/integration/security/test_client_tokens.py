@@ -8,6 +8,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.administration.running_cluster import Cluster
 from stampede_rt.cli.commands import run
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_local.cluster import LocalCluster
@@ -93,3 +94,37 @@ def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_nothing_else_is
     for text in ("abc", "f" * 40, str(tmp_path / "other"), str(tmp_path / "missing")):
         assert run(["token", "revoke", text, "--url", cluster.address]) == 1
         assert "is neither the file of a token nor the serial number of one" in capsys.readouterr().err
+
+
+def refuse(*_: object, **settings: object) -> None:
+    raise PermissionDenied("refused")
+
+
+def test_no_token_is_made_that_cannot_be_written(
+    cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "there.token"
+    file.write_text("another")
+    asked: list[object] = []
+    monkeypatch.setattr(Cluster, "issue_client_token", lambda *arguments, **settings: asked.append(arguments))
+    assert run(["token", "issue", "cam-3", "--url", cluster.address, "--out", str(file)]) == 1
+    assert "there.token cannot be written: File exists; name a new file with --out" in capsys.readouterr().err
+    assert (asked, file.read_text()) == ([], "another")
+    unmade = tmp_path / "unmade.token"
+    monkeypatch.setattr(Cluster, "issue_client_token", refuse)
+    assert run(["token", "issue", "cam-3", "--url", cluster.address, "--out", str(unmade)]) == 1
+    assert not unmade.exists()
+
+
+def test_an_operator_that_revokes_its_own_token_is_told_so(
+    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    issued(cluster, tmp_path, "leaver", "--role", "operator")
+    own = tmp_path / "leaver.token"
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(own))
+    capsys.readouterr()
+    assert run(["token", "revoke", str(own), "--url", cluster.address]) == 0
+    told = capsys.readouterr()
+    assert "is revoked" in told.out
+    assert "this was the credential of this caller: services refuse it now" in told.err
+    assert "not in force" not in told.err

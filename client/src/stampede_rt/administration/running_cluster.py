@@ -17,6 +17,7 @@ from stampede_rt.administration.quota_use import PartUse, uses_at
 from stampede_rt.administration.removal import remove_member
 from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import (
+    PermissionDenied,
     StampedeError,
     Unavailable,
     VersionMismatch,
@@ -105,10 +106,15 @@ class Cluster:
         """Wait until all parts apply `version` of access (see `in_force.parts_behind`).
 
         Returns the parts that do not apply this version yet, each with the reason. With `of_rules` leaves front-ends
-        out, because no rule concerns them.
+        out, because no rule concerns them. Raises PermissionDenied if the change revoked this caller's own credential.
         """
         try:
             judges = self._parts(with_frontends=not of_rules)
+        except PermissionDenied as error:
+            raise PermissionDenied(
+                "this was the credential of this caller: services refuse it now, and it cannot ask which of them do "
+                f"not yet ({error.message})"
+            ) from error
         except StampedeError as error:  # the change itself has succeeded
             return {"the cluster": error.message}
         return parts_behind(self._endpoints, judges, version)

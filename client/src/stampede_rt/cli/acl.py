@@ -112,7 +112,8 @@ def _change(arguments: argparse.Namespace, rpc: str, outcomes: tuple[str, str]) 
 
 def _warnings(rpc: str, *, changed: bool, rules: int) -> list[str]:
     if not changed:
-        return []
+        written = "Write it as `stampede acl ls` shows it, with --kind KIND if KIND is not *, and --deny for a denial."
+        return [written] if rpc == "RemoveAccessRule" else []
     if rpc == "AddAccessRule" and rules == 1:
         return [
             "It is the first rule: from now on clients may do only what a rule allows. Members, operators and holders",

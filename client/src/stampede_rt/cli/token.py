@@ -8,12 +8,15 @@ import json
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked
 from stampede_rt.cli.output import print_behind, print_facts
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
+from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_instant, parse_duration
 
 ROLES = ("client", "operator")
@@ -59,8 +62,10 @@ def run_issue(arguments: argparse.Namespace) -> int:
     """Make a token, and print it or write it to a file."""
     from stampede_rt.administration.running_cluster import reached  # gRPC takes 0.1 s to load
 
-    with reached(arguments.url, None) as cluster:
+    with _new_file(arguments.out) as file, reached(arguments.url, None) as cluster:
         made = cluster.issue_client_token(arguments.name, arguments.role or ["client"], valid_nanos=arguments.ttl)
+        if file is not None:
+            file.write(made.token + "\n")
         print_behind(cluster.parts_behind(made.version))
     until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
@@ -71,7 +76,6 @@ def run_issue(arguments: argparse.Namespace) -> int:
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0
-    _write(arguments.out, made.token)
     print_facts({**facts, "file": str(arguments.out)}, arguments.output)
     if arguments.output == "table":
         print(f"\nThe client sets STAMPEDE_SECRET_FILE={arguments.out}.")
@@ -84,8 +88,12 @@ def run_revoke(arguments: argparse.Namespace) -> int:
 
     serial = _serial_of(arguments.token)
     with reached(arguments.url, None) as cluster:
-        print_behind(cluster.parts_behind(cluster.revoke(serial)))
-    print(f"{serial} is revoked: its open streams end, and services refuse it from now on.")
+        version = cluster.revoke(serial)
+        print(f"{serial} is revoked: its open streams end, and services refuse it from now on.")
+        try:
+            print_behind(cluster.parts_behind(version))
+        except PermissionDenied as own:
+            print(f"stampede: {escaped(own.message)}", file=sys.stderr)
     return 0
 
 
@@ -112,10 +120,22 @@ def _checked(serial: str) -> str:
     return serial.lower()
 
 
-def _write(path: Path, token: str) -> None:
-    """Write the token to a new file. Never overwrites a file, because that file may hold another secret."""
+@contextmanager
+def _new_file(path: Path | None) -> Iterator[TextIO | None]:
+    """Yield a new file for a token; None if no path is given. Removes the file if the block fails.
+
+    Made before the token, because nobody would have a token that cannot be written. Never overwrites a file, because
+    that file may hold another secret.
+    """
+    if path is None:
+        yield None
+        return
     try:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(token + "\n")
+            try:
+                yield file
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
     except OSError as error:
         raise StampedeError(f"{path} cannot be written: {error.strerror}; name a new file with --out") from error

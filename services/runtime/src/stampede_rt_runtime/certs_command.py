@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.values.timeline import parse_duration
 from stampede_rt_runtime.certificates import (
@@ -262,9 +262,13 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
     with reached(arguments.url, None) as cluster:
         if not serials:
             return list(cluster.revoked_serials()) or ["no certificate or token is revoked"]
-        behind = cluster.parts_behind(max([cluster.revoke(serial) for serial in serials]))
+        version = max([cluster.revoke(serial) for serial in serials])
+        try:
+            behind = [f"not in force yet at {name}: {why}" for name, why in cluster.parts_behind(version).items()]
+        except PermissionDenied as own:
+            behind = [own.message]
     done = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
-    return done + [f"not in force yet at {name}: {why}" for name, why in behind.items()]
+    return done + behind
 
 
 def serial_of(text: str) -> str:
