@@ -64,5 +64,14 @@ def _stream_of(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Asy
 
 
 def _without_frames(error: AbortError) -> AbortError:
+    """Remove the frames of the error, and those of the errors that led to it.
+
+    An error that a local variable refers to is in a circle with the frame of that variable.
+    """
+    former: list[BaseException | None] = [error.__cause__, error.__context__]
     error.__cause__ = error.__context__ = None
+    for one in former:  # the list grows meanwhile
+        if one is not None and one.__traceback__ is not None:
+            one.__traceback__ = None
+            former += (one.__cause__, one.__context__, *getattr(one, "exceptions", ()))
     return error.with_traceback(None)

@@ -135,6 +135,7 @@ class _Charged(Coroutine[Any, Any, Result]):
         try:
             return self._work.throw(*error)
         finally:
+            error = ()  # else the error's traceback keeps this frame, and this frame the error
             self._turn.spend(time.thread_time_ns() - began_at)
 
     def close(self) -> None:
