@@ -26,6 +26,9 @@ WIDTH = 112
 MODULE = re.compile(r"`(stampede_rt\w*(?:\.\w+)*)`")
 ENTRY_POINTS = {"stampede_rt.verbs"}
 PATH = re.compile(r"`([\w./-]+(?:\.(?:py|proto|toml|md)|/))`")
+MAPPED = re.compile(r"^  (\w+)/", re.MULTILINE)
+ROOM = re.compile(r"((?:client|services/\w+)/src/\w+/(\w+))/.+\.py$")
+GENERATED = {"v1", "_sync"}
 INDEX_LINE = re.compile(r"^\| \[(\d{4})\]\((.+?)\) \|", re.MULTILINE)
 MERGE_MARK = re.compile(r"^(?:<{7}|>{7}) ", re.MULTILINE)
 
@@ -42,6 +45,16 @@ def unknown_names(page: str, files: Iterable[str]) -> list[str]:
     ]
     unknown += [name for name in set(PATH.findall(page)) if not any(path.endswith(f"/{name}") for path in known)]
     return sorted(unknown)
+
+
+def unmapped_folders(page: str, files: Iterable[str]) -> list[str]:
+    """Return the folders of the client and of the services that the map does not show.
+
+    The map shows a folder as an indented line that begins with its name.
+    """
+    shown = set(MAPPED.findall(page))
+    folders = {match[1] for file in files if (match := ROOM.match(file)) and match[2] not in GENERATED}
+    return sorted(folder for folder in folders if folder.rsplit("/", 1)[1] not in shown)
 
 
 def layers(contracts: Iterable[Mapping[str, Any]]) -> str:
@@ -115,7 +128,8 @@ def complaints() -> list[str]:
     ]
     if len(pages[WAY].splitlines()) > WAY_LINES_MAX:
         lines.append(f"{WAY} has more than {WAY_LINES_MAX} lines; shorten it, because a newcomer reads all of it")
-    page = (ROOT / PICTURE_PAGE).read_text()
+    page = pages[PICTURE_PAGE]
+    lines += [f"the map of {PICTURE_PAGE} lacks {folder}/; add a line" for folder in unmapped_folders(page, there)]
     if with_layers(page, layers(_contracts())) != page:
         lines.append(f"the layers in {PICTURE_PAGE} are not those of pyproject.toml; run: make stubs")
     lines += merge_complaints(pages)

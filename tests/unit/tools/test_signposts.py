@@ -30,6 +30,12 @@ def test_a_name_without_a_file_is_told(name: str) -> None:
     assert unknown_names(f"see `{name}`", FILES) == [name]
 
 
+def test_a_folder_of_a_service_that_is_not_on_the_map_is_told() -> None:
+    files = [*FILES, "client/src/stampede_rt/v1/a_pb2.py", "client/src/stampede_rt/errors.py", "demos/src/demos/a/b.py"]
+    assert signposts.unmapped_folders("  wire/   runs\n  core/   pure", files) == []
+    assert signposts.unmapped_folders("  wire/   runs, core/", files) == ["services/host/src/stampede_rt_host/core"]
+
+
 def test_a_picture_has_a_row_for_each_layer_from_the_top_down() -> None:
     assert layers([LAYERED]) == "Down\n    top\n  ↓ a, b\n  ↓ low"
 
