@@ -25,7 +25,7 @@ async def watches(_: Rig, count: int) -> tuple[str, Work]:
     client = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "tests.benchmarks.longest_pause", "--client", *words
     )
-    listening = node.watches._bell._listening
+    listening = node.watches._notifier._listening
     async with asyncio.timeout(PATIENCE_SECONDS):
         await until(lambda: len(listening) == count)
 

@@ -15,6 +15,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from unittest import mock
 
@@ -38,14 +39,17 @@ from tests.robustness.histories.channel_model import (
 from tests.robustness.histories.operations import Recorder
 from tests.robustness.replication.simulate import weather_of
 from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import TIMING
 from tests.robustness.report import Simulated
 from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
 # Long enough that hosts renew at the successor of a leader whose disk hangs; short enough that the hanging one finds
-# them late while it still takes itself for the leader.
-LONG_TTL_NANOS = 36 * 10**8
+# them late while it still takes itself for the leader, if the last renewal was a while before.
+LONG_TTL_NANOS = 40 * 10**8
+# The successor leads before the leases end that hosts have from the hanging leader.
+SOON_SUCCEEDED = replace(TIMING, election_timeout_min_seconds=0.4, election_timeout_max_seconds=0.8)
 NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 
 
@@ -144,7 +148,7 @@ class DirectoryStorm:
             (weather.freezes, self._freeze),
             (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (0.0 if long else 0.15, self._cut_leader_off),
-            (0.2 if long else 0.15, self._hang_leader),
+            (0.2 if long else 0.15, self._hang_before_a_renewal if long else self._hang_leader),
             (0.3, self._set_wall_clock),
             (0.15, lambda: world.random_source.choice(self._hosts).restart()),
             (0.0 if long else 0.3, self._freeze_host),
@@ -220,11 +224,17 @@ class DirectoryStorm:
         leaders, long = self._leaders(), world.lease_ttl_nanos == LONG_TTL_NANOS
         apart = [] if long else random_source.sample([*self._hosts, *self._peers], 2)
         ways: set[tuple[object, str]] = {(one, name) for one in apart for name in world.members if name not in leaders}
-        seconds = random_source.uniform(2.8, 4.0) if long else random_source.uniform(2.0, 6.0)
+        seconds = random_source.uniform(2.9, 3.6) if long else random_source.uniform(2.0, 6.0)
         for name in leaders:
             world.members[name].hang(seconds)
         world.unreachable |= ways
         world.after(seconds, lambda: world.unreachable.difference_update(ways))
+
+    def _hang_before_a_renewal(self) -> None:
+        """The leader's disk hangs just before a host renews, so the leader has not heard from the host for a while."""
+        host = self.world.random_source.choice(self._hosts)
+        due_s = host.lease.renewal_in_nanos(host.clock.boottime_nanos()) / 1e9
+        self.world.after(max(0.0, due_s - 0.05), self._hang_leader)
 
     def _delay_registration(self) -> None:
         """A host or peer is killed while it registers, and started again. What it had sent comes once that one is in.
@@ -271,8 +281,8 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
     size, weather = random_source.choice([3, 3, 3, 5]), weather_of(random_source)
     if seed % 5 in (1, 3):  # nothing but leaders that stand still (1), are cut off or hang: somebody succeeds them
         weather = Weather(delay_mean=weather.delay_mean)
-    ttl_nanos = LONG_TTL_NANOS if seed % 5 == 1 else LEASE_TTL_NANOS
-    world = DirectoryWorld(seed, size=size, weather=weather, leases=leases, lease_ttl_nanos=ttl_nanos)
+    ttl_nanos, timing = (LONG_TTL_NANOS, SOON_SUCCEEDED) if seed % 5 == 1 else (LEASE_TTL_NANOS, TIMING)
+    world = DirectoryWorld(seed, size=size, weather=weather, leases=leases, lease_ttl_nanos=ttl_nanos, timing=timing)
     with (
         mock.patch("secrets.token_bytes", world.random_source.randbytes),
         mock.patch("secrets.randbits", world.random_source.getrandbits),

@@ -15,6 +15,7 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.proposals import Proposal
+from stampede_rt_supernode.replication.settings import RaftTiming
 from stampede_rt_supernode.replication.threads.tick_thread import STUCK_SECONDS
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
@@ -24,7 +25,7 @@ from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryService
 from tests.robustness.directory.tasks import Resume, drive, wait
 from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.weather import Weather
-from tests.robustness.replication.world import World
+from tests.robustness.replication.world import TIMING, World
 from tests.support.supernode.list_machine import PromiseBroken
 
 LEASE_TTL_NANOS = 2 * 10**9
@@ -257,6 +258,7 @@ class DirectoryWorld(World):
         weather: Weather,
         leases: type[LeaseKeeper] = _Leases,
         lease_ttl_nanos: int = LEASE_TTL_NANOS,
+        timing: RaftTiming = TIMING,
     ) -> None:
         self.leases, self.lease_ttl_nanos = leases, lease_ttl_nanos
         # Who cannot reach which supernode at present.
@@ -269,7 +271,7 @@ class DirectoryWorld(World):
         self._held_from: dict[object, int] = {}
         self._held: dict[object, list[Callable[[], None]]] = {}
         self._applied_first = 0
-        super().__init__(seed, size=size, weather=weather)
+        super().__init__(seed, size=size, weather=weather, timing=timing)
         self.members = {
             name: DirectoryMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
         }

@@ -32,6 +32,8 @@ from tests.robustness.replication.sim_member import SimMember, Wire
 from tests.robustness.replication.weather import Weather
 from tests.support.supernode.list_machine import History, PromiseBroken
 
+TIMING = RaftTiming(tick_seconds=0.05)
+
 
 class World:
     """Time, members and wires. `at` plans a call; `run_until` makes time pass."""
@@ -45,6 +47,7 @@ class World:
         rules: type = PreVoteElections,
         snapshot_every: int = 15,
         kept_log_bytes: int = 1,
+        timing: RaftTiming = TIMING,
     ) -> None:
         self.random_source = random.Random(seed)
         self.weather = weather
@@ -53,7 +56,7 @@ class World:
         # By default next to nothing, so that who lags is sent snapshots.
         self.kept_log_bytes = kept_log_bytes
         self.now = 0.0
-        self.timing = RaftTiming(tick_seconds=0.05)
+        self.timing = timing
         self.history = History()
         self.committed = Committed()
         # Whether hostile peers are about, of whose words members may repeat something.

@@ -84,10 +84,12 @@ class DirectoryCommand(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., note_host_loads: _Optional[_Union[NoteHostLoadsCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ..., caller: _Optional[str] = ...) -> None: ...
 
 class RaiseFeatureLevelCommand(_message.Message):
-    __slots__ = ("feature_level",)
+    __slots__ = ("feature_level", "tenure")
     FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    TENURE_FIELD_NUMBER: _ClassVar[int]
     feature_level: int
-    def __init__(self, feature_level: _Optional[int] = ...) -> None: ...
+    tenure: int
+    def __init__(self, feature_level: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
 
 class CreateTokenKeyCommand(_message.Message):
     __slots__ = ("new_token_key",)

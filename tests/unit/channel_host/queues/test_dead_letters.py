@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from stampede_rt.v1 import queue_pb2
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, queue_pb2, queue_service_pb2
 from stampede_rt_channel_host.cluster.records import recorded_queue
+from stampede_rt_channel_host.queues import dead_letters
 from stampede_rt_channel_host.queues.dead_letters import producer_id_of
+from tests.support.waiting import until
 
 
 def test_a_queue_puts_its_dead_letters_as_the_same_producer_at_every_host() -> None:
@@ -14,3 +21,50 @@ def test_a_queue_puts_its_dead_letters_as_the_same_producer_at_every_host() -> N
     assert producer_id_of(recorded_queue(queue_pb2.QueueRecord(queue_id=b"x" * 16, incarnation=6))) != producer_id_of(
         record
     )
+
+
+class Source:
+    """A queue with one message to move."""
+
+    def __init__(self) -> None:
+        policy = SimpleNamespace(content_type="", dead_letter_queue_id=b"d" * 16)
+        self.record: Any = SimpleNamespace(queue_id=b"x" * 16, incarnation=5, name="jobs", policy=policy)
+        self.queue = self
+        self.has_dead_letters = True
+
+    def dead_letters(self, items_max: int) -> list[Any]:
+        run = SimpleNamespace(
+            body=item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"x").SerializeToString(), accepted_at=1
+        )
+        return [SimpleNamespace(seq=7, run=run, position=0, last=None)]
+
+    def dead_letter_moved(self, seq: int) -> None:
+        self.has_dead_letters = False
+
+    def postpone_dead_letter(self, seq: int) -> None: ...
+
+
+async def test_a_refused_message_is_moved_again_with_the_same_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It had another number then. If an earlier move of it was still under way, both moves were stored."""
+    refused = channel_service_pb2.PutRejection(error=error_pb2.Error(reason=error_pb2.ERROR_REASON_QUEUE_FULL))
+    answers = [channel_service_pb2.PutAck(rejections=[refused]), channel_service_pb2.PutAck(first_seq=1)]
+    numbers: list[int] = []
+
+    async def enqueue(connection: object, requests: list[bytes]) -> list[channel_service_pb2.PutAck]:
+        numbers.extend(queue_service_pb2.EnqueueRequest.FromString(one).runs[0].first_number for one in requests)
+        return [answers[len(numbers) - 1]]
+
+    async def resolve(queue_id: bytes) -> Any:
+        return SimpleNamespace(target="there", queue=SimpleNamespace(queue_id=queue_id, epoch=1))
+
+    async def close(grace: object) -> None: ...
+
+    monkeypatch.setattr(dead_letters, "_enqueue", enqueue)
+    monkeypatch.setattr(dead_letters, "_PAUSE_SECONDS_MIN", 0.0)
+    source: Any = Source()
+    directory: Any = SimpleNamespace(resolve=resolve)
+    dial: Any = lambda target: SimpleNamespace(close=close)  # noqa: E731
+    mover = dead_letters.DeadLetterMover(directory, dial, may_move=lambda one: True, on_defect=pytest.fail)
+    mover.new_dead_letters(source)
+    await until(lambda: not source.has_dead_letters)
+    assert numbers == [7, 7]

@@ -152,7 +152,7 @@ OPERATIONS: list[Operation] = [
     delete_queue(id_of(2)),
     MarkTime(tenure=2**64 - 1, after_index=7),
     NoteHostLoads(tenure=2, loads=(ReportedLoad(host_id=id_of(1), registered_index=2**64 - 1, load=LOAD),)),
-    RaiseFeatureLevel(feature_level=2**32 - 1),
+    RaiseFeatureLevel(feature_level=2**32 - 1, tenure=2**64 - 1),
     register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
     register_peer(1, "planner", mailbox=QueueSpec()),
     register_peer(1),

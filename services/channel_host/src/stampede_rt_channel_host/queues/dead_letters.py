@@ -1,9 +1,9 @@
 """Moves messages that failed too often, or that a taker gave up, to the dead-letter queue (paper, section 3.5).
 
 A message stays in its queue until the dead-letter queue has acknowledged it. A move is an enqueue like any other. Its
-producer id is computed from the queue, and its number from the message's seq. So the dead-letter queue stores the
-message only once, even if another host repeats the move. After a refusal, the next move of the message has another
-number. Without this, the dead-letter queue would repeat the refusal.
+producer id is computed from the queue, and its number is the message's seq. So the dead-letter queue stores the message
+only once, also if an earlier move of it is still under way. A refused message may be moved again with the same number,
+because the retry window keeps no refusals.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import asyncio
 import hashlib
 import logging
 import random
-from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
@@ -38,7 +37,6 @@ ATTEMPT_SECONDS_MAX = 10.0
 ROOM_WAIT_NANOS = 2_000_000_000
 """How long an attempt waits for room in a dead-letter queue that blocks."""
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
-_SEQ_BITS = 48  # the low bits of a run's number, for the seq; the high bits count refusals
 _ENDS = {
     LEASE_EXPIRED: item_pb2.DELIVERY_END_LEASE_EXPIRED,
     GIVEN_BACK: item_pb2.DELIVERY_END_GIVEN_BACK,
@@ -89,11 +87,11 @@ class DeadLetterMover:
             self._on_defect(failure)
 
     async def _move_all(self, hosted: HostedQueue) -> None:
-        pause_s, refusals = _PAUSE_SECONDS_MIN, Counter[int]()
+        pause_s = _PAUSE_SECONDS_MIN
         # pauses after each failure; ends when the queue has nothing to move, or is no longer of this host
         while hosted.queue.has_dead_letters and self._may_move(hosted):
             try:
-                await self._attempt(hosted, refusals)
+                await self._attempt(hosted)
                 pause_s = _PAUSE_SECONDS_MIN
             except StampedeError as error:
                 extra = {"event": "dead_letters_wait", "queue": display_name(hosted.record), "why": str(error)}
@@ -101,12 +99,8 @@ class DeadLetterMover:
                 await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
-    async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
-        """Move some messages. Raises the last error if some of them could not be moved.
-
-        `refusals` counts, by seq, how often the dead-letter queue has refused each message. It does not count an error
-        of the whole request, such as an old epoch.
-        """
+    async def _attempt(self, hosted: HostedQueue) -> None:
+        """Move some messages. Raises the last error if some of them could not be moved."""
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
@@ -114,14 +108,14 @@ class DeadLetterMover:
         connection = self._dial(target)
         try:
             async with asyncio.timeout(ATTEMPT_SECONDS_MAX):
-                acks = await _enqueue(connection, _requests(hosted.record, found.queue, items, refusals))
+                acks = await _enqueue(connection, _requests(hosted.record, found.queue, items))
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
         except TimeoutError:
             raise Unavailable(f"{target} did not take the messages in {ATTEMPT_SECONDS_MAX:g} s") from None
         finally:
             await connection.close(None)
-        _conclude(hosted, items, acks, refusals)
+        _conclude(hosted, items, acks)
 
 
 def producer_id_of(record: RecordedQueue) -> int:
@@ -130,9 +124,7 @@ def producer_id_of(record: RecordedQueue) -> int:
     return int.from_bytes(hashlib.blake2b(about, digest_size=8).digest(), "little") | 1
 
 
-def _requests(
-    source: RecordedQueue, target: RecordedQueue, items: Sequence[DeadLetter], refusals: Counter[int]
-) -> list[bytes]:
+def _requests(source: RecordedQueue, target: RecordedQueue, items: Sequence[DeadLetter]) -> list[bytes]:
     """One encoded request for each message, because several messages might exceed the limit of one request."""
     requests = []
     for item in items:
@@ -140,15 +132,15 @@ def _requests(
             queue_id=target.queue_id,
             epoch=target.epoch,
             producer_id=producer_id_of(source),
-            runs=[_enqueue_run(item, source, refusals[item.seq])],
+            runs=[_enqueue_run(item, source)],
         )
         requests.append(request.SerializeToString())
     return requests
 
 
-def _enqueue_run(item: DeadLetter, source: RecordedQueue, refusals: int) -> raw_run_pb2.RawEnqueueRun:
+def _enqueue_run(item: DeadLetter, source: RecordedQueue) -> raw_run_pb2.RawEnqueueRun:
     return raw_run_pb2.RawEnqueueRun(
-        first_number=refusals << _SEQ_BITS | item.seq,
+        first_number=item.seq,
         wait_nanos=ROOM_WAIT_NANOS,
         run=_run_of(item, source.policy.content_type or ""),
         origin=_origin_of(item, source).SerializeToString(),
@@ -191,12 +183,7 @@ async def _enqueue(connection: grpc.aio.Channel, requests: Sequence[bytes]) -> l
     return acks
 
 
-def _conclude(
-    hosted: HostedQueue,
-    items: Sequence[DeadLetter],
-    acks: Sequence[channel_service_pb2.PutAck],
-    refusals: Counter[int],
-) -> None:
+def _conclude(hosted: HostedQueue, items: Sequence[DeadLetter], acks: Sequence[channel_service_pb2.PutAck]) -> None:
     """Remove the accepted messages from their queue. The next attempts move the refused messages after all others.
 
     Raises the last refusal, if there is one.
@@ -205,9 +192,7 @@ def _conclude(
     for item, ack in zip(items, acks, strict=True):
         if ack.HasField("first_seq"):
             hosted.dead_letter_moved(item.seq)
-            del refusals[item.seq]
             continue
-        refusals[item.seq] += len(ack.rejections)
         failure = from_error_message(ack.rejections[0].error if ack.rejections else ack.error)
         hosted.queue.postpone_dead_letter(item.seq)
     if failure is not None:

@@ -35,16 +35,16 @@ class LevelKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """If this supernode leads a founded cluster, raise the cluster's level to the highest that all members know.
+        """If this supernode leads and its tenure has begun, raise the level to the highest that all members know.
 
         The next tick repeats a failed attempt.
         """
         status = self._log.status()
         level = status.level_of_members
-        founded = self._replica.read(lambda directory: directory.tenure > 0)
-        if not (status.is_leader and founded and level > self._replica.feature_level):
+        tenure = self._replica.read(lambda directory: directory.tenure)
+        if not (status.is_leader and tenure == status.tenure > 0 and level > self._replica.feature_level):
             return
-        operation = RaiseFeatureLevel(feature_level=level)
+        operation = RaiseFeatureLevel(feature_level=level, tenure=tenure)
         try:
             raised = await self._submission.submit(
                 operation, FeatureLevelRaised, op_id=secrets.token_bytes(ID_BYTES), seconds=PROPOSAL_SECONDS

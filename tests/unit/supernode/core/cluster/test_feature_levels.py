@@ -101,10 +101,23 @@ def test_the_level_never_falls_and_a_founding_cluster_begins_at_its_own() -> Non
         tenure=1, supernode_id="s1", new_cluster_id="c", new_lease_ttl_nanos=TTL_NANOS, new_feature_level=NEW_LEVEL
     )
     newer = NewerReplica()
-    lower = encoded(901, RaiseFeatureLevel(feature_level=1))
+    lower = encoded(901, RaiseFeatureLevel(feature_level=1, tenure=1))
     later = encoded(902, BeginTenure(tenure=2, supernode_id="s2", new_cluster_id="d", new_lease_ttl_nanos=TTL_NANOS))
     driven(newer, encoded(1, founded), lower, later)
     assert newer.feature_level == NEW_LEVEL
+
+
+@pytest.mark.parametrize(("tenure", "raised"), [(1, False), (2, True), (3, False), (0, False)])
+def test_only_the_leader_of_the_present_tenure_raises_the_level(tenure: int, raised: bool) -> None:
+    """A late command of a former leader raised it over a member that the present leader had admitted."""
+    newer = NewerReplica()
+    founded = BeginTenure(
+        tenure=1, supernode_id="s1", new_cluster_id="c", new_lease_ttl_nanos=TTL_NANOS, new_feature_level=HIGHEST_LEVEL
+    )
+    later = BeginTenure(tenure=2, supernode_id="s2", new_cluster_id="d", new_lease_ttl_nanos=TTL_NANOS)
+    late = RaiseFeatureLevel(feature_level=NEW_LEVEL, tenure=tenure)
+    driven(newer, encoded(1, founded), encoded(2, later), encoded(3, late))
+    assert (newer.feature_level == NEW_LEVEL) is raised
 
 
 def test_a_later_tenure_does_not_raise_the_level_by_itself() -> None:

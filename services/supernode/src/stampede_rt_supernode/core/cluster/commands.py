@@ -40,9 +40,10 @@ class MarkTime(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RaiseFeatureLevel(Operation):
-    """The leader raises the cluster's feature level, because all members know this level; see `feature_levels`."""
+    """The leader of `tenure` raises the feature level, because all members know this level; see `feature_levels`."""
 
     feature_level: int
+    tenure: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,8 +13,8 @@ kind checks the level of the state, and has its former effect while that level i
 from __future__ import annotations
 
 # The highest level that this release knows. 2: rules of access, client tokens and quotas. 3: quotas of groups and of
-# peers. 4: loads of hosts, channels that open beside others, and the names of
-# deleted groups in answers.
+# peers. 4: loads of hosts, channels that open beside others, the names of deleted groups in answers, and the tenure of
+# the leader that raises a level.
 HIGHEST_LEVEL = 4
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1

@@ -13,6 +13,7 @@ from stampede_rt_supernode.core.cluster.commands import (
     TenureBegun,
     TimeMarked,
 )
+from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
 from stampede_rt_supernode.core.state import DirectoryState
 
 FORMER_MAX = 16  # the most ids of former clusters that the state keeps
@@ -49,6 +50,11 @@ def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -
 
 
 def raise_feature_level(state: DirectoryState, operation: RaiseFeatureLevel, time_unix_nano: int) -> FeatureLevelRaised:
-    """Raise the feature level. It never falls."""
-    state.feature_level = max(state.feature_level, operation.feature_level)
+    """Raise the feature level. It never falls.
+
+    From LOADS_LEVEL on, a late command of a former leader does nothing. Its successor may have admitted a member that
+    does not know the level.
+    """
+    if state.feature_level < LOADS_LEVEL or operation.tenure == state.tenure:
+        state.feature_level = max(state.feature_level, operation.feature_level)
     return FeatureLevelRaised(feature_level=state.feature_level)
