@@ -20,6 +20,7 @@ WORDS = {
     "_async": "_sync",
     "grpc_async": "grpc_sync",
     "streams_async": "streams_sync",
+    "ring_waiting_async": "ring_waiting_sync",
     "concurrency_async": "concurrency_sync",
 }
 

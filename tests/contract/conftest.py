@@ -20,7 +20,14 @@ OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "wai
 """The test modules that also run over the public streams of gRPC, which the blocking client uses with some grpcio."""
 
 
-@pytest.fixture(params=["grpc", "grpc-public", "socket"], autouse=True)
+OVER_SHARED_MEMORY = (
+    "callbacks", "codecs", "consuming", "groups", "puts", "reads", "resumed_streams", "shared_streams", "slow_readers",
+    "stepped_clock", "subscriptions", "time_rules", "waiting",
+)  # fmt: skip
+"""The test modules that also run over shared memory. In the others nothing is read from it."""
+
+
+@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared"], autouse=True)
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport that each client of a test must use."""
     transport, _, streams = str(request.param).partition("-")
@@ -35,9 +42,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _is_wanted(item: pytest.Item) -> bool:
-    found = _parameters(item)
+    found, module = _parameters(item), item.path.stem.removeprefix("test_")
     if "grpc-public" in found:
-        return "sync" in found and item.path.stem.removeprefix("test_") in OVER_PUBLIC_STREAMS
+        return "sync" in found and module in OVER_PUBLIC_STREAMS
+    if "shared" in found:
+        return "memory" not in found and module in OVER_SHARED_MEMORY
     return not {"memory", "socket"} <= found
 
 

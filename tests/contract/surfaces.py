@@ -41,6 +41,12 @@ class Blocking:
         return BlockingProducer(self._wrapped.producer(), self._pool)
 
 
+def waits_in_memory(channel: Any) -> int:
+    """Return how many callers wait in shared memory over the connection of this handle. Its host cannot count them."""
+    session = getattr(_bare(channel), "_session", None)
+    return 0 if session is None else session.rings.waits.waiting
+
+
 def _bare(argument: Any) -> Any:
     """Return the client's own object, without the wrapper."""
     if isinstance(argument, list):

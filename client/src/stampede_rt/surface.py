@@ -222,8 +222,9 @@ def connect(
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
     - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible, else
-      over gRPC. "grpc": always over gRPC. "socket": over sockets, with an error where that is not possible. Default:
-      `$STAMPEDE_TRANSPORT`, else "best".
+      over gRPC, and from memory shared with the host once a program reads a channel often. "grpc": always over gRPC.
+      "socket": over sockets, with an error where that is not possible. "shared": as "socket", and from shared memory
+      from the first read on, with an error where a host shares none. Default: `$STAMPEDE_TRANSPORT`, else "best".
 
     Blocks for at most 5 s.
     Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.

@@ -16,6 +16,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelLoc
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.cluster.tracing import span
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import ServerEndpoint
@@ -144,10 +145,16 @@ class Channel(Reader):
             return channel_stats(
                 response.status,
                 clock_offset_nanos=response.status.host_time_unix_nano - asked_at,
-                transport=await endpoint.transport(),
+                transport=await self._transport(endpoint),
             )
 
         return await self._session.perform(self._state, status_at)
+
+    async def _transport(self, endpoint: ServerEndpoint) -> str:
+        """Return the transport of reads of the newest items."""
+        if await self._session.rings.find(self._state) is not None:
+            return Transport.SHARED.value
+        return await endpoint.transport()
 
     async def configure(
         self,

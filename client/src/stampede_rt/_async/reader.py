@@ -9,10 +9,12 @@ from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.ring_reads import AskHost, read_interval, read_newest
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.cluster.tracing import span
 from stampede_rt.handles import Reference, handle_repr
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import ChannelInfo, Item, Items
 from stampede_rt.values.policy import flag_of
@@ -161,7 +163,18 @@ class Reader(Reference):
         `get`.
         """
         demand = parse_staleness(max_staleness), parse_least_seq(least_seq)
-        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout, demand)
+        position = None if after is None else after_position(after)
+        if self._view is None and payloads is True:
+            deadline_s: float | None = 0.0
+            if timeout != 0 or timeout is False:
+                wait_s = Wait.parse(timeout).seconds
+                deadline_s = None if wait_s is None else monotonic_s() + wait_s
+            found = await read_newest(self._session, self._state, position, deadline_s)
+            if not isinstance(found, AskHost):
+                return found
+            if timeout and deadline_s is not None:
+                timeout = max(0.0, deadline_s - monotonic_s())
+        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, position, payloads, timeout, demand)
 
     async def _read_one(
         self,
@@ -190,6 +203,10 @@ class Reader(Reference):
         return items[0] if items else None
 
     async def _read(self, query: ReadQuery) -> Items:
+        if self._view is None and query.payloads and query.after is None and query.newer_than is None:
+            found = await read_interval(self._session, self._state, query)
+            if not isinstance(found, AskHost):
+                return found
         with span("get", channel=self.name):
             return await read(self._session, self._state, query, self._view)
 

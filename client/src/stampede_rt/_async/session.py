@@ -18,6 +18,7 @@ from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S, DirectoryClient
 from stampede_rt._async.endpoints import EndpointPool, connection_closed
 from stampede_rt._async.put_streams import PutStreams
+from stampede_rt._async.shared_rings import SharedRings
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.cluster.copy_cache import CopyCache
 from stampede_rt.cluster.tracing import span
@@ -71,6 +72,7 @@ class Session:
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.copies = CopyCache()
+        self.rings = SharedRings(self.endpoints, self.perform, transport)
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
         self.closing = False  # from the beginning of `aclose` on
@@ -99,6 +101,7 @@ class Session:
         finally:  # also after an interrupt
             self.closed = True
             self.cache.forget_all()
+            self.rings.close()
             await self.endpoints.aclose()
 
     @property

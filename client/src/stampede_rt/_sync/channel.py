@@ -17,6 +17,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelLoca
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.cluster.tracing import span
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.grpc_sync import ServerEndpoint
@@ -145,10 +146,16 @@ class Channel(Reader):
             return channel_stats(
                 response.status,
                 clock_offset_nanos=response.status.host_time_unix_nano - asked_at,
-                transport=endpoint.transport(),
+                transport=self._transport(endpoint),
             )
 
         return self._session.perform(self._state, status_at)
+
+    def _transport(self, endpoint: ServerEndpoint) -> str:
+        """Return the transport of reads of the newest items."""
+        if self._session.rings.find(self._state) is not None:
+            return Transport.SHARED.value
+        return endpoint.transport()
 
     def configure(
         self,

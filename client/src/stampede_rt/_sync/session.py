@@ -19,6 +19,7 @@ from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S, DirectoryClient
 from stampede_rt._sync.endpoints import EndpointPool, connection_closed
 from stampede_rt._sync.put_streams import PutStreams
+from stampede_rt._sync.shared_rings import SharedRings
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.cluster.copy_cache import CopyCache
 from stampede_rt.cluster.tracing import span
@@ -72,6 +73,7 @@ class Session:
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.copies = CopyCache()
+        self.rings = SharedRings(self.endpoints, self.perform, transport)
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
         self.closing = False  # from the beginning of `close` on
@@ -100,6 +102,7 @@ class Session:
         finally:  # also after an interrupt
             self.closed = True
             self.cache.forget_all()
+            self.rings.close()
             self.endpoints.close()
 
     @property

@@ -12,6 +12,8 @@ from typing import Any
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.copies import bound_at, copy_target_of, may_serve_elsewhere
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
+from stampede_rt._sync.ring_following import RingFollower
+from stampede_rt._sync.ring_reads import AskHost
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
@@ -27,6 +29,7 @@ from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.reads import bound_to_message, position_of
 
+NO_RING_S = 1.0  # after a ring did not have the next items, the subscription stays with the host for this time
 _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
 
 
@@ -63,6 +66,8 @@ class Subscription(BoundToProcess):
         self._skipped_before = 0  # sum of earlier streams; on each stream the host counts from 0
         self._sent_to = ""  # the gatekeeper of the copy at which the host wants the reader to continue
         self._closed = False
+        self._follower: RingFollower | None = None  # while the items come from shared memory, without a stream
+        self._no_ring_before_s = 0.0
         self.skipped = 0
         self.dropped = 0
 
@@ -133,15 +138,60 @@ class Subscription(BoundToProcess):
         self._session.check_process()
         with self._steps:
             while not self._closed:
-                if not self._ready:
-                    self._open()
-                self._grant()
                 if self._ready:
-                    item = self._ready.popleft()
-                    self._window.take(item.payload_length_bytes + ITEM_OVERHEAD_BYTES, monotonic_s())
-                    return item
-                self._receive()
+                    return self._take_ready()
+                if self._follower is None:
+                    self._open()
+                    self._follow_ring()
+                if self._follower is not None:
+                    self._step_in_ring(self._follower)
+                    continue
+                self._grant()
+                if not self._ready:
+                    self._receive()
             raise StopIteration
+
+    def _take_ready(self) -> Item:
+        item = self._ready.popleft()
+        if self._follower is None:
+            self._window.take(item.payload_length_bytes + ITEM_OVERHEAD_BYTES, monotonic_s())
+        return item
+
+    def _follow_ring(self) -> None:
+        """Take the next items from the channel's ring, if it has one, and if it has the next items. Ends the stream."""
+        cursor, stream = self._cursor, self._stream
+        if stream is None or cursor is None or monotonic_s() < self._no_ring_before_s:
+            return
+        if self._ready or self._begun.HasField("group_id") or self._begun.without_payloads:
+            return
+        mapping = self._session.rings.find(self._state)
+        if mapping is None:
+            return
+        newest_only = self._begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
+        follower = RingFollower(self._state, mapping, cursor, self._session.rings.waits, newest_only=newest_only)
+        if follower.fits():
+            self._follower, self._stream, self._skipped_before = follower, None, self.skipped
+            stream.cancel()
+        else:
+            self._no_ring_before_s = monotonic_s() + NO_RING_S
+
+    def _step_in_ring(self, follower: RingFollower) -> None:
+        """Take the next items from the ring, or wait a moment for some. Goes back to the host if the ring has ended."""
+        try:
+            items = follower.step()
+        except StampedeError:  # the ring is damaged
+            self._leave_ring(follower)
+            raise
+        if isinstance(items, AskHost):
+            self._leave_ring(follower)
+        else:
+            self._ready.extend(items)
+            self.skipped = self._skipped_before + follower.skipped
+
+    def _leave_ring(self, follower: RingFollower) -> None:
+        self._follower, self._cursor = None, follower.cursor
+        self._no_ring_before_s = monotonic_s() + NO_RING_S
+        self._resume()
 
     def close(self) -> None:
         """End the subscription.
@@ -155,6 +205,9 @@ class Subscription(BoundToProcess):
         stream = self._stream
         if stream is not None:
             stream.cancel()
+        follower = self._follower
+        if follower is not None:
+            self._session.rings.waits.wake(follower.mapping)
 
     def _open(self) -> None:
         """Open a stream to the channel's present host unless one is open, and wait for the host's first response."""

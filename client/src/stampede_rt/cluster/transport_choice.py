@@ -16,8 +16,10 @@ class Transport(StrEnum):
     GRPC = "grpc"
     SOCKET = "socket"
     """A socket for each stream. A program that chooses it gets an error where there is none."""
+    SHARED = "shared"
+    """As SOCKET, and memory shared with the host for reads of the newest items. Else the program gets an error."""
     BEST = "best"
-    """The transport that the gatekeeper of the host offers first, or else gRPC."""
+    """The transports that the gatekeeper of the host offers first, or else gRPC."""
 
 
 def parse_transport(given: str | None) -> Transport:
@@ -27,4 +29,4 @@ def parse_transport(given: str | None) -> Transport:
         return Transport(stated)
     except ValueError:
         where = "transport" if given is not None else f"${VARIABLE}"
-        raise InvalidArgument(f'{where} is {stated!r}; give "best", "grpc" or "socket"') from None
+        raise InvalidArgument(f'{where} is {stated!r}; give "best", "grpc", "socket" or "shared"') from None

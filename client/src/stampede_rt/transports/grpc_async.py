@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakSet
 
@@ -19,9 +20,11 @@ from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
 from stampede_rt.transports.call_stream_async import CallStream, fail, within
+from stampede_rt.transports.concurrency_async import in_thread
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, END_TIMEOUT_S, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
+from stampede_rt.transports.ring_mapping import RingMapping, receive_ring
 from stampede_rt.transports.socket_async import OpeningCall, SocketCall
 from stampede_rt.transports.socket_connecting_async import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
@@ -153,6 +156,11 @@ class ServerEndpoint(Stubs):
             return Transport.GRPC.value
         connected.close()
         return Transport.SOCKET.value
+
+    async def share_memory(self, channel_id: bytes, epoch: int) -> RingMapping | None:
+        """Return the ring of a channel; None if this host shares no memory. Takes at most 4 s, see `receive_ring`."""
+        connected = await connect(self.route, self._ask_for_sockets)
+        return await in_thread(partial(receive_ring, self.route, connected, self._metadata(), channel_id, epoch))
 
     async def _open_bidi(self, method: BidiMethod) -> Any:
         connected = await connect(self.route, self._ask_for_sockets)

@@ -23,6 +23,7 @@ from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
+from stampede_rt.transports.ring_mapping import RingMapping, receive_ring
 from stampede_rt.transports.single_thread_call import SingleThreadCall
 from stampede_rt.transports.socket_connecting_sync import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
@@ -149,6 +150,11 @@ class ServerEndpoint(Stubs):
             return Transport.GRPC.value
         connected.close()
         return Transport.SOCKET.value
+
+    def share_memory(self, channel_id: bytes, epoch: int) -> RingMapping | None:
+        """Return the ring of a channel; None: the host shares no memory. Blocks for 4 s at most; see `receive_ring`."""
+        connected = connect(self.route, self._ask_for_sockets)
+        return receive_ring(self.route, connected, self._metadata(), channel_id, epoch)
 
     def open_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions."""

@@ -35,18 +35,26 @@ class SocketRoute:
         """Proves this client's certificate at the sockets; empty without certificates."""
         self._targets: tuple[str, ...] | None = None  # None: unknown
         self._not_before_s = 0.0
+        self.shares_memory = False
+        """Whether the host shares memory over its sockets."""
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
         """Keep what the gatekeeper has answered: at most TARGETS_MAX paths of the form that hosts make."""
-        told = (one for one in endpoints if one.transport == pb.TRANSPORT_SOCKET and _OF_HOSTS.fullmatch(one.target))
-        sockets = tuple(islice(told, TARGETS_MAX))
+        local = [one for one in endpoints if _OF_HOSTS.fullmatch(one.target)]
+        sockets = tuple(islice((one for one in local if one.transport == pb.TRANSPORT_SOCKET), TARGETS_MAX))
         self._targets = tuple(one.target for one in sockets)
         self.ticket = sockets[0].ticket[:TICKET_BYTES_MAX] if sockets else b""
+        self.shares_memory = any(one.transport == pb.TRANSPORT_SHARED_MEMORY for one in local)
 
     @property
     def may_lead(self) -> bool:
         """Whether the next stream may go over a socket, or must raise Unavailable because it may not."""
-        return bool(self.targets) or self.must_ask or self._transport is Transport.SOCKET
+        return bool(self.targets) or self.must_ask or self.is_forced
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether the program has chosen sockets, so that nothing else may serve."""
+        return self._transport in (Transport.SOCKET, Transport.SHARED)
 
     @property
     def must_ask(self) -> bool:
@@ -66,12 +74,20 @@ class SocketRoute:
         if self._targets != ():
             self._targets = None
             self._not_before_s = time.monotonic() + AGAIN_S
-        if self._transport is Transport.SOCKET:
+        if self.is_forced:
             self._not_before_s = 0.0
             raise Unavailable(
                 f"no stream over a socket leads to {self._target}: {why or 'it offers none to this caller'}; leave "
-                'transport="socket" away to use gRPC'
+                f'transport="{self._transport}" away to use gRPC'
             )
+
+
+def memory_not_shared(target: str) -> Unavailable:
+    """Return the error for a program that has chosen shared memory at a host that has none."""
+    return Unavailable(
+        f"the host at {target} shares no memory with this program, which needs Linux on x86-64 at both sides; leave "
+        'transport="shared" away'
+    )
 
 
 def opening_of(method: str, metadata: Iterable[tuple[str, str]], ticket: bytes) -> bytes:

@@ -274,6 +274,22 @@ class SubscriptionProgress(_message.Message):
     host_time_unix_nano: int
     def __init__(self, next_seq: _Optional[int] = ..., skipped: _Optional[int] = ..., dropped: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
 
+class ShareMemoryRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
+
+class ShareMemoryResponse(_message.Message):
+    __slots__ = ("memory_bytes", "detail")
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    memory_bytes: int
+    detail: str
+    def __init__(self, memory_bytes: _Optional[int] = ..., detail: _Optional[str] = ...) -> None: ...
+
 class AdvanceRequest(_message.Message):
     __slots__ = ("channel_id", "epoch", "time_unix_nano")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]

@@ -51,6 +51,11 @@ class ChannelServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeResponse.FromString,
                 _registered_method=True)
+        self.ShareMemory = channel.stream_stream(
+                '/stampede_rt.v1.ChannelService/ShareMemory',
+                request_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryResponse.FromString,
+                _registered_method=True)
         self.Advance = channel.unary_unary(
                 '/stampede_rt.v1.ChannelService/Advance',
                 request_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.AdvanceRequest.SerializeToString,
@@ -101,6 +106,18 @@ class ChannelServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ShareMemory(self, request_iterator, context):
+        """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
+        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and belongs to
+        no version of this contract. The host answers the only request with one response, and passes the file of the memory
+        with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+        reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
+        this), WRONG_EPOCH, NOT_HERE, MOVED.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def Advance(self, request, context):
         """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing.
         """
@@ -145,6 +162,11 @@ def add_ChannelServiceServicer_to_server(servicer, server):
                     servicer.Subscribe,
                     request_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeResponse.SerializeToString,
+            ),
+            'ShareMemory': grpc.stream_stream_rpc_method_handler(
+                    servicer.ShareMemory,
+                    request_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryResponse.SerializeToString,
             ),
             'Advance': grpc.unary_unary_rpc_method_handler(
                     servicer.Advance,
@@ -245,6 +267,33 @@ class ChannelService(object):
             '/stampede_rt.v1.ChannelService/Subscribe',
             stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.SerializeToString,
             stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ShareMemory(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/stampede_rt.v1.ChannelService/ShareMemory',
+            stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_channel__service__pb2.ShareMemoryResponse.FromString,
             options,
             channel_credentials,
             insecure,

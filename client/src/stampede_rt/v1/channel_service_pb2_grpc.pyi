@@ -51,6 +51,14 @@ class ChannelServiceStub:
     collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
     the host sends items until the credit is used up. Then the stream ends.
     """
+    ShareMemory: _grpc.StreamStreamMultiCallable[_channel_service_pb2.ShareMemoryRequest, _channel_service_pb2.ShareMemoryResponse]
+    """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
+    (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and belongs to
+    no version of this contract. The host answers the only request with one response, and passes the file of the memory
+    with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+    reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
+    this), WRONG_EPOCH, NOT_HERE, MOVED.
+    """
     Advance: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]
     """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
     Consume: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.ConsumeRequest, _channel_service_pb2.ConsumeResponse]
@@ -87,6 +95,14 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
     collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
     the host sends items until the credit is used up. Then the stream ends.
+    """
+    ShareMemory: _aio.StreamStreamMultiCallable[_channel_service_pb2.ShareMemoryRequest, _channel_service_pb2.ShareMemoryResponse]  # type: ignore[assignment]
+    """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
+    (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and belongs to
+    no version of this contract. The host answers the only request with one response, and passes the file of the memory
+    with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+    reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
+    this), WRONG_EPOCH, NOT_HERE, MOVED.
     """
     Advance: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]  # type: ignore[assignment]
     """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
@@ -139,6 +155,20 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
         collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
         the host sends items until the credit is used up. Then the stream ends.
+        """
+
+    @_abc_1.abstractmethod
+    def ShareMemory(
+        self,
+        request_iterator: _MaybeAsyncIterator[_channel_service_pb2.ShareMemoryRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.ShareMemoryResponse], _abc.AsyncIterator[_channel_service_pb2.ShareMemoryResponse]]:
+        """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
+        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and belongs to
+        no version of this contract. The host answers the only request with one response, and passes the file of the memory
+        with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+        reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
+        this), WRONG_EPOCH, NOT_HERE, MOVED.
         """
 
     @_abc_1.abstractmethod

@@ -31,6 +31,8 @@ _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = 6 << 3 | 2
 _TAGS_BEFORE_PAYLOADS = frozenset(field << 3 | 2 for field in range(1, 6))
 _FIXED_FIELD_BYTES = {1 << 3 | 1: 9, 2 << 3 | 1: 9, 3 << 3 | 5: 5}  # one entry of a column that is not packed, by tag
+_COLUMN_TAGS = frozenset(field << 3 | 2 for field in range(1, 4))
+_SEALS_OF_ONE = (_FIRST_SEQ.size, _FIRST_SEQ.size + 10)  # what a host appends to a run of one item, see `seal_run`
 _SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
 _FIELDS_LOOKED_AT_MAX = 4096
 _COLUMN_BYTES_MAX = 23  # of one item in three columns, if the encoder did not pack them and each entry has a tag
@@ -212,6 +214,27 @@ def seal_run(raw: bytes | memoryview, first_seq: int, stamped_times: Sequence[in
         return b"".join((raw, seq))
     column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
     return b"".join((raw, bytes((_TIMES_TAG,)), encode_varint(len(column)), column, seq))
+
+
+def plain_payload_at(sealed: bytes, payload_bytes: int) -> int:
+    """Return where the payload begins in a sealed run of one item.
+
+    Returns 0 if the item has a content type, attributes or an empty payload, or if the fields come in an unusual order.
+    """
+    at = 0
+    while at < len(sealed):
+        tag = sealed[at]
+        if tag in _FIXED_FIELD_BYTES:
+            at += _FIXED_FIELD_BYTES[tag]
+            continue
+        length, value = decode_varint(sealed, at + 1)
+        if tag == _PAYLOADS_TAG:
+            behind = len(sealed) - value - length
+            return value if length == payload_bytes and behind in _SEALS_OF_ONE else 0
+        if tag not in _COLUMN_TAGS:
+            return 0
+        at = value + length
+    return 0
 
 
 def origin_field(origin: bytes) -> bytes:

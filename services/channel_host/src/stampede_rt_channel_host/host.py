@@ -172,6 +172,7 @@ class ChannelHost:
         """
         self._gatekeeper.target, self._gatekeeper.local_target = target, local_target
         self.copies.target = target
+        self.store.rings.fence_boottime = self._lease.fence_boottime
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
         self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them

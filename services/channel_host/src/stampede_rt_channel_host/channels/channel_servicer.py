@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 from functools import partial
 
 import grpc
+from grpc.aio import EOF
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import channel_status
@@ -18,7 +19,7 @@ from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
 from stampede_rt_channel_host.channels.put_stream import PutStream
-from stampede_rt_channel_host.channels.requests import opening_of
+from stampede_rt_channel_host.channels.requests import opening_of, parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscription import Subscription
@@ -43,6 +44,7 @@ class ChannelServicer:
             "Put": grpc.stream_stream_rpc_method_handler(self.put),
             "Get": grpc.stream_stream_rpc_method_handler(self.get),
             "Subscribe": grpc.stream_stream_rpc_method_handler(self.subscribe),
+            "ShareMemory": grpc.stream_stream_rpc_method_handler(self.share_memory),
             "Advance": unary(self.advance, pb.AdvanceRequest, pb.AdvanceResponse),
             "Consume": unary(self.consume, pb.ConsumeRequest, pb.ConsumeResponse),
             "GetChannelStatus": unary(self.get_channel_status, pb.GetChannelStatusRequest, pb.GetChannelStatusResponse),
@@ -68,6 +70,15 @@ class ChannelServicer:
             hosted = self._store.find_readable(request.open.channel_id, request.open.epoch, demand)
             check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             await Subscription(hosted, self._store, self._groups, context, stream).run(request)
+
+    async def share_memory(self, requests: AsyncIterator[bytes], context: Context) -> None:
+        """ChannelService.ShareMemory."""
+        async with self._streams.serve(context):
+            raw = await context.read()
+            request = pb.ShareMemoryRequest() if raw is EOF else parse(pb.ShareMemoryRequest, raw, "ShareMemoryRequest")
+            hosted = self._store.find(request.channel_id, request.epoch)
+            check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
+            await self._store.rings.serve(hosted, context)
 
     @errors_as_status
     async def advance(self, request: pb.AdvanceRequest, context: Context) -> pb.AdvanceResponse:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from stampede_rt.cluster.request_age import age_clock_s, request_age_nanos
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.transports.futexes import is_supported
 from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
@@ -91,7 +92,8 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         ticket = self._tickets.issue(context.auth_context())
         if ticket is None:
             return []
-        return [pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self.local_target, ticket=ticket)]
+        transports = (pb.TRANSPORT_SHARED_MEMORY, pb.TRANSPORT_SOCKET) if is_supported() else (pb.TRANSPORT_SOCKET,)
+        return [pb.DataEndpoint(transport=one, target=self.local_target, ticket=ticket) for one in transports]
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802

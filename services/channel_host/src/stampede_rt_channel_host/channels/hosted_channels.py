@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.channels.channel_ring import ChannelRing
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
@@ -47,6 +48,11 @@ class HostedChannel:
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
     `epoch`, the epoch of the record. `epoch` 0: the store must ask the directory before it serves the channel again.
     """
+
+    ring: ChannelRing | None = None
+    """The newest part of the channel in shared memory, while a process of this machine reads it."""
+    largest_run_bytes = 0
+    """The length of the largest run that was too large for a ring."""
 
     def __init__(
         self,
@@ -109,6 +115,8 @@ class HostedChannel:
 
     def update(self, record: RecordedChannel) -> None:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
+        if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
+            self.close_ring()
         if record.spec_version != self.record.spec_version:
             now = self._now()
             self.channel.configure(record.policy, now)
@@ -164,6 +172,7 @@ class HostedChannel:
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
+        self.close_ring()
         for observer in [*self.group_observers]:  # each call is short: an observer leaves long work to the scheduler
             observer.end(error)
         subscriptions, match_streams = self.subscriptions.ending(error), self.match_streams.ending(error)
@@ -187,6 +196,7 @@ class HostedChannel:
     def collect(self, now: int) -> bool:
         """Free a bounded number of outdated items. Returns True if others are left, for which to call again soon."""
         more = self.channel.collect(now)
+        self._repeat_in_ring()
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
         return more
@@ -199,6 +209,18 @@ class HostedChannel:
         due = (self.channel.next_deadline(now), self.puts.next_expiry())
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
+
+    def close_ring(self) -> None:
+        """Stop repeating the channel in shared memory. The readers ask the host again. Idempotent."""
+        ring, self.ring = self.ring, None
+        if ring is not None:
+            ring.close()
+
+    def _repeat_in_ring(self) -> None:
+        """Show the present state to the readers of the ring. A reader must not see less than the caller of a put."""
+        if self.ring is not None and not self.ring.follow():
+            self.largest_run_bytes = max(self.largest_run_bytes, self.ring.refused_bytes)
+            self.close_ring()
 
     def count_delivered(self, items: int, payload_bytes: int) -> None:
         """Count the items and the payload bytes of a message that was sent to a reader."""
@@ -216,6 +238,7 @@ class HostedChannel:
 
     def _announce(self, now: int) -> None:
         self.changes += 1
+        self._repeat_in_ring()
         if self._gets is not None and len(self._gets):
             self._gets.changed(now)
         for observer in [*self.group_observers]:

@@ -22,12 +22,14 @@ from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
+from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.reader_drops import Readers
+from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.totals import ChannelTotals
@@ -35,7 +37,6 @@ from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched_keys, one_after_another, rest_of
-from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from stampede_rt_runtime.access.control import check_access, current_account, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -75,8 +76,9 @@ class ChannelStore:
         self.deliveries = SharedDeliveries()
         self._identity = identity
         self._directory = directory
-        self._clock = clock
-        self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
+        self._clocks = HostClocks(clock)
+        self.now = self._clocks.now
+        """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
         self._channels: dict[bytes, HostedChannel] = {}
         self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._single_flight = SingleFlight()
@@ -92,10 +94,7 @@ class ChannelStore:
         self.readers = Readers()
         self.departed = ChannelTotals()
         """The counters of the channels that this host served before."""
-
-    def now(self) -> int:
-        """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
-        return self._time.read(self._clock.boottime_nanos(), self._clock.time_unix_nano())
+        self.rings = Rings(memory, self._clocks.read)
 
     def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
         """The channel that this host owns, for one data request.
@@ -232,6 +231,7 @@ class ChannelStore:
     def close(self) -> None:
         """Refuse all requests from now on with SHUTTING_DOWN."""
         self._closing = refusals.SHUTTING_DOWN
+        self.rings.fence()
 
     def end_all(self, error: StampedeError) -> None:
         """End the waits of all callers and the streams of all readers with `error`.

@@ -91,6 +91,10 @@ class LeaseThread:
         """How far this host's clock is ahead of the leader's, as of the last renewal; None before that."""
         return None if self._registration is None else self._registration.clock
 
+    def fence_boottime(self) -> int:
+        """Until when the host may serve, in nanoseconds of CLOCK_BOOTTIME; 0 if it may not."""
+        return 0 if self._registration is None else self._registration.fence_boottime()
+
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """See `Registration.enter`."""
         registration, loop = self._started()

@@ -95,6 +95,11 @@ class Registration:
         """How long the host may still serve without a renewal, in nanoseconds; 0 if it may not."""
         return self._lease.fenced_in_nanos(self._clock.boottime_nanos())
 
+    def fence_boottime(self) -> int:
+        """Until when the host may serve, in nanoseconds of CLOCK_BOOTTIME; 0 if it may not."""
+        now = self._clock.boottime_nanos()
+        return now + self._lease.fenced_in_nanos(now) if self._lease.is_held(now) else 0
+
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """Register for the first time, with a gatekeeper at `target`.
 

@@ -241,6 +241,12 @@ def current_caller() -> Caller | None:
     return None if call is None else call.caller
 
 
+def is_denied() -> bool:
+    """Whether the present call is ending because its caller has lost its credential or a right."""
+    call = _CURRENT.get()
+    return call is not None and call.error is not None
+
+
 def current_work() -> CallerWork:
     """A new CallerWork for the present call's caller: for the call, for a task beside it, or for one stream."""
     return CallerWork(current_account())

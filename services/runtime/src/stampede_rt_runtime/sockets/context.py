@@ -53,6 +53,13 @@ class SocketContext:
         """From now on call `take` for each encoded message for which `read` waits. It must not wait."""
         self._connection.at_once = take
 
+    async def write_with_file(self, message: Any, file: int) -> None:
+        """Write a short message, and pass the open file with it, by its number. gRPC's contexts have no such method.
+
+        Raises InternalError if the caller has gone, or takes nothing at present.
+        """
+        self._connection.write_with_file(message if self._encode is None else self._encode(message), file)
+
     def __aiter__(self) -> SocketContext:
         """The requests, for methods that iterate over them."""
         return self

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import fcntl
+import os
+import socket
 import termios
 from collections import deque
 from collections.abc import Callable
@@ -182,6 +184,24 @@ class StreamSocket(asyncio.BufferedProtocol):
             await self._room
         if self._is_lost:
             raise InternalError("the caller has closed its socket")
+
+    def write_with_file(self, message: bytes, file: int) -> None:
+        """Write a short message, and pass the open file with it, by its number. Does not wait.
+
+        The peer gets a file of its own. Raises InternalError if the peer has gone, or takes nothing at present.
+        """
+        if self.is_over or self._is_closing or self._transport.get_write_buffer_size():
+            raise InternalError("the stream has ended, or its caller takes nothing")
+        frame = frame_of(FrameKind.MESSAGE, message)
+        try:
+            with socket.socket(fileno=os.dup(self.socket.fileno())) as own:
+                own.setblocking(False)
+                sent_bytes = socket.send_fds(own, [frame], [file])
+        except OSError as error:
+            raise InternalError(f"the caller takes nothing: {error}") from error
+        self._has_written = True
+        if sent_bytes < len(frame):
+            self._transport.write(frame[sent_bytes:])
 
     def end(self, status: bytes) -> None:
         """Write the status, and close the connection once the peer has read it. Only the first status counts."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from stampede_rt.ring.layout import ABSENT_INSTANT
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
@@ -12,7 +15,9 @@ from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import Counters
+from stampede_rt_channel_host.core.ring_writer import RingFacts
 
 FREED_ENTRIES_PER_CALL = 32
 """The most index entries of outdated items that one put or read frees beside its own work."""
@@ -110,6 +115,29 @@ class AgedChannel:
         """
         held, retention = self.look(now)
         return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
+
+    def ring_facts(self) -> RingFacts:
+        """The facts that a ring in shared memory repeats, as of the last call that took `now`."""
+        held, reading = self._held, self._reading
+        gone = (held.gone_before, self.lost_before)
+        passed = (self.advanced_to, reading.consumed_up_to)
+        return RingFacts(
+            next_seq=held.next_seq,
+            has_items=held.items > 0,
+            passed=max((one for one in passed if one is not None), default=None),
+            gone_before=max((one for one in gone if one is not None), default=None),
+            floor=(max(held.floor[0], ABSENT_INSTANT), held.floor[1]),
+            max_age_nanos=self._retention.limits.max_age_nanos,
+            has_overlap=held.overlap_nanos > 0,
+        )
+
+    def accepted_from(self, seq: int) -> Iterator[Slice]:
+        """The held items from `seq` on, in the order of acceptance. The items of a slice ascend in time."""
+        return self._held.slices_by_seq(seq, self._held.next_seq)
+
+    def newest_slices(self) -> Iterator[Slice]:
+        """The held items, the newest slice first."""
+        return self._held.slices_down()
 
     @property
     def footprint_bytes(self) -> int:

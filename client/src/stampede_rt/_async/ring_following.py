@@ -1,0 +1,107 @@
+"""Follows a channel in its ring, for a subscription that has reached the newest items."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.ring_reads import ASK_HOST, AskHost, columns_of, items_of, newest_item
+from stampede_rt.ring.facts import host_now
+from stampede_rt.ring.following import Next, following
+from stampede_rt.ring.latest import latest
+from stampede_rt.ring.layout import CHANGES_WORD
+from stampede_rt.transports.ring_mapping import WAIT_S_MAX, RingMapping, boottime_nanos
+from stampede_rt.transports.ring_waiting_async import RingWaits
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Item
+
+_SEQ_MAX = 2**63 - 1
+
+
+class RingFollower:
+    """The place of one subscription in a ring.
+
+    Create it with the cursor of the subscription's stream. If it `fits`, end that stream.
+    """
+
+    def __init__(
+        self,
+        state: ChannelState,
+        mapping: RingMapping,
+        cursor: channel_pb.SubscriptionCursor,
+        waits: RingWaits,
+        *,
+        newest_only: bool,
+    ) -> None:
+        self.mapping = mapping
+        self.skipped = 0
+        self._state, self._waits, self._newest_only = state, waits, newest_only
+        self._cursor = channel_pb.SubscriptionCursor()
+        self._cursor.CopyFrom(cursor)
+        self._begun_seq, self._slot = cursor.next_seq, -1
+        self._delivered = 0
+
+    @property
+    def cursor(self) -> channel_pb.SubscriptionCursor:
+        """The cursor with which a stream continues after the last item."""
+        return self._cursor
+
+    def fits(self) -> bool:
+        """Whether the ring has all that the subscription needs next."""
+        if self._cursor.incarnation != self.mapping.view.incarnation:
+            return False
+        if self._cursor.HasField("from_unix_nano") and not self._newest_only:
+            return False  # some of the items before `next_seq` do not belong to the subscription
+        facts = self.mapping.view.facts()
+        if facts is None or not self.mapping.is_open(boottime_nanos()):
+            return False
+        if self._newest_only:
+            return latest(self.mapping.view, facts, self._position) is not True
+        return self._next(facts) is not True
+
+    async def step(self) -> Sequence[Item] | AskHost:
+        """Return the next items; none after a wait. Raises StampedeError for a damaged ring."""
+        changes = self.mapping.view.words[CHANGES_WORD]
+        facts = self.mapping.view.facts()
+        if facts is None:
+            return ASK_HOST
+        items = self._take_newest(facts) if self._newest_only else self._take_next(facts)
+        if isinstance(items, AskHost) or items:
+            return items
+        if not await self._waits.wait(self.mapping, changes, WAIT_S_MAX):
+            return ASK_HOST
+        return ()
+
+    @property
+    def _position(self) -> tuple[int, int] | None:
+        """The position after which the newest item is a new one; None: after all items."""
+        if not self._cursor.HasField("from_unix_nano"):
+            return None
+        return self._cursor.from_unix_nano, min(self._cursor.from_seq, _SEQ_MAX) - 1
+
+    def _take_newest(self, facts: list[int]) -> Sequence[Item] | AskHost:
+        found = latest(self.mapping.view, facts, self._position)
+        if found is True or not self.mapping.is_open(boottime_nanos()):
+            return ASK_HOST
+        if found is False:
+            return ()
+        item = newest_item(self._state, self.mapping, found)
+        self._cursor.from_unix_nano, self._cursor.from_seq = item.time, item.seq + 1
+        self._cursor.next_seq = found.next_seq
+        self._delivered += 1
+        self.skipped = max(0, found.next_seq - self._begun_seq - self._delivered)
+        return (item,)
+
+    def _take_next(self, facts: list[int]) -> Sequence[Item] | AskHost:
+        found = self._next(facts)
+        if found is True or not self.mapping.is_open(boottime_nanos()):
+            return ASK_HOST
+        if found is False:
+            return ()
+        items = items_of(self._state, self.mapping, [found.piece], found.next_time, backwards=False)
+        self._slot, self._cursor.next_seq = found.slot, found.end_seq
+        return items
+
+    def _next(self, facts: list[int]) -> Next | bool:
+        now = host_now(facts, boottime_nanos())
+        return following(self.mapping.view, facts, self._cursor.next_seq, self._slot, now, columns_of)

@@ -1,0 +1,84 @@
+"""The next items of a ring in the order of acceptance, for subscriptions. Pure."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import NamedTuple
+
+from stampede_rt.ring.facts import age_bound, surely_held
+from stampede_rt.ring.layout import HEAD, NEXT_SEQ
+from stampede_rt.ring.ring_view import RingView, Slot
+from stampede_rt.ring.selecting import ColumnsOf, RunPiece
+
+
+class Next(NamedTuple):
+    """Items that follow each other in seq. `next_time`: the time of the bucket after the last one. `slot`: their slot.
+
+    `end_seq`: the seq after the last item's seq.
+    """
+
+    piece: RunPiece
+    next_time: int | None
+    slot: int
+    end_seq: int
+
+
+def following(view: RingView, facts: list[int], seq: int, near: int, now: int, columns_of: ColumnsOf) -> Next | bool:
+    """Return the items from `seq` on; False if there are none yet, True to ask the host.
+
+    `near`: the slot of the items before, or -1. `now`: the host's clock.
+    """
+    if seq >= facts[NEXT_SEQ]:
+        return seq > facts[NEXT_SEQ]
+    found = _run_with(view, facts, seq, near)
+    if found is None:
+        return True
+    slot, body = found
+    times = (slot.first_time,) if slot.items == 1 else columns_of(body)[0]
+    lo, aged = seq - slot.seq, age_bound(facts, now)
+    if len(times) != slot.items or not surely_held(facts, times[lo], seq, aged):
+        return True
+    next_time = _next_time(view, facts, slot, columns_of)
+    if next_time is True:
+        return True
+    return Next(RunPiece(body, lo, slot.items, lo == 0), next_time, slot.number, slot.seq + slot.items)
+
+
+def _run_with(view: RingView, facts: list[int], seq: int, near: int) -> tuple[Slot, bytes] | None:
+    """Return the run with the item `seq`, and its slot; None if the ring does not have it in order."""
+    first, number = view.first_ordered(facts), near + 1
+    if near < 0 or not first <= number < facts[HEAD] or view.first_seq(number) != seq:
+        number = _slot_with(view, first, facts[HEAD], seq)
+    if not first <= number < facts[HEAD]:
+        return None
+    slot = view.slot(number)
+    body = view.copy(slot) if slot.seq <= seq < slot.seq + slot.items else None
+    return None if body is None or not view.is_whole(number) else (slot, body)
+
+
+def _slot_with(view: RingView, first: int, head: int, seq: int) -> int:
+    """Return the last slot that begins at or before `seq`."""
+    low, high = first, head
+    while low < high:
+        middle = (low + high) // 2
+        if view.first_seq(middle) <= seq:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+def _next_time(view: RingView, facts: list[int], slot: Slot, columns_of: ColumnsOf) -> int | bool | None:
+    """Return the time of the first bucket after the slot; None if there is none, True if the ring lost it meanwhile."""
+    for number in range(slot.number + 1, min(facts[HEAD], slot.number + 64)):
+        later = view.slot(number)
+        if later.first_time > slot.last_time:
+            return later.first_time if view.is_whole(number) else True
+        if later.last_time > slot.last_time:
+            body = view.copy(later)
+            if body is None or not view.is_whole(number):
+                return True
+            times = columns_of(body)[0]
+            at = bisect_right(times, slot.last_time)
+            return times[at] if at < len(times) else True
+    return True if facts[HEAD] > slot.number + 64 else None

@@ -1,0 +1,38 @@
+"""The newest item of a ring. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stampede_rt.ring.layout import NEWEST_SLOT, NEXT_SEQ, NO_ITEMS
+from stampede_rt.ring.ring_view import RingView, Slot
+
+
+class Latest(NamedTuple):
+    """The newest item: the last one of the run `body`, or a plain item of which `body` is the payload.
+
+    `is_plain`: the run has this item only, without labels.
+    """
+
+    slot: Slot
+    body: bytes
+    is_plain: bool
+    next_seq: int
+
+
+def latest(view: RingView, facts: list[int], after: tuple[int, int] | None = None) -> Latest | bool:
+    """Return the newest item, if it is later than the position `after`; False if there is none, True to ask the host.
+
+    The position is a time and a seq.
+    """
+    number = facts[NEWEST_SLOT]
+    if number < 0:
+        return number != NO_ITEMS
+    slot = view.slot(number)
+    if after is not None and (slot.last_time, slot.seq + slot.items - 1) <= after:
+        return not view.is_whole(number)
+    is_plain = slot.items == 1 and slot.payload > 0
+    body = view.copy_payload(slot) if is_plain else view.copy(slot)
+    if body is None or slot.items < 1 or number < view.oldest_slot(facts) or not view.is_whole(number):
+        return True
+    return Latest(slot, body, is_plain, facts[NEXT_SEQ])

@@ -1,0 +1,97 @@
+"""The layout of a ring in shared memory (`shared_memory.proto`). Pure.
+
+The memory has a header, an array of slots, and an area of data. The header and the slots are words of 8 bytes, signed,
+in the byte order of the machine. Both sides read and write each word as a whole, through `memoryview.cast("q")`. On
+x86-64 each such access is atomic, and a processor sees the stores of another one in their order.
+
+The host writes a run in this order: TAIL, the bytes of the run, its slot, and then the words of the facts, HEAD among
+them. A reader copies the bytes, and then looks at TAIL again: if the tail has passed the slot, the copy may be torn.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stampede_rt.errors import InvalidArgument
+
+MAGIC = int.from_bytes(b"STAMPRNG", "little")
+LAYOUT_VERSION = 1
+HEADER_WORDS = 512
+SLOT_WORDS = 8
+WORD_BYTES = 8
+RING_BYTES_MAX = 80 * 2**20
+ABSENT_INSTANT = -(2**63)
+"""Stands for an instant that does not exist."""
+
+# Words that the host writes once, when it makes the ring.
+MAGIC_WORD, VERSION_WORD, SLOTS_WORD, DATA_BYTES_WORD, INCARNATION_WORD = range(5)
+STATE_WORD = 5  # OPEN, or CLOSED for ever: the ring repeats the channel no more
+FENCE_WORD = 6  # until when the host may serve, in nanoseconds of CLOCK_BOOTTIME
+TAIL_WORD = 7  # the number of the first slot whose bytes are whole
+
+# The facts. SEQUENCE_WORD is odd while the host writes them.
+SEQUENCE_WORD = 8
+FACTS_END = 24
+# The places of the facts behind SEQUENCE_WORD:
+HEAD = 1  # the number of slots written so far; slot N is at N modulo the number of slots
+NEWEST_SLOT = 2  # the number of the slot whose last item is the newest item, or NO_ITEMS, or NOT_HERE
+NEWEST_TIME = 3  # the newest item's time
+NEXT_SEQ = 4  # the seq of the next accepted item
+ORDERED_FROM = 5  # from this slot on, the items of the slots ascend, and the channel holds no others among them
+PASSED = 6  # the latest advance, or ABSENT_INSTANT
+GONE_BEFORE = 7  # an answer may lack items before this instant, which were collected or lost; or ABSENT_INSTANT
+FLOOR_TIME = 8  # items below (FLOOR_TIME, FLOOR_SEQ) were collected
+FLOOR_SEQ = 9
+MAX_AGE = 10  # the channel's max_age in nanoseconds; -1: none
+CLOCK_BOOTTIME = 11  # a reading of CLOCK_BOOTTIME, and the host's clock at that moment
+CLOCK_HOST = 12
+CLOCK_OFFSET = 13  # the machine's wall clock minus the host's clock at that moment
+LATE = 14  # the number of slots that did not follow the newest item in time
+
+CHANGES_WORD = 32  # the host adds 1 after each change; its lower half is the futex on which readers wait
+
+# The words of a slot.
+SEQ, ITEMS, FIRST_TIME, LAST_TIME, OFFSET, LENGTH, DURATION, PAYLOAD = range(8)
+# DURATION and PAYLOAD tell about a run of one item. DURATION is the item's duration or -1. PAYLOAD has the length of
+# the payload, and in its lower 16 bits where in the run it begins; 0: read the whole run, because the item has labels.
+PAYLOAD_BEGIN_MAX = 0xFFFF
+
+OPEN, CLOSED = 1, 2
+NO_ITEMS, NOT_HERE = -1, -2
+
+
+class RingSize(NamedTuple):
+    """The size of a ring. `slots` is a power of two. OFFSET counts on for ever: a byte is there modulo `data_bytes`."""
+
+    slots: int
+    data_bytes: int
+
+    @property
+    def data_begin(self) -> int:
+        """Where the data begins, in bytes."""
+        return (HEADER_WORDS + self.slots * SLOT_WORDS) * WORD_BYTES
+
+    @property
+    def whole_bytes(self) -> int:
+        """The size of the memory."""
+        return self.data_begin + self.data_bytes
+
+
+def words_of(memory: memoryview) -> memoryview:
+    """Return the memory as words. Its length is a multiple of 8 bytes."""
+    return memory.cast("q")
+
+
+def size_of(memory: memoryview) -> RingSize:
+    """Return the size that a mapped ring states. Raises InvalidArgument if the memory is no ring of this layout."""
+    if len(memory) < HEADER_WORDS * WORD_BYTES or len(memory) % WORD_BYTES or len(memory) > RING_BYTES_MAX:
+        raise InvalidArgument(f"{len(memory)} bytes are no ring in shared memory")
+    words = words_of(memory)
+    if words[MAGIC_WORD] != MAGIC or words[VERSION_WORD] != LAYOUT_VERSION:
+        raise InvalidArgument("the memory is no ring of this version; install the same release on both sides")
+    size = RingSize(words[SLOTS_WORD], words[DATA_BYTES_WORD])
+    if size.slots < 1 or size.slots & (size.slots - 1) or size.data_bytes < WORD_BYTES:
+        raise InvalidArgument(f"a ring has {size.slots} slots and {size.data_bytes} bytes of data; it is damaged")
+    if size.whole_bytes != len(memory):
+        raise InvalidArgument(f"a ring of {size.whole_bytes} bytes is in memory of {len(memory)} bytes; it is damaged")
+    return size

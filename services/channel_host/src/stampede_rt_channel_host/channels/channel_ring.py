@@ -1,0 +1,108 @@
+"""Repeats the newest runs of one channel in shared memory (decision 0168)."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import mmap
+import os
+from collections.abc import Callable
+from itertools import islice
+
+from stampede_rt.ring.layout import CHANGES_WORD, PAYLOAD_BEGIN_MAX, WORD_BYTES, RingSize
+from stampede_rt.transports import futexes
+from stampede_rt.wire.runs import plain_payload_at
+from stampede_rt_channel_host.channels.frames import run_bytes
+from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
+from stampede_rt_channel_host.core.ring_writer import ClockReading, RingRun, RingWriter
+
+SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
+FILLED_BYTES_MAX = 2**20  # of the held items with which a ring begins, so that its beginning takes no long step
+FILLED_SLICES_MAX = 64
+
+
+class ChannelRing:
+    """A ring, and the mapping through which the host writes it. Its memory has no name: it ends with its last user."""
+
+    def __init__(self, channel: ChannelCore, size: RingSize, clock: Callable[[], ClockReading]) -> None:
+        """Raises OSError if the system gives no memory."""
+        self.size = size
+        self.readers = 0
+        self.is_open = True
+        self.ended = asyncio.Event()
+        self.on_closed: Callable[[], None] | None = None
+        self.refused_bytes = 0
+        """The length of the run that was too large for this ring; 0: there was none."""
+        self._channel, self._clock = channel, clock
+        self.file = os.memfd_create("stampede-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        try:
+            os.posix_fallocate(self.file, 0, size.whole_bytes)
+            self._memory = mmap.mmap(self.file, size.whole_bytes)
+            fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, SEALS)
+        except BaseException:
+            os.close(self.file)
+            raise
+        self._changes_address = futexes.address_of(self._memory) + CHANGES_WORD * WORD_BYTES
+        self._writer = RingWriter(memoryview(self._memory), size, channel.incarnation, channel.newest)
+        self._next_seq = channel.next_seq
+        self._begin()
+
+    def _begin(self) -> None:
+        """Write the newest held items, as far as they follow each other in seq and in time."""
+        slices: list[Slice] = []
+        filled_bytes = 0
+        for part in islice(self._channel.newest_slices(), FILLED_SLICES_MAX):
+            if slices and (part.end_seq != slices[-1].first_seq or filled_bytes > FILLED_BYTES_MAX):
+                break
+            filled_bytes += len(part.run.body)
+            slices.append(part)
+        for part in reversed(slices):
+            self._append(part)
+        self._writer.publish(self._channel.ring_facts(), self._clock())
+
+    def follow(self) -> bool:
+        """Write the newly accepted items and the present facts, and wake the readers.
+
+        Returns False if an item is too large for this ring: close it.
+        """
+        for part in self._channel.accepted_from(self._next_seq):
+            if not self._append(part):
+                return False
+        self._next_seq = self._channel.next_seq
+        self._writer.publish(self._channel.ring_facts(), self._clock())
+        futexes.wake(self._changes_address)
+        return True
+
+    def _append(self, part: Slice) -> bool:
+        body = run_bytes(part, without_payloads=False)
+        if not self._writer.takes(len(body)):
+            self.refused_bytes = len(body)
+            return False
+        duration, payload = ABSENT, 0
+        if part.items == 1:
+            durations = part.run.durations
+            duration = ABSENT if durations is None else durations[part.lo]
+            begin = plain_payload_at(body, part.payload_bytes)
+            payload = part.payload_bytes << 16 | begin if 0 < begin <= PAYLOAD_BEGIN_MAX else 0
+        self._writer.append(
+            RingRun(part.first_seq, part.items, part.first_time, part.last_time, body, duration, payload)
+        )
+        return True
+
+    def refresh(self, fence_boottime: int) -> None:
+        """Show readers until when the host may serve, and its clock."""
+        self._writer.set_fence(fence_boottime)
+        self._writer.note_clock(self._clock())
+
+    def close(self) -> None:
+        """Tell the readers to stop, and free the host's share of the memory. Calls `on_closed` once. Idempotent."""
+        if self.is_open:
+            self.is_open = False
+            self._writer.close()
+            futexes.wake(self._changes_address)
+            self._writer.release()
+            self._memory.close()
+            os.close(self.file)
+            self.ended.set()
+            if self.on_closed is not None:
+                self.on_closed()

@@ -1,0 +1,94 @@
+"""Whatever happens to a channel, its ring in shared memory gives the oracle's answers, or none."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections import Counter
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stampede_rt.ring import facts
+from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime
+from stampede_rt_channel_host.core.channel import Offer, Query
+from tests.property.random_source import RandomSource
+from tests.property.ring_pair import SIZES, RingPair
+from tests.property.test_channel_against_oracle import (
+    FIRST_CLOCK,
+    SET_UPS,
+    advance,
+    collect,
+    configure,
+    deliver,
+    give_up,
+    put,
+    read,
+    rest,
+    retry_put,
+    subscribe,
+    tick,
+)
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
+SUITED = tuple(one for one in SET_UPS if not (one.consumers or one.max_age_unconsumed_nanos or one.overlap_nanos))
+
+
+def put_in_order(rng: RandomSource, pair: RingPair) -> None:
+    """A run that follows the newest item, as those of most producers do."""
+    time, items = max(pair.clock, pair.oracle.newest or 0), rng.pick((1, 1, 3))
+    steps = [rng.pick((0, 1, 2)) for _ in range(items)]
+    times = [time + sum(steps[: at + 1]) for at in range(items)]
+    durations = [rng.pick((-1, 0, 1, 7)) for _ in range(items)] if rng.below(2) else None
+    pair.put(Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items))
+    pair.tick(rng.pick((0, 1, 2, 3)))
+
+
+def read_near_the_front(rng: RandomSource, pair: RingPair) -> None:
+    """As programs read that want the last few items."""
+    held = pair.oracle.held[-6:]
+    if not held:
+        return
+    start, end = sorted(rng.pick(held).time + rng.pick((0, 1, -1)) for _ in range(2))
+    bound = Bound(MetaTime.NOW, 0) if rng.one_in(3) else Bound(None, end)
+    interval = Interval(Bound(None, start), bound, bool(rng.below(2)), bool(rng.below(2)))
+    match = rng.pick((Match.SPAN, Match.START, Match.WHOLE))
+    limit, newest_first = rng.pick((None, 1, 2)), bool(rng.below(2))
+    pair.read(Query(interval=interval, match=match, limit=limit, newest_first=newest_first, complete=rng.one_in(4)))
+
+
+STEPS = (
+    rest, put, put_in_order, put_in_order, put_in_order, put_in_order, read, read_near_the_front, read_near_the_front,
+    read, tick, subscribe, deliver, deliver, advance, configure, retry_put, give_up, collect, put_in_order,
+    read_near_the_front,
+)  # fmt: skip
+
+
+def play(numbers: list[int]) -> RingPair:
+    """One story: a policy, then a step for each number."""
+    first = RandomSource(numbers[0])
+    policy, lost_before = first.pick(SUITED), FIRST_CLOCK if first.one_in(5) else None
+    pair = RingPair(policy, FIRST_CLOCK, lost_before, size=first.pick(SIZES))
+    with mock.patch.object(facts, "AGE_MARGIN_NANOS", 0):
+        for number in numbers[1:]:
+            rng = RandomSource(number)
+            rng.pick(STEPS)(rng, pair)
+        pair.deliver(10**6)
+    return pair
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
+def test_a_ring_answers_as_the_oracle_in_every_story(numbers: list[int]) -> None:
+    play(numbers)
+
+
+def test_a_ring_has_many_of_the_answers() -> None:
+    answered: Counter[str] = Counter()
+    for seed in range(60):
+        source = random.Random(seed)
+        answered.update(play([source.getrandbits(96) for _ in range(40)]).answered)
+    assert min(answered.values()) >= 30, answered
