@@ -13,7 +13,7 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness soak-metrics images bench bench-docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -86,6 +86,9 @@ stubs: setup  ## generate the protobuf stubs and the synchronous client, and dra
 robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
 	$(RUN)/pytest -m slow -n 2
 	GRPC_VERBOSITY=NONE $(RUN)/python -m tests.robustness --report out/robustness.md
+
+soak-metrics: setup  ## Prometheus scrapes a cluster for ten minutes, while each part is killed in turn; MINUTES=1 for less
+	$(RUN)/python -m tests.robustness.soaks.scraped --minutes $${MINUTES:-10}
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine
 	deploy/prove_images

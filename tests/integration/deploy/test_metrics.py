@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
-import time
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,13 +15,12 @@ import stampede_rt as st
 from stampede_rt_channel_host.metrics import catalog as of_hosts
 from stampede_rt_frontend import metrics as of_frontends
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.ports import free_ports
 from stampede_rt_runtime.metrics import service_metrics
 from stampede_rt_supernode import metrics as of_supernodes
 from tests.support.cluster import running_cluster
+from tests.support.prometheus import Prometheus
 
 SECONDS = 60
-RULES = Path(__file__).parents[3] / "deploy" / "prometheus" / "alerts.yml"
 needs_prometheus = pytest.mark.skipif(shutil.which("prometheus") is None, reason="Debian's prometheus is not installed")
 needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="Debian's prometheus is not installed")
 
@@ -37,51 +34,6 @@ def cluster() -> Iterator[LocalCluster]:
 def page(address: str) -> str:
     with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
         return str(answer.read().decode())
-
-
-class Prometheus:
-    """A Prometheus that scrapes the cluster each second."""
-
-    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
-        self.port = free_ports(1)[0]
-        targets = [{"targets": [where], "labels": {"part": name}} for name, where in cluster.metrics.items()]
-        jobs = [{"job_name": "stampede", "scrape_interval": "1s", "scrape_timeout": "1s", "static_configs": targets}]
-        config = {"global": {"evaluation_interval": "1s"}, "rule_files": [str(RULES)], "scrape_configs": jobs}
-        (folder / "prometheus.yml").write_text(json.dumps(config))  # JSON is YAML, too
-        self._process = subprocess.Popen(
-            [
-                "prometheus",
-                f"--config.file={folder / 'prometheus.yml'}",
-                f"--storage.tsdb.path={folder / 'data'}",
-                f"--web.listen-address=127.0.0.1:{self.port}",
-            ],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-
-    def ask(self, query: str) -> list[tuple[dict[str, str], float]]:
-        """The present values of an expression."""
-        url = f"http://127.0.0.1:{self.port}/api/v1/query?{urllib.parse.urlencode({'query': query})}"
-        with urllib.request.urlopen(url, timeout=10) as answer:
-            found = json.load(answer)["data"]["result"]
-        return [(one["metric"], float(one["value"][1])) for one in found]
-
-    def until(self, query: str, holds: Callable[[list[float]], bool]) -> list[float]:
-        """Ask until `holds`. Returns the values."""
-        end_s, values = time.monotonic() + SECONDS, list[float]()
-        while time.monotonic() < end_s:
-            try:
-                values = [value for _, value in self.ask(query)]
-            except OSError:  # it is still starting
-                values = []
-            if holds(values):
-                return values
-            time.sleep(0.1)
-        raise AssertionError(f"{query} is {values} after {SECONDS} s")
-
-    def stop(self) -> None:
-        self._process.terminate()
-        self._process.wait(10)
 
 
 @needs_promtool

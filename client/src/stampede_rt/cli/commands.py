@@ -101,7 +101,22 @@ def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from stampede_rt.cli import acl, data, discovery, doctor, group, hosts, mailbox, proxy, queue, quota, rates, token
+    from stampede_rt.cli import (
+        acl,
+        data,
+        discovery,
+        doctor,
+        group,
+        hosts,
+        lag,
+        mailbox,
+        proxy,
+        queue,
+        quota,
+        rates,
+        token,
+        top,
+    )
     from stampede_rt.cli.arguments import VerbParser
 
     verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
@@ -113,6 +128,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
-    for module in (discovery, hosts, data, group, queue, mailbox, proxy, rates, doctor, acl, quota, token):
+    for module in (discovery, hosts, data, group, queue, mailbox, proxy, rates, top, lag, doctor, acl, quota, token):
         module.add_verbs(subparsers)
     return parser

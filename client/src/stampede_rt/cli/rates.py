@@ -25,12 +25,13 @@ def add_verbs(subparsers: Any) -> None:
         verb = add_verb(subparsers, name, f"{text}, until Ctrl-C", run)
         verb.add_argument("channel", help="the channel's name")
         verb.add_argument(
-            "--every", type=_seconds, default=1.0, metavar="SECONDS", help="print a line this often; default 1"
+            "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="print a line this often; default 1"
         )
         verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N lines")
 
 
-def _seconds(text: str) -> float:
+def period_seconds(text: str) -> float:
+    """A period of 0.05 to 3600 seconds. Raises ArgumentTypeError."""
     seconds = float(text)
     if not 0.05 <= seconds <= 3600:
         raise argparse.ArgumentTypeError(f"{text} is out of range; write 0.05 to 3600 seconds")

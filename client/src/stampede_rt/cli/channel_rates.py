@@ -1,0 +1,68 @@
+"""The rates of channels, computed from two looks at their counters. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from stampede_rt.values.model import ChannelStats
+
+Look = Mapping[str, tuple[str, ChannelStats]]
+"""By the name of each channel: its host, and its counters."""
+SORTS = ("bytes", "items", "age", "held", "refused", "name")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelRates:
+    """One channel between two looks. Rates are per second. `age_nanos`: of the newest item; None without an item."""
+
+    channel: str
+    host: str
+    items: float
+    bytes_in: float
+    bytes_out: float
+    refused: float
+    age_nanos: int | None
+    held: int
+    subscriptions: int
+
+
+def rates_of(before: Look, after: Look) -> list[ChannelRates]:
+    """The rates of the channels in `after`. They are 0 for a channel that `before` lacks, or that has begun anew."""
+    return [_rates(name, host, before.get(name), now) for name, (host, now) in after.items()]
+
+
+def _rates(name: str, host: str, former: tuple[str, ChannelStats] | None, now: ChannelStats) -> ChannelRates:
+    then = now if former is None or former[1].incarnation != now.incarnation else former[1]
+    seconds = max((now.host_time - then.host_time) / 1e9, 1e-9)
+    refused = sum(now.rejected.values()) - sum(then.rejected.values())
+    return ChannelRates(
+        channel=name,
+        host=host,
+        items=max(0, now.accepted - then.accepted) / seconds,
+        bytes_in=max(0, now.accepted_bytes - then.accepted_bytes) / seconds,
+        bytes_out=max(0, now.delivered_bytes - then.delivered_bytes) / seconds,
+        refused=max(0, refused) / seconds,
+        age_nanos=None if now.newest is None else now.host_time - now.newest,
+        held=now.held,
+        subscriptions=now.subscriptions,
+    )
+
+
+def arranged(rows: Iterable[ChannelRates], sort: str, text: str = "") -> list[ChannelRates]:
+    """The rows whose channel contains `text`, the greatest first by one of SORTS; by "name" from a to z."""
+    chosen = sorted((row for row in rows if text in row.channel), key=lambda row: row.channel)
+    if sort == "name":
+        return chosen
+    return sorted(chosen, key=lambda row: _value(row, sort), reverse=True)
+
+
+def _value(row: ChannelRates, sort: str) -> float:
+    values = {
+        "bytes": row.bytes_in + row.bytes_out,
+        "items": row.items,
+        "age": -1.0 if row.age_nanos is None else float(row.age_nanos),
+        "held": float(row.held),
+        "refused": row.refused,
+    }
+    return values[sort]

@@ -1,0 +1,178 @@
+"""`stampede top`: the busiest channels, live. Needs `stampede-rt[top]` for the live view."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt.cli.arguments import add_verb, connected, parse_count
+from stampede_rt.cli.channel_rates import SORTS, ChannelRates, Look, arranged, rates_of
+from stampede_rt.cli.output import bytes_text
+from stampede_rt.cli.rates import period_seconds
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.escaping import escaped
+from stampede_rt.values.timeline import format_duration
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection
+
+KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
+_ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verb of this module."""
+    verb = add_verb(subparsers, "top", "show the busiest channels, live, until q or Ctrl-C", run_top)
+    verb.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
+    verb.add_argument("--sort", choices=SORTS, default="bytes", help="what to sort by; default bytes, in and out")
+    verb.add_argument("--every", type=period_seconds, default=1.0, metavar="SECONDS", help="look this often; default 1")
+    verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N looks")
+
+
+def run_top(arguments: argparse.Namespace) -> int:
+    """Show the channels until the user ends it. If the output is no terminal, print the rows of each look as JSON."""
+    with connected(arguments) as rt:
+        if arguments.output != "table" or not (sys.stdout.isatty() and sys.stdin.isatty()):
+            _print_lines(rt, arguments)
+        else:
+            _show(rt, arguments)
+    return 0
+
+
+def _look(rt: Connection, glob: str) -> Look:
+    """The counters of all matching channels. Leaves out hosts that do not answer."""
+    found: dict[str, tuple[str, Any]] = {}
+    for host in rt.hosts():
+        try:
+            found |= {name: (host.name, stats) for name, stats in rt.hosted_channels(host.name, glob).items()}
+        except StampedeError:
+            continue
+    return found
+
+
+def _print_lines(rt: Connection, arguments: argparse.Namespace) -> None:
+    before = _look(rt, arguments.glob)
+    looks = 0
+    while arguments.count is None or looks < arguments.count:
+        time.sleep(arguments.every)
+        after = _look(rt, arguments.glob)
+        for row in arranged(rates_of(before, after), arguments.sort):
+            print(json.dumps(asdict(row)))
+        sys.stdout.flush()
+        before, looks = after, looks + 1
+
+
+class View:
+    """What the user has chosen by keys."""
+
+    def __init__(self, sort: str) -> None:
+        self.sort = sort
+        self.is_paused = self.is_over = False
+        self.filter = ""
+        self.is_typing = False
+
+    def press(self, key: str) -> None:
+        """Take one key."""
+        if self.is_typing and key not in _ENTER and key != _ESCAPE:
+            self.filter = self.filter[:-1] if key in _ERASE else self.filter + (key if key.isprintable() else "")
+        elif key in _ENTER:
+            self.is_typing = False
+        elif key == _ESCAPE:
+            self.filter, self.is_typing = "", False
+        elif key == "/":
+            self.is_typing = True
+        elif key == "q":
+            self.is_over = True
+        elif key == "p":
+            self.is_paused = not self.is_paused
+        elif key == "s":
+            self.sort = SORTS[(SORTS.index(self.sort) + 1) % len(SORTS)]
+
+
+def _show(rt: Connection, arguments: argparse.Namespace) -> None:
+    try:
+        from rich.console import Console
+        from rich.live import Live
+    except ImportError:
+        raise InvalidArgument(
+            "the live view needs rich: pip install 'stampede-rt[top]'; without it use stampede top --output jsonl"
+        ) from None
+    view, console = View(arguments.sort), Console(highlight=False)
+    looks = [_look(rt, arguments.glob)] * 2
+    with _keys() as read_key, Live(console=console, screen=True, auto_refresh=False) as live:
+
+        def redraw() -> None:
+            live.update(_table(looks[0], looks[1], view, console), refresh=True)
+
+        made = 0
+        while not view.is_over and (arguments.count is None or made < arguments.count):
+            _wait(read_key, view, arguments.every, redraw)
+            if not view.is_paused:
+                looks[:] = looks[1], _look(rt, arguments.glob)
+            made += 1
+            redraw()
+
+
+def _wait(read_key: Callable[[float], str], view: View, seconds: float, redraw: Callable[[], None]) -> None:
+    """Take keys until `seconds` have passed, or until the user quits."""
+    end_s = time.monotonic() + seconds
+    while not view.is_over and (left_s := end_s - time.monotonic()) > 0:
+        for key in read_key(left_s):
+            view.press(key)
+            redraw()
+
+
+@contextmanager
+def _keys() -> Iterator[Callable[[float], str]]:
+    """A function that waits for keys, for some seconds at most, and returns them. Keys are not shown meanwhile."""
+    import os
+    import termios
+    import tty
+
+    file = sys.stdin.fileno()
+    former = termios.tcgetattr(file)
+
+    def read(seconds: float) -> str:
+        ready, _, _ = select.select([file], [], [], seconds)
+        return os.read(file, 64).decode(errors="ignore") if ready else ""
+
+    tty.setcbreak(file)
+    try:
+        yield read
+    finally:
+        termios.tcsetattr(file, termios.TCSADRAIN, former)
+
+
+def _table(before: Look, after: Look, view: View, console: Any) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    rows = arranged(rates_of(before, after), view.sort, view.filter)
+    shown = rows[: max(1, console.size.height - 5)]
+    state = f"sorted by {view.sort}{', paused' if view.is_paused else ''}"
+    filtered = f"   filter: {view.filter}{'_' if view.is_typing else ''}" if view.filter or view.is_typing else ""
+    table = Table(
+        title=Text(f"{len(rows)} channels, {state}{escaped(filtered)}"), caption=Text(KEYS), expand=True, box=None
+    )
+    table.add_column("CHANNEL", ratio=1, no_wrap=True)
+    for name in ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "HELD", "READERS", "REFUSED/S"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in shown:
+        table.add_row(*map(Text, _cells(row)))
+    return table
+
+
+def _cells(row: ChannelRates) -> tuple[str, ...]:
+    age = "-" if row.age_nanos is None else format_duration(round(row.age_nanos, -6))
+    return (
+        escaped(row.channel), escaped(row.host), f"{row.items:.1f}", bytes_text(row.bytes_in),
+        bytes_text(row.bytes_out), age, str(row.held), str(row.subscriptions),
+        f"{row.refused:.1f}" if row.refused else "-",
+    )  # fmt: skip

@@ -1,0 +1,39 @@
+"""The rates of channels between two looks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.cli.channel_rates import arranged, rates_of
+from stampede_rt.values.model import ChannelStats
+
+S = 10**9
+STATS = ChannelStats(
+    accepted=100, held=10, collected={}, rejected={"TOO_OLD": 1}, accepted_bytes=1000, held_bytes=100,
+    delivered_bytes=500, newest=90 * S, oldest=80 * S, frontier=None, advance=None, subscriptions=2, waiting_gets=0,
+    waiting_puts=0, incarnation=7, host_time=100 * S,
+)  # fmt: skip
+
+
+def test_a_rate_is_the_growth_by_the_hosts_time() -> None:
+    later = replace(
+        STATS, accepted=150, accepted_bytes=3000, delivered_bytes=600, rejected={"TOO_OLD": 5}, host_time=102 * S
+    )
+    (row,) = rates_of({"a": ("h1", STATS)}, {"a": ("h1", later)})
+    assert (row.items, row.bytes_in, row.bytes_out, row.refused) == (25, 1000, 50, 2)
+    assert (row.age_nanos, row.held, row.subscriptions, row.host) == (12 * S, 10, 2, "h1")
+
+
+def test_a_new_channel_and_one_that_has_begun_anew_have_no_rates_yet() -> None:
+    anew = replace(STATS, incarnation=8, accepted=5, newest=None)
+    for before in ({}, {"a": ("h1", STATS)}):
+        (row,) = rates_of(before, {"a": ("h2", anew)})
+        assert (row.items, row.bytes_in, row.age_nanos) == (0, 0, None)
+
+
+def test_rows_are_sorted_by_what_the_user_chooses_and_then_by_name() -> None:
+    now = {name: ("h1", replace(STATS, held=held)) for name, held in (("b", 1), ("a", 1), ("cam", 9))}
+    rows = rates_of(now, now)
+    assert [row.channel for row in arranged(rows, "held")] == ["cam", "a", "b"]
+    assert [row.channel for row in arranged(rows, "name")] == ["a", "b", "cam"]
+    assert [row.channel for row in arranged(rows, "bytes", "a")] == ["a", "cam"]
