@@ -23,7 +23,7 @@ import grpc
 from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import behavior_of, is_stream, with_behavior
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
-from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork, charged
+from stampede_rt_runtime.quotas.working import CallerWork, charged, costs_of
 from stampede_rt_runtime.rpc import Context
 
 STREAMS_PER_TURN = 4
@@ -121,7 +121,7 @@ class PacedContext:
         self._reads = reads
         self._writes = writes
         self._caller = caller or unlimited()
-        self._work = CallerWork(self._caller)
+        self._work = CallerWork(self._caller, costs_of(context))
 
     async def read(self) -> Any:
         """The next message, or EOF. Returns when the message is there and the gate admits the stream."""
@@ -231,7 +231,7 @@ def _writing(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Any]:
             async for response in responses:
                 if work.must_wait:
                     await work.turn()
-                work.spend(WRITE_NANOS)
+                work.spend_write()
                 await context.write(response)
 
     return write_all

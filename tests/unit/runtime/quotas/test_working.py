@@ -18,9 +18,11 @@ from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, Quo
 from stampede_rt_runtime.quotas.turns import Turns
 from stampede_rt_runtime.quotas.working import (
     CALL_NANOS,
+    GRPC_COSTS,
     LONG_BYTES,
-    NANOS_PER_BYTE,
+    SOCKET_COSTS,
     CallerWork,
+    TransportCosts,
     charged,
     loop_turns,
     usable_time,
@@ -76,11 +78,12 @@ class Spent:
         self.nanos.append(nanos)
 
 
+@pytest.mark.parametrize("costs", [GRPC_COSTS, SOCKET_COSTS])
 @pytest.mark.parametrize("length_bytes", [0, LONG_BYTES, LONG_BYTES + 1, 2**18])
-async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: int) -> None:
+async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: int, costs: TransportCosts) -> None:
     account: Any = SimpleNamespace(turn=Spent())
-    CallerWork(account).received(bytes(length_bytes))
-    assert account.turn.nanos == ([length_bytes * NANOS_PER_BYTE] if length_bytes > LONG_BYTES else [])
+    CallerWork(account, costs).received(bytes(length_bytes))
+    assert account.turn.nanos == ([length_bytes * costs.kib_nanos // 1024] if length_bytes > LONG_BYTES else [])
     CallerWork(unlimited()).received(bytes(length_bytes))
     CallerWork(account).received(grpc.aio.EOF)
 

@@ -14,11 +14,25 @@ from stampede_rt.errors import InvalidArgument, StampedeError, WrongCluster
 from stampede_rt.status import DETAILS_KEY, error_in
 from stampede_rt.v1 import rpc_status_pb2
 from stampede_rt.wire.stream_frames import FrameKind, frame_of
+from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.quotas.working import GRPC_COSTS, SOCKET_COSTS
 from stampede_rt_runtime.sockets import server, stream_socket
 from tests.support.raw_stream import RawStream, raw_stream
-from tests.support.socket_port import AT_ONCE, ECHO, FAIL, FLOOD, HOLD, READ_LATER, REFUSE, Open, port_fixture, until
+from tests.support.socket_port import (
+    AT_ONCE,
+    ECHO,
+    FAIL,
+    FLOOD,
+    HOLD,
+    READ_LATER,
+    REFUSE,
+    Open,
+    Streams,
+    port_fixture,
+    until,
+)
 
 port = port_fixture()
 
@@ -229,3 +243,20 @@ async def test_a_stop_waits_for_streams_and_then_ends_them(port: Open) -> None:
         with pytest.raises(OSError):
             async with raw_stream(one.target):
                 pass
+
+
+async def test_a_stream_counts_with_the_costs_of_its_transport(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams over sockets counted with gRPC's costs, 250 us for a message, and got a fraction of their share."""
+    found: list[object] = []
+
+    async def tell(_self: Streams, _requests: Any, context: Any) -> None:
+        found.append((current_work()._costs, context._work._costs))
+
+    monkeypatch.setattr(Streams, "hold", tell)
+    async with port() as one:
+        async with raw_stream(one.target) as stream:
+            await stream.begin(HOLD)
+            await stream.status()
+        async with grpc.aio.insecure_channel(one.server.address) as channel:
+            assert await channel.stream_stream(HOLD)().read() is grpc.aio.EOF
+    assert found == [(SOCKET_COSTS, SOCKET_COSTS), (GRPC_COSTS, GRPC_COSTS)]

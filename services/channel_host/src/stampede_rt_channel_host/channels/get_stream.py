@@ -35,10 +35,9 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     first_of,
 )
-from stampede_rt_runtime.access.control import current_account, request_rights
+from stampede_rt_runtime.access.control import current_account, current_work, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
-from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context, answer_at_once
 
 CALLS_MAX = 1024  # calls under way on one stream
@@ -92,7 +91,7 @@ class GetStream:
         self._context = context
         self._stream = stream
         self._account = current_account()
-        self._work = CallerWork(self._account)
+        self._work = current_work()
         # by call id: the get that waits, or the task that makes the answer; None: the answer is still to be sent
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}
         self._plans = GetPlans()
@@ -115,7 +114,7 @@ class GetStream:
                 check_length(raw)  # before the turn, for which 1280 requests of 200 KiB waited
                 if self._work.must_wait:
                     await self._work.turn()
-                self._work.spend(READ_NANOS)
+                self._work.spend_read()
                 self._take(self._plans.read(raw))
                 await self._outbox.flush()
             while self._calls:

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice, emptying, run_to_end
+from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import Quota
-from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
@@ -59,7 +59,7 @@ class Outbox:
         """
         self._context = context
         self._in_flight = (account or unlimited()).hold(Quota.BYTES_IN_FLIGHT)
-        self._work = CallerWork(account or unlimited())
+        self._work = current_work()
         self._stream = stream
         self.queued_bytes = 0
         self._on_end = on_end
@@ -169,7 +169,7 @@ class Outbox:
 
     async def _write_one(self) -> None:
         answer = self._answers.popleft()
-        self._work.spend(WRITE_NANOS)
+        self._work.spend_write()
         message = next(answer.messages)
         if not message.is_last:
             self._answers.append(answer)  # after the other answers

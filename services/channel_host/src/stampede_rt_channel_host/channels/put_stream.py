@@ -28,9 +28,8 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.whole_requests import WholeRequests
-from stampede_rt_runtime.access.control import current_account, own_name, request_rights
+from stampede_rt_runtime.access.control import current_account, current_work, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
-from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context, answer_at_once
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
@@ -81,7 +80,7 @@ class PutStream:
         self._account = current_account()
         self._owner = own_name()
         self._rights = request_rights(_lose)
-        self._work = CallerWork(self._account)
+        self._work = current_work()
         self._whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(self._whole, store.memory, self._account)
 
@@ -141,7 +140,7 @@ class PutStream:
         if self._work.must_wait:
             await self._work.turn()
         self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
-        self._work.spend(READ_NANOS)
+        self._work.spend_read()
         while received.puts:
             if received.too_much:
                 ack = _refuse_size(received.puts.popleft(), self._store.now())

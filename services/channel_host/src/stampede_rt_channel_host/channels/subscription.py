@@ -38,7 +38,6 @@ from stampede_rt_channel_host.core.channel import (
     SubscriptionBatch,
 )
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 # after this time without a message, the reader gets a progress message; the contract says at least every 5 s
@@ -222,7 +221,7 @@ class Subscription(ChangeObserver):
             items = sum(one.slice.items for one in part.slices)
             delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
             del part  # so that the runs are not kept in memory while the message is written
-            self._work.spend(WRITE_NANOS)
+            self._work.spend_write()
             await self._write(delivery.encoded)
             self._hosted.count_delivered(items, delivery.payload_bytes)
         elif part.more:

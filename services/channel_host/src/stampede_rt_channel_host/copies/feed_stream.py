@@ -25,7 +25,6 @@ from stampede_rt_channel_host.copies.messages import place_of, state_to
 from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 FEEDS_MAX = 64  # of one channel at one host; the directory allows 16 copies, and a broken stream may linger
@@ -126,7 +125,7 @@ class FeedStream:
         delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
         del part  # so that the runs are not kept in memory while the message is written
         self._credit.spend(delivery.charge_bytes)
-        self._work.spend(WRITE_NANOS)
+        self._work.spend_write()
         await self._write(delivery.encoded)
 
     def _bare(self, feed: ChannelFeed) -> FeedPart:

@@ -7,7 +7,6 @@ import asyncio
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
@@ -34,7 +33,7 @@ class EventWriter:
 
     async def write(self, message: bytes) -> None:
         """Write a message. Waits while the reader takes nothing. Raises Overloaded after WRITE_SECONDS_MAX."""
-        self._work.spend(WRITE_NANOS)
+        self._work.spend_write()
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)

@@ -34,10 +34,9 @@ from stampede_rt_channel_host.queues.incoming import (
 )
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
-from stampede_rt_runtime.access.control import check_not_judged, current_account, own_name, request_rights
+from stampede_rt_runtime.access.control import check_not_judged, current_account, current_work, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
-from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refusals, the
@@ -67,7 +66,7 @@ class EnqueueStream:
         self._account = current_account()
         self._owner = own_name()
         self._rights = request_rights(_lose)
-        self._work = CallerWork(self._account)
+        self._work = current_work()
         whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(whole, store.memory, self._account)
 
@@ -119,7 +118,7 @@ class EnqueueStream:
             await self._work.turn()
         failure = await self._failure_to_find()
         self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
-        self._work.spend(READ_NANOS)
+        self._work.spend_read()
         while runs:
             await self._add(await self._enqueue(runs, received_s, failure))
         self._news.set()

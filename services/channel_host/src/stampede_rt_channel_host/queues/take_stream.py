@@ -27,7 +27,6 @@ from stampede_rt_channel_host.queues.requests import (
 )
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.access.rules import AccessVerb
-from stampede_rt_runtime.quotas.working import READ_NANOS, WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
@@ -108,7 +107,7 @@ class TakeStream:
     async def _take(self, hosted: HostedQueue, taker: TakerState, request: pb.TakeRequest) -> None:
         if self._work.must_wait:
             await self._work.turn()
-        self._work.spend(READ_NANOS)
+        self._work.spend_read()
         settlements = settlements_of(request.settlements)
         if settlements:
             results = hosted.settle(taker.taker_id, settlements)
@@ -178,7 +177,7 @@ class TakeStream:
         return True
 
     async def _write(self, hosted: HostedQueue, message: bytes) -> None:
-        self._work.spend(WRITE_NANOS)
+        self._work.spend_write()
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)

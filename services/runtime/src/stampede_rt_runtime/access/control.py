@@ -24,7 +24,7 @@ from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_to
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import SHARED_NAMES, Quota
 from stampede_rt_runtime.quotas.subjects import subject_of
-from stampede_rt_runtime.quotas.working import CallerWork, loop_turns
+from stampede_rt_runtime.quotas.working import CallerWork, costs_of, loop_turns
 
 logger = logging.getLogger(__name__)
 
@@ -183,7 +183,7 @@ class AccessControl:
         """
         peer = context.peer()
         account = self.accounts.of(None if for_members else subject_of(caller, peer))
-        call = OpenCall(self, caller, peer, account)
+        call = OpenCall(self, caller, peer, account, costs_of(context))
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
         try:
             async with self._until_rights_end(call, context):
@@ -249,7 +249,8 @@ def is_denied() -> bool:
 
 def current_work() -> CallerWork:
     """A new CallerWork for the present call's caller: for the call, for a task beside it, or for one stream."""
-    return CallerWork(current_account())
+    call = _CURRENT.get()
+    return CallerWork(unlimited()) if call is None else CallerWork(call.account, call.costs)
 
 
 def creation_limit(quota: Quota) -> int | None:

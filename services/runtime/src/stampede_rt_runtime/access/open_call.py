@@ -16,6 +16,7 @@ from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.quotas.accounts import Account, Accounts
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 from stampede_rt_runtime.quotas.subjects import creator_of
+from stampede_rt_runtime.quotas.working import TransportCosts
 
 GRANTS_KEPT_MAX = 1024
 REQUESTS_PER_STEP = 16
@@ -36,7 +37,9 @@ class CallControl(Protocol):
 class OpenCall:
     """One call under way, and the rights that it has used."""
 
-    def __init__(self, control: CallControl, caller: Caller, peer: str, account: Account) -> None:
+    def __init__(
+        self, control: CallControl, caller: Caller, peer: str, account: Account, costs: TransportCosts
+    ) -> None:
         """Make it in the task of the call. `peer`: the caller's address, as gRPC names it."""
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
@@ -44,6 +47,7 @@ class OpenCall:
         self._peer = peer
         self.caller = caller
         self.account = account
+        self.costs = costs
         self.error: StampedeError | None = None
         self._control = control
         self.ends_unix_nano = caller.first_end_unix_nano

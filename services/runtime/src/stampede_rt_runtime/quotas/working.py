@@ -7,27 +7,41 @@ import time
 from collections.abc import Callable, Coroutine, Generator, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.turns import Turn, Turns
 
-READ_NANOS = 40_000
-WRITE_NANOS = 250_000
 CALL_NANOS = 400_000
-"""The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
-contain this time.
-"""
+"""The approximate time that a call takes outside of its measured steps, over gRPC and over a socket."""
 LONG_BYTES = 4096
-NANOS_PER_BYTE = 1
-"""The further time for each byte of a message that is longer than LONG_BYTES.
-
-With grpcio 1.85.1, a message of 262,000 bytes took 0.4 ms, and one of 200 bytes 0.03 ms.
-"""
 SCHEDULER_STATISTICS = Path("/proc/thread-self/schedstat")
 ASK_NANOS = 10_000_000  # the interval between two looks at the scheduler's statistics, each of which takes about 20 us
 
 Result = TypeVar("Result")
+
+
+class TransportCosts(NamedTuple):
+    """The approximate time that a transport takes outside of the measured steps, to read a message and to write one.
+
+    `kib_nanos`: the further time for each KiB that was read, if a message is longer than LONG_BYTES.
+    """
+
+    read_nanos: int
+    write_nanos: int
+    kib_nanos: int
+
+
+GRPC_COSTS = TransportCosts(40_000, 250_000, 1024)
+"""With grpcio 1.85.1, a message of 262,000 bytes took 0.4 ms, and one of 200 bytes 0.03 ms, also on gRPC's threads."""
+SOCKET_COSTS = TransportCosts(8_000, 8_000, 400)
+"""A message of 100 bytes and its echo took 11 us, and 250,000 bytes and their echo 101 us."""
+
+
+def costs_of(context: object) -> TransportCosts:
+    """The costs of the transport of a call. A context that tells none is gRPC's."""
+    found: TransportCosts = getattr(context, "costs", GRPC_COSTS)
+    return found
 
 
 def loop_turns() -> Turns:
@@ -74,10 +88,10 @@ def _schedule(delay_s: float, call: Callable[[], None]) -> object:
 class CallerWork:
     """The work of one stream or call. Before a step with much work: `if work.must_wait: await work.turn()`."""
 
-    __slots__ = ("_turn",)
+    __slots__ = ("_costs", "_turn")
 
-    def __init__(self, account: Account) -> None:
-        self._turn = account.turn
+    def __init__(self, account: Account, costs: TransportCosts = GRPC_COSTS) -> None:
+        self._turn, self._costs = account.turn, costs
 
     @property
     def must_wait(self) -> bool:
@@ -92,14 +106,26 @@ class CallerWork:
         await came
 
     def spend(self, nanos: int) -> None:
-        """Count time that gRPC takes for the caller: READ_NANOS, WRITE_NANOS or CALL_NANOS."""
+        """Count time that passes outside of the measured steps."""
         if self._turn is not None:
             self._turn.spend(nanos)
+
+    def spend_read(self) -> None:
+        """Count what the transport takes to read a message."""
+        self.spend(self._costs.read_nanos)
+
+    def spend_write(self) -> None:
+        """Count what the transport takes to write a message."""
+        self.spend(self._costs.write_nanos)
+
+    def spend_bytes(self, count: int) -> None:
+        """Count what the transport takes to read so many bytes."""
+        self.spend(count * self._costs.kib_nanos >> 10)
 
     def received(self, message: Any) -> None:
         """Count the time that the bytes of a long message took, before the stream or call does anything with it."""
         if self._turn is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
-            self._turn.spend(len(message) * NANOS_PER_BYTE)
+            self.spend_bytes(len(message))
 
 
 def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[Any, Any, Result]:

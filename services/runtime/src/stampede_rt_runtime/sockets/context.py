@@ -10,6 +10,7 @@ from grpc.aio import EOF, AbortError
 
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.v1 import rpc_status_pb2
+from stampede_rt_runtime.quotas.working import SOCKET_COSTS
 from stampede_rt_runtime.sockets.stream_socket import AtOnce, StreamSocket
 
 Metadata = tuple[tuple[str, str | bytes], ...]
@@ -24,6 +25,8 @@ def status_of(code: grpc.StatusCode, details: str) -> bytes:
 
 class SocketContext:
     """Reads and writes the messages of one stream, and ends it with a status."""
+
+    costs = SOCKET_COSTS
 
     def __init__(
         self,

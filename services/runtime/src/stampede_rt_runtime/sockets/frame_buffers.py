@@ -12,7 +12,7 @@ from collections import OrderedDict
 from weakref import WeakKeyDictionary
 
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
-from stampede_rt_runtime.quotas.working import NANOS_PER_BYTE, CallerWork
+from stampede_rt_runtime.quotas.working import SOCKET_COSTS, CallerWork
 
 SHORT_BYTES = 2**14
 """The most bytes that are read at once. A frame of which more is missing is long, and waits for a place."""
@@ -63,7 +63,7 @@ class FramePlace:
 
     def __init__(self, caller: Account, line: _Line | None) -> None:
         """`line`: None for a caller without quotas."""
-        self._line, self._work = line, CallerWork(caller)
+        self._line, self._work = line, CallerWork(caller, SOCKET_COSTS)
 
     def take_now(self) -> bool:
         """Take a place if the stream need not wait. Returns whether it has one. `leave` must follow."""
@@ -103,6 +103,6 @@ class FramePlace:
 
     def leave(self, lost_bytes: int = 0) -> None:
         """Give the place back. `lost_bytes` were read of a frame that never ended; they count for the caller."""
-        self._work.spend(lost_bytes * NANOS_PER_BYTE)
+        self._work.spend_bytes(lost_bytes)
         if self._line is not None:
             self._line.leave()
