@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import ssl
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
-from urllib.request import Request, urlopen
+from urllib.parse import urlencode
+from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_opener, urlopen
 
 import pytest
 
 import stampede_rt as st
+from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.identity import Role
+from stampede_rt_web.app import main
 from stampede_rt_web.png import png_of
 from tests.support.cluster import cluster_fixture
-from tests.support.live_page import LivePage, eventually, live_page
+from tests.support.live_page import ANSWER_SECONDS, LivePage, eventually, live_page
 
 np = pytest.importorskip("numpy")
 
@@ -178,3 +184,26 @@ def test_a_deleted_channel_leaves_the_page_and_a_new_one_of_its_name_is_shown(
 
 def gone(page: LivePage, name: str, at: int) -> Callable[[], bool]:
     return lambda: "failure" in drawing(page, name, at)
+
+
+def test_with_a_certificate_and_a_token_the_page_serves_other_machines_after_a_login(
+    cluster: LocalCluster, tmp_path: Path
+) -> None:
+    files = ClusterCertificates(tmp_path / "certs", host="localhost").issue(Role.FRONTEND, "page")
+    ca, certificate, key = (str(path) for path in files.paths())
+    token = tmp_path / "token"
+    words = ["--tls-certificate", certificate, "--tls-key", key, "--token-file", str(token)]
+    with live_page(cluster.address, *words) as page:
+        opener = build_opener(HTTPSHandler(context=ssl.create_default_context(cafile=ca)), HTTPCookieProcessor())
+        assert page.url.startswith("https://")
+        with pytest.raises(OSError, match="401"):
+            opener.open(f"{page.url}api/overview", timeout=ANSWER_SECONDS)
+        assert token.stat().st_mode & 0o777 == 0o600
+        opener.open(f"{page.url}login", urlencode({"token": token.read_text()}).encode(), timeout=ANSWER_SECONDS)
+        with opener.open(f"{page.url}api/overview", timeout=ANSWER_SECONDS) as answer:
+            assert b'"supernodes"' in answer.read()
+
+
+def test_beyond_loopback_a_page_without_a_login_does_not_start(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--listen", "0.0.0.0:0"]) == 2
+    assert "--token-file" in capsys.readouterr().err
