@@ -2,7 +2,7 @@
 
 A Prometheus scrapes a real cluster each second, while programs put and read, and each part in turn is killed with
 SIGKILL and started again. Afterwards nothing may be missing: every part is scraped again within seconds of its start,
-no scrape of a running part has failed or taken long, and no process has grown. Needs Debian's prometheus.
+scrapes of running parts are short, and no process has grown. Needs Debian's prometheus.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from tests.support.prometheus import Prometheus
 
 CHANNELS = 20
 BACK_SECONDS_MAX = 60.0
-SCRAPE_SECONDS_MAX = 1.0
+SCRAPE_SECONDS_MAX = 0.5
+"""How long 99 % of the scrapes of a running part may take."""
 GROWTH_BYTES_MAX = 96 * 2**20
 PUT_PERIOD_SECONDS = 0.02
 
@@ -66,9 +67,9 @@ def complaints(prometheus: Prometheus, minutes: float, kills: list[tuple[str, fl
     """What is wrong after the soak."""
     window = f"[{_window(minutes)}]"
     found = [f"{name} was back after {seconds:.1f} s" for name, seconds in kills if seconds > BACK_SECONDS_MAX]
-    longest = max(value for _, value in prometheus.ask(f"max_over_time(scrape_duration_seconds{window}) * up"))
-    if longest > SCRAPE_SECONDS_MAX:
-        found.append(f"a scrape took {longest:.2f} s")
+    of_running = f"(scrape_duration_seconds and on(instance) up == 1){window[:-1]}:1s]"
+    slow = prometheus.ask(f"quantile_over_time(0.99, {of_running})")
+    found += [f"scrapes of {labels['part']} take {value:.2f} s" for labels, value in slow if value > SCRAPE_SECONDS_MAX]
     grown = prometheus.ask(f"max_over_time(process_resident_memory_bytes{window})")
     found += [
         f"{labels['part']} has {value / 2**20:.0f} MiB" for labels, value in grown if value > _most(labels["part"])

@@ -23,7 +23,8 @@ def each(*words: str, base_name: str = "h") -> list[HostSettings]:
 
 def test_each_process_has_a_name_ports_and_a_folder_of_its_own() -> None:
     words = ["--processes", "3", "--name", "h", "--listen", "localhost:7590", "--advertise", "rig:8000"]
-    found = each(*words, "--data-dir", "/data", "--zone", "lab")
+    found = each(*words, "--metrics", "localhost:9464", "--data-dir", "/data", "--zone", "lab")
+    assert [one.metrics for one in found] == ["localhost:9464", "localhost:9465", "localhost:9466"]
     assert [one.name for one in found] == ["h-0", "h-1", "h-2"]
     assert [one.listen for one in found] == ["localhost:7590", "localhost:7591", "localhost:7592"]
     assert [one.advertise for one in found] == ["rig:8000", "rig:8001", "rig:8002"]

@@ -33,9 +33,7 @@ def run_lag(arguments: argparse.Namespace) -> int:
     rows.sort(key=lambda row: (row["lag_nanos"] is not None, -(row["lag_nanos"] or 0), row["name"]))
     rows = rows[: arguments.top]
     if arguments.output == "table":
-        for row in rows:
-            lag = row.pop("lag_nanos")
-            row["lag"] = None if lag is None else format_duration(lag)
+        rows = [_for_people(row) for row in rows]
     print_rows(rows, arguments.output, none=f"no channel, group or queue matches {arguments.glob!r}, or all are empty")
     return 0
 
@@ -43,6 +41,18 @@ def run_lag(arguments: argparse.Namespace) -> int:
 def _row(kind: str, name: str, lag_nanos: int | None, waiting: int, held_back_by: str | None) -> dict[str, Any]:
     """One line. `waiting`: the consumers, members or messages that it waits for."""
     return {"kind": kind, "name": name, "lag_nanos": lag_nanos, "waiting": waiting, "because": held_back_by}
+
+
+def _for_people(row: dict[str, Any]) -> dict[str, Any]:
+    lag = row["lag_nanos"]
+    shown = None if lag is None else format_duration(round(lag, -6))
+    return {
+        "kind": row["kind"],
+        "name": row["name"],
+        "lag": shown,
+        "waiting": row["waiting"],
+        "because": row["because"],
+    }
 
 
 def _channels(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
