@@ -10,8 +10,8 @@ from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, QUEUED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice
-from stampede_rt_channel_host.core.channel.gathered import Gathered
 from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts
 
 
 class Context:
@@ -134,8 +134,8 @@ async def test_a_dropped_answer_keeps_nothing_and_makes_room() -> None:
     assert (box.outbox.queued_bytes, box.ended) == (0, [1])
 
 
-def gathered(parts: int) -> Gathered:
-    return Gathered(deque([Slice(OneRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
+def gathered(parts: int) -> SlicesInParts:
+    return SlicesInParts(deque([Slice(OneRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
 
 
 async def test_what_was_not_sent_of_a_call_that_is_dropped_or_of_a_stream_that_ends_is_let_go_of_in_pieces() -> None:

@@ -38,7 +38,6 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, Consumed
 from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collection, FeedPart, FeedPlace
-from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
@@ -64,6 +63,7 @@ from stampede_rt_channel_host.core.channel.run import (
     Slicer,
     make_run,
 )
+from stampede_rt_channel_host.core.channel.slices_in_parts import drained, emptying
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
 from stampede_rt_channel_host.core.channel.values import (
     Counters,

@@ -15,10 +15,10 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
-from stampede_rt_channel_host.core.channel.gathered import Gathered, emptying
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
+from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
 from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
@@ -193,7 +193,7 @@ class _Taking:
     def finish(self) -> Sequence[Slice]:
         """All slices taken, in ascending order."""
         self._close_part()
-        return Gathered(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
+        return SlicesInParts(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
 
 
 def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:

@@ -149,7 +149,7 @@ class ReadAnswer(NamedTuple):
     cut items off. `reason` (with its `detail`) says why the answer is empty or partial.
     """
 
-    slices: Sequence[Slice]  # large answers are `Gathered`
+    slices: Sequence[Slice]  # large answers are `SlicesInParts`
     next_time: int | None
     interval: ResolvedInterval | None
     complete: bool

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
 
 
-class Gathered(Sequence[Slice]):
+class SlicesInParts(Sequence[Slice]):
     """Slices in order, kept in parts. Each part holds the slices that one piece of work found."""
 
     __slots__ = ("_parts",)
@@ -51,11 +51,11 @@ class Gathered(Sequence[Slice]):
 
 
 def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
-    """The slices of an answer, one by one. If the answer is a `Gathered`, the iteration empties it."""
-    return slices.drained() if isinstance(slices, Gathered) else iter(slices)
+    """The slices of an answer, one by one. If the answer is a `SlicesInParts`, the iteration empties it."""
+    return slices.drained() if isinstance(slices, SlicesInParts) else iter(slices)
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Free in pieces the slices of an answer that no caller gets. Does nothing if they are not a `Gathered`."""
-    if isinstance(slices, Gathered):
+    """Free in pieces the slices of an answer that no caller gets. Does nothing if they are not a `SlicesInParts`."""
+    if isinstance(slices, SlicesInParts):
         yield from slices.emptying()
