@@ -21,7 +21,7 @@ SILENCE_SECONDS_MAX = 15.0  # signs of life come every 5 s
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.2, 5.0
 
 
-class Watched(Protocol):
+class ChangeFollower(Protocol):
     """A part of the host that follows changes of the directory: its groups, its queues, or its access state."""
 
     in_use: asyncio.Event
@@ -35,7 +35,7 @@ class Watched(Protocol):
 
 
 async def watch_forever(
-    supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: Watched
+    supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: ChangeFollower
 ) -> NoReturn:
     """Watch without end. Begins once `watched.in_use` is set. When the watch breaks, begins again after a pause."""
     await watched.in_use.wait()
@@ -52,7 +52,9 @@ async def watch_forever(
         pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
 
-async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
+async def _pass_on(
+    responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: ChangeFollower
+) -> NoReturn:
     """Let `watched` ask for the present state, and then pass each change on.
 
     Raises Unavailable when the stream ends or is silent for SILENCE_SECONDS_MAX.

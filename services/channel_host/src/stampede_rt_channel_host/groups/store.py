@@ -37,7 +37,7 @@ IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time 
 
 
 class GroupStore:
-    """Requests that name a group get the group by `find`, or by `known` if they must not wait. Implements `Watched`."""
+    """Requests that name a group get the group by `find`, or by `known` if they must not wait. Implements `ChangeFollower`."""
 
     def __init__(
         self,
@@ -149,12 +149,12 @@ class GroupStore:
     # Reports from the directory and from other hosts.
 
     async def missed(self) -> None:
-        """See `Watched`. The next round of `keep` looks up all groups."""
+        """See `ChangeFollower`. The next round of `keep` looks up all groups."""
         for group in self._table.groups.values():
             group.is_stale = True
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """See `Watched`."""
+        """See `ChangeFollower`."""
         if change.group_id in self._table.groups:
             self._stale(change.group_id)
         elif change.channel is not None:

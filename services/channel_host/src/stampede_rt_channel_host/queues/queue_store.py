@@ -44,7 +44,7 @@ class QueueStore:
     """Requests get their queue by `use`, which may ask the directory. Each run of an enqueue request gets the queue by
     `find`, which never asks.
 
-    Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
+    Implements `ChangeFollower`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
     `scheduler` does long work in pieces. `on_dead_letters` is called with each queue that has messages to move to its
     dead-letter queue. `takers` remembers which caller uses which taker id.
     """
@@ -155,7 +155,7 @@ class QueueStore:
             self._forget(record.queue_id, refusals.moved(record))
 
     async def missed(self) -> None:
-        """See `Watched`. Asks the directory about every queue that this host knows."""
+        """See `ChangeFollower`. Asks the directory about every queue that this host knows."""
         for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
             for queue_id in ids:
                 try:
@@ -167,7 +167,7 @@ class QueueStore:
                     )
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """See `Watched`."""
+        """See `ChangeFollower`."""
         if change.queue is not None:
             self.changed(change.queue, removed=change.removed)
 
