@@ -1,4 +1,4 @@
-"""What makes the faults does what it says, and what looks for their effect sees it."""
+"""The injectors of faults have the effects that they claim, and the checks of these effects notice them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WHY_NOT = unavailable_because()
 
 
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
-def test_a_way_that_is_cut_is_seen_to_be_cut_in_that_direction_alone() -> None:
+def test_a_blocked_way_is_seen_as_blocked_in_that_direction_only() -> None:
     with Network(2) as network:
         first, second = network.namespaces
         both = {(first, second), (second, first)}
@@ -47,7 +47,7 @@ def test_the_wall_clock_of_a_process_follows_its_file_and_no_other_clock_does(
     assert time.monotonic_ns() > 0
 
 
-def test_a_relay_counts_what_its_weather_did() -> None:
+def test_a_relay_counts_the_effects_of_its_weather() -> None:
     weather = Weather(delay_s=0.5, stall_share=1.0, cut_share=1.0)
     assert weather.wait_s() >= 0.7
     assert weather.cuts_now()
@@ -74,7 +74,7 @@ def test_a_giant_frame_names_the_greatest_length_that_http2_has() -> None:
     assert int.from_bytes(header[:3], "big") == 2**24 - 1
 
 
-def test_a_new_run_takes_the_place_of_the_one_before_on_a_page_and_what_stands_above_stays(tmp_path: Path) -> None:
+def test_the_report_of_a_new_run_replaces_the_former_report_on_a_page_and_keeps_the_text_above(tmp_path: Path) -> None:
     page = tmp_path / "out" / "robustness.md"
     write_page(page, f"{TITLE}1 minutes\n")
     assert page.read_text() == f"{TITLE}1 minutes\n"

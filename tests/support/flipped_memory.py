@@ -37,7 +37,7 @@ class FlippedReplica(DirectoryReplica):
 
 
 def main() -> int:
-    """Run it; returns the exit code."""
+    """Run the supernode. Returns its exit code."""
     from stampede_rt_supernode import app
 
     FlippedReplica.flag = Path(sys.argv[sys.argv.index("--data-dir") + 1]) / FLAG

@@ -33,7 +33,7 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
         if status is None:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-    assert told, f"the child died without a word, with status {status}"
+    assert told, f"the child died without a result, with status {status}"
     return pickle.loads(told)
 
 

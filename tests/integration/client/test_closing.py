@@ -1,4 +1,4 @@
-"""A connection that is closed while calls wait at it: each of them says so, in the same words."""
+"""If a connection is closed, all its waiting calls raise the same error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_every_thread_that_waits_hears_that_the_connection_is_closed(cluster: Lo
     def wait(name: str) -> None:
         try:
             heard[name] = f"returned {waits[name]()!r}"
-        except Exception as error:  # noqa: BLE001  # it is what the test looks at
+        except Exception as error:  # noqa: BLE001  # the test compares it
             heard[name] = f"{type(error).__name__}: {error}"
 
     threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in CALLS]

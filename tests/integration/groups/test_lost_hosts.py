@@ -1,4 +1,4 @@
-"""A group whose hosts are stopped and lost, as its readers see it."""
+"""Readers of a group whose hosts stop or are lost."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ def put_all(group: st.Group, payload: bytes, time: int) -> None:
         channel.put(payload, time=time)
 
 
-def test_the_status_is_told_by_another_host_while_the_first_one_is_stopped(
-    cluster: LocalCluster, rt: st.Connection
-) -> None:
+def test_another_host_tells_the_status_while_the_first_one_is_stopped(cluster: LocalCluster, rt: st.Connection) -> None:
     group = group_of_two(rt, "stopped")
     put_all(group, b"0", st.now() - SECOND)
     first, second = group.channels
@@ -48,7 +46,7 @@ def test_the_status_is_told_by_another_host_while_the_first_one_is_stopped(
         stopped.resume()
 
 
-def test_a_descriptor_of_before_shows_a_group_that_began_anew(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_an_older_descriptor_shows_a_group_that_began_anew(cluster: LocalCluster, rt: st.Connection) -> None:
     group, now = group_of_two(rt, "anew"), st.now()
     first = group.channels[0]
     for at in (0, 1):
@@ -79,4 +77,4 @@ def test_a_cut_subscription_ends_truly_after_its_hosts_restarted_one_after_the_o
         second.restart()
         put_all(group, b"2", now - SECOND)
         with pytest.raises(st.IncarnationLost, match="has restarted or was lost since then, together or one after"):
-            list(cuts)  # an event of before may come first
+            list(cuts)  # an event from before the restarts may come first

@@ -1,7 +1,8 @@
 """Free ports for services that must know each other's address before they start.
 
-A port is free from its choice until its service listens, and again while a service restarts. So each process takes its
-ports from blocks that no other process of the same user has: two runs of the tests at the same time never meet.
+Between the choice of a port and the start of its service, and while the service restarts, another program could take
+the port. So each process takes its ports from blocks that no other process of the same user has. Two runs of the tests
+at the same time therefore never use the same port.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ BLOCK_PORTS = 250
 
 
 class PortBlocks:
-    """The blocks of this process. Each has a lock on a byte of the file `path`, which ends with the process."""
+    """The blocks of this process. For each block the process locks a byte of the file `path`, until it ends."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -47,7 +48,7 @@ class PortBlocks:
     def _claim(self, file: int, first: int) -> bool:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, first)
-        except OSError:  # another process has it
+        except OSError:  # another process has the block
             return False
         self._ports += range(first, first + BLOCK_PORTS)
         return True

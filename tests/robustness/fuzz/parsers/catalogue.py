@@ -1,4 +1,4 @@
-"""All targets by name."""
+"""All parsers that the fuzzer calls (`Target`), by name."""
 
 from __future__ import annotations
 

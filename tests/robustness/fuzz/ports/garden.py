@@ -1,4 +1,7 @@
-"""What hostile callers find in a cluster, and know of it: channels, queues and a group, made again each second."""
+"""The channels, queues and group that hostile callers find in a cluster, and the values that they know of them.
+
+Whatever a caller deletes is made again within seconds.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ TOLD: dict[str, Sequence[Any]] = {
     "epoch": (1, 0),
     "protocol_version": (PROTOCOL_VERSION,),
 }
-# What is there for callers to find; whatever they delete is made again.
+# The things of the cluster, with their policies.
 CHANNELS: dict[str, dict[str, Any]] = {
     "a": {"max_items": 50},
     "b": {"max_items": 20, "consumers": 1, "on_full": "block"},
@@ -56,7 +59,7 @@ LISTED: tuple[tuple[Any, str, Any], ...] = (
 
 
 async def first_known(cluster: FuzzedCluster, good: str) -> KnownValues:
-    """What the callers say at first. The good client's channel and the host's identity are nobody else's."""
+    """The values that callers know at first, by field, without the good client's channel and the host's identity."""
     known = KnownValues()
     answer = await _asked(
         cluster, DirectoryServiceStub, "ResolveChannel", directory_pb.ResolveChannelRequest(name=good)
@@ -68,7 +71,7 @@ async def first_known(cluster: FuzzedCluster, good: str) -> KnownValues:
 
 
 async def keep_garden(rt: Any, cluster: FuzzedCluster, known: KnownValues) -> None:
-    """Until it is cancelled. A caller may be faster, or the port too busy: the next time will do."""
+    """Make the missing things again and learn their ids, each second until cancelled. Ignores failures."""
     while True:
         with suppress(st.StampedeError, TimeoutError):
             async with asyncio.timeout(CALL_SECONDS):
@@ -88,7 +91,7 @@ async def _make(rt: Any) -> None:
 
 
 async def _put(place: Any) -> None:
-    with suppress(st.StampedeError):  # it is full
+    with suppress(st.StampedeError):  # it may be full
         await place.put(b"first", timeout=0)
 
 

@@ -23,7 +23,7 @@ PAUSE_SECONDS = 0.5
 
 
 class AccessWatch:
-    """Notes the changes that the directory's watch reports (see `ChangeFollower`). Then `keep` asks for the access state."""
+    """Notes the changes that the watch reports (`ChangeFollower`). Then `keep` asks for the access state."""
 
     def __init__(self, supernodes: Supernodes, control: AccessControl) -> None:
         self._supernodes = supernodes

@@ -37,7 +37,7 @@ IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time 
 
 
 class GroupStore:
-    """Requests that name a group get the group by `find`, or by `known` if they must not wait. Implements `ChangeFollower`."""
+    """Requests that name a group get it by `find`, or by `known` if they must not wait. Implements `ChangeFollower`."""
 
     def __init__(
         self,
