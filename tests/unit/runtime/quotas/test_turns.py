@@ -171,6 +171,33 @@ def test_a_few_messages_at_once_are_no_reason_to_wait() -> None:
     assert not one.must_wait
 
 
+def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
+    """Each look at the clock takes a quarter of a microsecond, and a put had five."""
+    loop, looks = Loop(), [0]
+    busy, light = loop.caller(), loop.caller()
+    loop.works(busy, MS)
+    loop.works(light, MS)
+    now, loop.turns.now = loop.turns.now, lambda: (looks.append(1), now())[1]  # type: ignore[func-returns-value]
+    assert not light.must_wait
+    light.owe(1000)
+    light.owe(1000)
+    light.spend(2000)
+    assert sum(looks) == 1
+
+
+def test_what_a_step_owes_counts_at_its_end() -> None:
+    loop = Loop()
+    busy, light = loop.caller(), loop.caller()
+    loop.works(light, 1)
+    busy.owe(BURST_NANOS)
+    assert not busy.must_wait
+    loop.works(busy, 1)
+    assert busy.must_wait
+    loop.works(busy, 1)
+    loop.now += 2 * BURST_NANOS
+    assert not busy.must_wait, "it was counted twice"
+
+
 def test_a_share_without_limit_never_waits() -> None:
     loop = Loop()
     one, other = loop.caller(percent=2**62), loop.caller()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import os
 from collections.abc import Coroutine
 from pathlib import Path
 from types import SimpleNamespace
@@ -235,4 +236,22 @@ def test_the_system_tells_how_long_a_thread_has_waited(monkeypatch: pytest.Monke
     before = usable_time()()
     assert usable_time()() >= before
     monkeypatch.setattr(working, "SCHEDULER_STATISTICS", Path("/nowhere"))
+    monkeypatch.setattr(working, "_statistics", working._Statistics())
     assert usable_time(lambda: 5 * MS)() == 5 * MS
+
+
+def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a few calls a second each call paid for opening them."""
+    opened: list[object] = []
+    real_open = os.open
+
+    def noted(path: Any, *arguments: Any) -> int:
+        opened.append(path)
+        return real_open(path, *arguments)
+
+    monkeypatch.setattr(os, "open", noted)
+    monkeypatch.setattr(working, "_statistics", working._Statistics())
+    clock = usable_time(iter(range(0, 10**9, working.ASK_NANOS)).__next__)
+    for _ in range(5):
+        clock()
+    assert opened == [working.SCHEDULER_STATISTICS]

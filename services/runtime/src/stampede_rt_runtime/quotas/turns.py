@@ -30,10 +30,13 @@ class Turns:
         self.schedule = schedule
         self.contended_until = 0
         """Until then several callers count as having work."""
+        self.latest = 0
+        """The time of the last work."""
         self._last: Turn | None = None
 
     def works(self, turn: Turn, now: int) -> bool:
         """Note that a caller has worked. Returns whether several callers have work."""
+        self.latest = now
         if turn is not self._last:
             if self._last is not None:
                 self.contended_until = now + CONTENDED_NANOS
@@ -47,13 +50,17 @@ class Turn:
     `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
     """
 
-    __slots__ = ("_before_nanos", "_busy_until", "_line", "_second", "_ticking", "_turns", "_used_nanos", "percent")
+    __slots__ = (
+        "_before_nanos", "_busy_until", "_line", "_owed_nanos", "_second", "_ticking", "_turns", "_used_nanos",
+        "percent",
+    )  # fmt: skip
 
     def __init__(self, turns: Turns, percent: int) -> None:
         self.percent = percent
         self._turns = turns
         self._line: deque[Callable[[], None]] = deque()
         self._ticking = False
+        self._owed_nanos = 0  # the time of the present step that is counted at its end
         self._busy_until = 0  # when its past work would end at its percentage of the loop's time
         self._second = 0
         self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
@@ -66,7 +73,11 @@ class Turn:
     @property
     def must_wait(self) -> bool:
         """Whether the caller's next step must `stand` in line first."""
-        return bool(self._line) or self._held_for(self._turns.now()) > 0
+        if self._line:
+            return True
+        if self._held_for(self._turns.latest) <= 0:
+            return False  # it need not have waited even then; a look at the clock takes longer than all else here
+        return self._held_for(self._turns.now()) > 0
 
     def stand(self, wake: Callable[[], None]) -> None:
         """Wait in line: call `wake` when it is the caller's turn."""
@@ -76,9 +87,14 @@ class Turn:
     def spend(self, nanos: int) -> None:
         """Note the time that a step of the caller took."""
         now = self._turns.now()
+        nanos, self._owed_nanos = nanos + self._owed_nanos, 0
         self._count(nanos, now)
         if self._turns.works(self, now):
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
+
+    def owe(self, nanos: int) -> None:
+        """Note further time of the present step, whose end calls `spend`."""
+        self._owed_nanos += nanos
 
     def _held_for(self, now: int) -> int:
         """The nanoseconds for which the next step must wait; 0 or less: it need not wait."""
