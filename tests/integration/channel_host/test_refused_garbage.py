@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 
+import pytest
+
 from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2, item_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.wire.stream_frames import FrameKind
+from tests.robustness.fuzz.ports.socket_calls import socket_target
 from tests.support.channel_host.queue_rig import running_queue_host
-from tests.support.channel_host.rig import running_host
+from tests.support.channel_host.rig import Opened, run_of, running_host
+from tests.support.raw_stream import raw_stream
 
 BAD_RUN = item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"longer than it says")
 
@@ -55,3 +63,43 @@ async def test_a_refused_get_or_enqueue_is_not_kept() -> None:
             (ack,) = await queue.enqueue(queue_pb.EnqueueRun(first_number=1, run=BAD_RUN))
             assert ack.error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
         assert left == []
+
+
+async def puts_over_grpc(channel: Opened, target: str) -> None:
+    await channel.put(run_of(b"x"))
+
+
+async def puts_over_a_socket(channel: Opened, target: str) -> None:
+    request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")])
+    async with raw_stream(target) as stream:
+        await stream.begin(PUT_METHOD)
+        for _ in range(2):  # the second one may be answered in the turn in which it comes
+            await stream.send(FrameKind.MESSAGE, request.SerializeToString())
+            assert not pb.PutResponse.FromString(await stream.message()).acks[0].HasField("error")
+
+
+def is_of_the_host(found: object) -> bool:
+    """Whether this object belongs to the host's side of a stream."""
+    return type(found).__module__.startswith(("stampede_rt_runtime", "stampede_rt_channel_host"))
+
+
+@pytest.mark.parametrize("puts", [puts_over_grpc, puts_over_a_socket])
+async def test_a_stream_of_puts_leaves_nothing_to_the_collector(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
+    """The rights of a stream's requests, and the way to answer at once, were in circles that stayed for 10 minutes."""
+    async with running_host() as rig:
+        channel, target = await rig.open(), await socket_target(rig.connection, ())
+        await puts(channel, target)
+        gc.collect()
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        try:
+            for _ in range(5):
+                await puts(channel, target)
+            async with asyncio.timeout(20):
+                while rig.sockets._streams or any("HandleExc" in one.get_name() for one in asyncio.all_tasks()):  # noqa: ASYNC110
+                    await asyncio.sleep(0)
+            gc.collect()
+            left = Counter(type(one).__qualname__ for one in gc.garbage if is_of_the_host(one))
+        finally:
+            gc.set_debug(0)
+            gc.garbage.clear()
+        assert left == {}

@@ -68,12 +68,12 @@ class OpenCall:
         self._task.uncancel()
 
     def over(self) -> None:
-        """Let the task go at the end of the call.
+        """Let the task and the rights of the requests go at the end of the call.
 
-        The task's context holds this object. As long as this object holds the task, too, only Python's collector frees
-        both, and everything that gRPC keeps of the call.
+        Both refer to this object. As long as this object refers to them, too, only Python's collector frees them, and
+        everything that gRPC keeps of the call.
         """
-        self._task = None
+        self._task = self.requests = None
 
     def rules(self) -> AccessRules:
         """The present rules for this call. Raises Unavailable."""

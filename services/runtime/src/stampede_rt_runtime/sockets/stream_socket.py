@@ -143,6 +143,7 @@ class StreamSocket(asyncio.BufferedProtocol):
     def connection_lost(self, _error: Exception | None) -> None:
         """The peer has gone, or the connection was closed here."""
         self._is_lost = self._has_ended = True
+        self.at_once = None  # it refers to the method, and the method to this connection
         self._hangups.forget(self.socket)
         self._drop_frame()
         if self._deadline is not None:
