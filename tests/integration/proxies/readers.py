@@ -1,4 +1,7 @@
-"""Subscriptions of a test, each in a thread, and a producer: what everybody must have seen at the end."""
+"""Subscriptions of a test, each in a thread, and a producer: what everybody must have seen at the end.
+
+The tests of this folder connect over gRPC: on one machine readers would follow the owner's shared memory, and no proxy.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ numbers = itertools.count()
 
 @pytest.fixture
 def rt(cluster: LocalCluster) -> Iterator[Any]:
-    with st.connect(cluster.address) as made:
+    with st.connect(cluster.address, transport="grpc") as made:
         yield made
 
 

@@ -39,7 +39,7 @@ def has_readers(rt: Any, channel: Any, host: str) -> bool:
 
 
 def test_readers_of_a_killed_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
         with reading(channel, 6) as readers, produced(channel) as producing:
@@ -52,7 +52,7 @@ def test_readers_of_a_killed_proxy_go_on_at_the_owner(cluster: LocalCluster) -> 
 
 
 def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
         with reading(channel, 4) as readers, produced(channel) as producing:
@@ -65,7 +65,7 @@ def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> 
 
 def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> None:
     """For less than the lease: the owner comes back with its items, and the proxy continues where it was."""
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
         with reading(channel, 4) as readers:
@@ -81,7 +81,7 @@ def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> Non
 def test_after_the_owner_was_killed_the_readers_hear_of_the_loss_and_the_proxy_follows_the_new_owner(
     cluster: LocalCluster,
 ) -> None:
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
         incarnation = channel.incarnation
@@ -111,7 +111,7 @@ def test_a_proxy_goes_on_over_a_link_that_is_cut(tmp_path: Any) -> None:
             owner.start()
             try:
                 owner.wait_ready(READY_S)
-                with st.connect(cluster.address) as rt:
+                with st.connect(cluster.address, transport="grpc") as rt:
                     channel = rt.channel("cam", max_items=100_000, host="relayed")
                     rt.proxy(channel, "h1")
                     with reading(channel, 4) as readers, produced(channel) as producing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,7 +20,7 @@ numbers = itertools.count()
 
 @pytest.fixture
 def rt(cluster: LocalCluster) -> Iterator[Any]:
-    with st.connect(cluster.address) as made:
+    with st.connect(cluster.address, transport="grpc") as made:
         yield made
 
 
@@ -155,3 +156,23 @@ def test_puts_and_changes_go_to_the_owner_also_after_reads_from_a_proxy(rt: Any,
     assert channel.put(b"second").seq == 2
     assert channel.advance(channel.newest().time) > 0
     assert channel.stats().accepted == 2
+
+
+def test_ended_proxies_keep_no_connections(rt: Any, cluster: LocalCluster) -> None:
+    """The error of each cancelled feed once kept its stream, and so a connection, until the collector came by."""
+
+    def connections() -> list[int]:
+        return [len(os.listdir(f"/proc/{host.pid}/fd")) for host in cluster.hosts[:2]]
+
+    channels = [rt.channel(f"many/{number}", host="h1") for number in range(10)]
+    for one in channels:  # so that all connections of clients are there
+        one.put(b"an item")
+    before = connections()
+    for _ in range(2):
+        for one in channels:
+            rt.proxy(one, "h2")
+        assert max(connections()) >= max(before) + 8
+        for one in channels:
+            rt.remove_proxy(one, "h2")
+        eventually(lambda: not rt.hosted_channels("h2", "many/*"), "the proxies have ended")
+    eventually(lambda: all(now <= then + 4 for now, then in zip(connections(), before, strict=True)), "all are closed")

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.observers import Observers
 
 HEARD_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
-READERS_MOVED_MAX = 16  # at each report of a copy, about once a second
+READERS_MOVED_MAX = 16  # at each report of a copy, about twice a second
 BALANCED_SHARE = 8
 """The host sends connected readers to a copy only if it has two more than the copy, and an eighth of a share more."""
 

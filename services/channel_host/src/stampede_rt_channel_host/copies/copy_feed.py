@@ -23,7 +23,8 @@ from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChanne
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
-REQUEST_SECONDS = 1.0  # the copy sends a request at least this often, and the source answers it
+GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants so many bytes at a time; each request costs the source a message
+REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 BROKEN_AFTER_SECONDS = 3.0  # a source that is silent for so long has lost the copy
 RUNS_PER_TURN = 64  # to store a run takes about 15 us
 METHOD = "/stampede_rt.v1.ReplicaService/Feed"
@@ -171,8 +172,8 @@ class CopyFeed:
             copy.caught_up = True
             self._news.set()  # the source may send readers now
         copy.note_progress()
-        if charge_bytes:
-            self._granted += charge_bytes
+        self._granted += charge_bytes
+        if self._granted >= GRANT_BYTES:
             self._news.set()
 
 

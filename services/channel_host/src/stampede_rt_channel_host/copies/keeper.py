@@ -6,6 +6,7 @@ import asyncio
 import logging
 import random
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import NoReturn
 
 import grpc
@@ -68,7 +69,7 @@ class CopyKeeper:
                 raise Unavailable(f"host {self._identity.name} has {COPIES_MAX} copies, the limit; use another host")
             copy = self._copies[record.channel_id] = _Copy(record, CopyState())
             copy.state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
-            copy.task = asyncio.create_task(self._keep(copy), name=f"copy of {record.name}")
+            copy.task = asyncio.create_task(self._keep_until_stopped(copy), name=f"copy of {record.name}")
             copy.task.add_done_callback(_check)
             logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
         await copy.state.ready(record.name, READY_SECONDS_MAX)
@@ -86,6 +87,15 @@ class CopyKeeper:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _keep_until_stopped(self, copy: _Copy) -> None:
+        """Keep the feed of a copy until `_stop` cancels this task.
+
+        Drops the error of the cancellation: the error would keep its stream, and so a connection, until the collector
+        finds both.
+        """
+        with suppress(asyncio.CancelledError):
+            await self._keep(copy)
 
     async def _keep(self, copy: _Copy) -> None:
         pause_s = PAUSE_SECONDS_MIN
