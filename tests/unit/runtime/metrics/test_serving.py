@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import pytest
 
 from stampede_rt_runtime.listen import CannotListen
+from stampede_rt_runtime.metrics import serving as metrics_serving
 from stampede_rt_runtime.metrics.families import AnyFamily, gauge
 from stampede_rt_runtime.metrics.serving import MetricsPage, serving_metrics
 from stampede_rt_runtime.server import ServiceServer
@@ -37,7 +38,8 @@ async def test_callers_at_the_same_time_share_one_page() -> None:
     assert await page.make() is pages[0]  # it is fresh enough
 
 
-async def test_other_work_goes_on_between_two_families() -> None:
+async def test_other_work_goes_on_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_serving, "STEP_SECONDS", 0.0)  # each family is a step
     turns = 0
 
     async def work() -> None:
