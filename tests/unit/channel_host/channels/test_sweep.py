@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
@@ -15,7 +15,7 @@ from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels import sweep
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.memory import RECLAIMS_MAX, MemoryBudget
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
@@ -185,3 +185,25 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
     while host.sweep._step():
         counts.append(host.sweep.looked_at)
     assert [later - earlier for earlier, later in pairwise(counts)] == [sweep.CHANNELS_PER_STEP_MAX] * 4
+
+
+async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
+    """It looked at 2048 channels in one step, and first at those that had just changed."""
+    host = Host(bytes_max=200_000)
+    old = [host.open(Policy(max_age_nanos=S)) for _ in range(4)]
+    for channel in old:
+        host.put(channel, b"x" * 10_000)
+        host.clock.advance(1)
+        host.put(channel, b"x")
+    await host.sweep.sweep()
+    host.clock.advance(2 * S)
+    for _ in range(1000):
+        host.sweep.touch(host.open(Policy()))
+    before, host.sweep.looked_at = host.memory.used_bytes, 0
+    host.memory.claim(host.memory.bytes_max - before + 1)
+    assert host.memory.used_bytes < before
+    assert host.sweep.looked_at <= 2 * sweep.CHANNELS_PER_STEP_MAX
+    host.sweep.looked_at = 0
+    with pytest.raises(Overloaded):
+        host.memory.claim(host.memory.bytes_max)
+    assert 0 < host.sweep.looked_at <= 2 * RECLAIMS_MAX * sweep.CHANNELS_PER_STEP_MAX

@@ -18,20 +18,23 @@ logger = logging.getLogger(__name__)
 CONSUMPTION_SHARE = 16
 """Consumption may use 1/16 of the budget in addition to the budget. One caller may use half of this memory."""
 
+RECLAIMS_MAX = 6
+"""The most steps of `reclaim` for one claim. All of them take a few milliseconds, whatever is due."""
+
 
 class MemoryBudget:
     """The memory of all channels and queues together.
 
     Each channel and queue reports its memory when its memory changes, and the budget adds the reports up. So a claim
-    costs the same, however many channels and queues there are. Before the budget refuses a claim, it calls `reclaim`,
-    which frees a bounded number of outdated items. `requests` is the memory for requests that are not yet complete. It
-    does not count towards `bytes_max`.
+    costs the same, however many channels and queues there are. Before the budget refuses a claim, it calls `reclaim`
+    RECLAIMS_MAX times at most. Each call frees some outdated items, and returns whether there may be more. `requests`
+    is the memory for requests that are not yet complete. It does not count towards `bytes_max`.
     """
 
     def __init__(
         self,
         bytes_max: int,
-        reclaim: Callable[[], None] = lambda: None,
+        reclaim: Callable[[], bool] = lambda: False,
         steady_nanos: Callable[[], int] = time.monotonic_ns,
         accounts: Accounts | None = None,
     ) -> None:
@@ -52,7 +55,9 @@ class MemoryBudget:
         """
         if self.used_bytes + wanted_bytes <= self.bytes_max:
             return
-        self._reclaim()
+        for _ in range(RECLAIMS_MAX):
+            if not self._reclaim() or self.used_bytes + wanted_bytes <= self.bytes_max:
+                break
         if self.used_bytes + wanted_bytes > self.bytes_max:
             raise Overloaded(
                 f"the host's channels and queues hold {self.used_bytes} bytes together, of at most {self.bytes_max} "

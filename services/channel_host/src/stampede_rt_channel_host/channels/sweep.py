@@ -17,8 +17,6 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 ROUND_SECONDS = 0.5
 CHANNELS_PER_STEP_MAX = 32
 ENTRIES_PER_STEP_MAX = 64  # a step ends after it has freed this many entries of the indexes of channels
-STEPS_PER_RECLAIM = 8
-CHANNELS_PER_RECLAIM_STEP_MAX = 256  # more, because changed channels come before those with outdated items
 
 
 class Sweep:
@@ -54,17 +52,24 @@ class Sweep:
         while self._step():
             await _give_way()
 
-    def reclaim(self) -> None:
-        """Free a bounded number of outdated items in this call, because a put needs the memory."""
-        for _ in range(STEPS_PER_RECLAIM):
-            if not self._step(CHANNELS_PER_RECLAIM_STEP_MAX):
-                return
+    def reclaim(self) -> bool:
+        """Free some outdated items in one step, because a put needs the memory. Returns True if more may be due now.
 
-    def _step(self, channels_max: int = CHANNELS_PER_STEP_MAX) -> bool:
-        """Look at up to `channels_max` channels, and free some of their items. Returns True if more may be due now."""
-        freed_entries = 0
-        for _ in range(channels_max):
-            hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())
+        Looks at channels that are due before those that have changed.
+        """
+        return self._step(lambda: self._deadlines.pop(self._now()) or next(iter(self._touched), None))
+
+    def _next(self) -> HostedChannel | None:
+        return next(iter(self._touched), None) or self._deadlines.pop(self._now())
+
+    def _step(self, following: Callable[[], HostedChannel | None] | None = None) -> bool:
+        """Look at some channels, and free some of their items. Returns True if more may be due now.
+
+        `following` gives the next channel to look at, or None.
+        """
+        freed_entries, following = 0, following or self._next
+        for _ in range(CHANNELS_PER_STEP_MAX):
+            hosted = following()
             if hosted is None:
                 return False
             before = hosted.channel.freed_entries
