@@ -50,7 +50,7 @@ class Retention:
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        self._earlier = EarlierItems(held, end_seq=1)
+        self._earlier: EarlierItems | None = None  # None: the consumers know of all of them
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
@@ -78,12 +78,12 @@ class Retention:
 
     def report_collected(self, slices_max: int) -> bool:
         """Tell the consumers of about `slices_max` collected slices. Returns True if more are left."""
-        consumers, held = self.consumers, self._held
-        if consumers is None:
-            return False
-        if held.report_gone(slices_max):
-            return True
-        return self._earlier.tell(consumers, max(1, slices_max // 4))
+        consumers = self.consumers
+        if consumers is None or self._held.report_gone(slices_max):
+            return consumers is not None
+        if self._earlier is not None and not self._earlier.tell(consumers, max(1, slices_max // 4)):
+            self._earlier = None
+        return self._earlier is not None
 
     @property
     def has_more(self) -> bool:
