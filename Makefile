@@ -13,7 +13,7 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness soak-metrics images bench bench-docs clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images bench bench-docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -56,6 +56,9 @@ fuzz-parsers: setup  ## all parsers of bytes from outside, guided by coverage (a
 
 fuzz-ports: setup  ## all RPCs of a host, a supernode and a front-end, a million requests each
 	$(RUN)/python -m tests.robustness.fuzz.ports --inputs $${STAMPEDE_FUZZ_INPUTS:-1000000} --seed $${STAMPEDE_FUZZ_SEED:-1}
+
+race-rings: setup  ## readers and the writer of a ring in shared memory at the same time, for 5 minutes, each payload with a checksum
+	$(RUN)/python -m tests.robustness.rings.racing $${STAMPEDE_RACE_SECONDS:-300}
 
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants

@@ -30,6 +30,7 @@ LIMITS: Mapping[str, System] = {
 SYSTEMS: Mapping[str, System] = {
     "stampede": StampedeRt(),
     "stampede-socket": StampedeRt("Stampede RT, sockets", "socket"),
+    "stampede-shared": StampedeRt("Stampede RT, shared memory", "shared"),
     "redis": RedisStreams("tcp"),
     "redis-unix": RedisStreams("unix"),
     "nats": NatsCore(),
