@@ -15,7 +15,7 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.transports import futexes
 from stampede_rt.transports.concurrency_async import monotonic_s
-from stampede_rt.transports.ring_mapping import RingMapping, Unsuited, boottime_nanos
+from stampede_rt.transports.ring_mapping import RingMapping, Unsuited
 from stampede_rt.transports.ring_waiting_async import RingWaits
 from stampede_rt.transports.socket_routes import memory_not_shared
 
@@ -57,7 +57,7 @@ class SharedRings:
         self.waits = RingWaits()
 
     async def find(self, state: Any) -> RingMapping | None:
-        """Return the channel's ring; None: ask the host. Opens the ring after a few calls.
+        """Return the channel's ring; None: ask the host. Opens the ring after a few calls. It may have just ended.
 
         Blocks for a few seconds at most, while it opens the ring. Raises Unavailable if the program has chosen shared
         memory and cannot have it.
@@ -71,7 +71,7 @@ class SharedRings:
                 self._forget(next(iter(self._channels)))
         mapping = known.mapping
         if mapping is not None:
-            if mapping.is_open(boottime_nanos()):
+            if mapping.may_be_open:
                 return mapping
             self._give_up(known)
         known.reads += 1

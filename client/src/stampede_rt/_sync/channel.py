@@ -21,6 +21,7 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.grpc_sync import ServerEndpoint
+from stampede_rt.transports.ring_mapping import boottime_nanos
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.values.model import ChannelStats, Item, OnFull, Policy
@@ -153,7 +154,8 @@ class Channel(Reader):
 
     def _transport(self, endpoint: ServerEndpoint) -> str:
         """Return the transport of reads of the newest items."""
-        if self._session.rings.find(self._state) is not None:
+        mapping = self._session.rings.find(self._state)
+        if mapping is not None and mapping.is_open(boottime_nanos()):
             return Transport.SHARED.value
         return endpoint.transport()
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable
 
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.ring.layout import CHANGES_WORD, RING_BYTES_MAX, WORD_BYTES
+from stampede_rt.ring.layout import CHANGES_WORD, OPEN, RING_BYTES_MAX, STATE_WORD, WORD_BYTES
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking, futexes
@@ -55,6 +55,11 @@ class RingMapping:
         self._forks = forking.forks()
         connected.setblocking(False)
         forking.keep_out_of_children(connected)
+
+    @property
+    def may_be_open(self) -> bool:
+        """Whether nothing has told yet that the ring has ended. `is_open` looks, so call it after each read."""
+        return not self._is_ended and self.view.words[STATE_WORD] == OPEN
 
     def is_open(self, boottime: int) -> bool:
         """Whether the host still serves the ring at `boottime`."""
