@@ -64,7 +64,7 @@ def test_the_command_line_shows_the_transport(cluster: LocalCluster) -> None:
 
 @pytest.mark.parametrize("wrong", ["", "udp"])
 def test_an_unknown_transport_is_refused(wrong: str) -> None:
-    with pytest.raises(st.InvalidArgument, match='give "best", "grpc" or "socket"'):
+    with pytest.raises(st.InvalidArgument, match='give "best", "grpc", "socket" or "shared"'):
         st.connect("localhost:1", transport=wrong)
 
 
