@@ -27,6 +27,7 @@ COPY services/frontend/pyproject.toml services/frontend/
 COPY deploy/local_cluster/pyproject.toml deploy/local_cluster/
 COPY demos/pyproject.toml demos/
 COPY benchmarks/pyproject.toml benchmarks/
+COPY web/pyproject.toml web/
 RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-install-workspace --python python3 --package stampede-rt-supernode
 
 COPY client/src client/src

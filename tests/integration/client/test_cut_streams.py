@@ -31,7 +31,7 @@ class Told:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.internal: list[st.StampedeError] = []
         self.met = asyncio.Event()
-        for module in ("status", "transports.grpc_async"):
+        for module in ("status", "transports.call_stream_async"):
             monkeypatch.setattr(f"stampede_rt.{module}.from_rpc_error", self._hear)
 
     def _hear(self, error: Any, target: str) -> st.StampedeError:

@@ -157,7 +157,7 @@ def test_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: L
 
 def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_kept(cluster: LocalCluster) -> None:
     before = set(threading.enumerate())
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:  # over sockets the client has no threads of its own
         channels = [rt.channel(f"dropped/closed/{number}", max_items=5) for number in range(3)]
         for channel in channels:
             channel.put(b"x")

@@ -39,7 +39,7 @@ async def socket_of(cluster: LocalCluster, files: st.TlsFiles | None) -> pb.Data
     async with dial(host.endpoints[0], secret=None, tls=TlsReader(files)) as connection:
         stub: Any = GatekeeperServiceStub(connection)
         answer = await stub.ListDataEndpoints(pb.ListDataEndpointsRequest(machine=this_machine()))
-    [endpoint] = answer.endpoints
+    [endpoint] = [one for one in answer.endpoints if one.transport == pb.TRANSPORT_SOCKET]
     return endpoint  # type: ignore[no-any-return]
 
 

@@ -70,7 +70,7 @@ METHODS = {
 # What hosts ask of supernodes, and of each other.
 OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel", "ExchangeTimes"}
 # To measure round trips, and to find the addresses of sockets.
-OF_CONNECTIONS = {"Ping", "ListDataEndpoints"}
+OF_CONNECTIONS = {"Ping", "ListDataEndpoints", "ShareMemory"}
 
 
 def test_every_rpc_for_callers_has_a_method() -> None:

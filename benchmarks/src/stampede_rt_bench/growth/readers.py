@@ -14,6 +14,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_bench.growth.own_channels import OwnChannels, cpu_us, get, put, run_of
 from stampede_rt_bench.measuring import NANOS_PER_US, PAYLOAD_BYTES, Spread, quiet
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscription import Subscription
 
@@ -65,11 +66,12 @@ class _Store:
 
     def __init__(self, own: OwnChannels) -> None:
         self.scheduler = own.scheduler
+        self.readers = Readers()
 
     def now(self) -> int:
         return time.time_ns()
 
-    def find(self, channel_id: bytes, epoch: int) -> None:
+    def find_readable(self, channel_id: bytes, epoch: int, demand: object) -> None:
         """The channel never leaves."""
 
 

@@ -63,6 +63,9 @@ class Attaching:
     def check_process(self) -> None:
         return
 
+    def check_thread(self) -> None:
+        return
+
     def __init__(self) -> None:
         self.attached: list[Any] = []
 
