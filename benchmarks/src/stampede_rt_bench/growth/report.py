@@ -66,11 +66,12 @@ def line_of(costs: Costs, operation: str) -> list[tuple[float, Spread]]:
 def steepest(costs: Costs, operation: str) -> float | None:
     """Return the exponent of the steepest step: 0 for a constant cost, 1 for a cost in proportion to the size.
 
-    None if there is only one size.
+    None if there is only one size. A difference of two measurements may be 0 or less; such a cost has no exponent.
     """
-    steps = pairwise(line_of(costs, operation))
+    line = [(size, cost) for size, cost in line_of(costs, operation) if cost.median > 0]
     return max(
-        (math.log(after.over(before)) / math.log(more / less) for (less, before), (more, after) in steps), default=None
+        (math.log(after.over(before)) / math.log(more / less) for (less, before), (more, after) in pairwise(line)),
+        default=None,
     )
 
 
