@@ -160,7 +160,13 @@ class ServerEndpoint(Stubs):
     async def share_memory(self, channel_id: bytes, epoch: int) -> RingMapping | None:
         """Return the ring of a channel; None if this host shares no memory. Takes at most 4 s, see `receive_ring`."""
         connected = await connect(self.route, self._ask_for_sockets)
-        return await in_thread(partial(receive_ring, self.route, connected, self._metadata(), channel_id, epoch))
+        receive = partial(receive_ring, self.route, connected, self._metadata(), channel_id, epoch)
+        receiving = asyncio.ensure_future(in_thread(receive))
+        try:
+            return await asyncio.shield(receiving)
+        except asyncio.CancelledError:  # the thread goes on, and nobody else would close its ring
+            receiving.add_done_callback(_close_unwanted)
+            raise
 
     async def _open_bidi(self, method: BidiMethod) -> Any:
         connected = await connect(self.route, self._ask_for_sockets)
@@ -324,3 +330,8 @@ class PutDuplex(CallStream):
 
     async def _end(self, error: StampedeError) -> None:
         await self._on_end(error)
+
+
+def _close_unwanted(received: asyncio.Future[RingMapping | None]) -> None:
+    if not received.cancelled() and received.exception() is None and (mapping := received.result()) is not None:
+        mapping.close()
