@@ -15,7 +15,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
-    Moment,
+    ChannelSnapshot,
     Offer,
     Pending,
     Pieces,
@@ -139,7 +139,9 @@ def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_b
     assert unfinished > 30
 
 
-def polled(where: ChannelCore | Moment, query: Query, horizon: Horizon | None, now: int) -> ReadAnswer | WakeAt:
+def polled(
+    where: ChannelCore | ChannelSnapshot, query: Query, horizon: Horizon | None, now: int
+) -> ReadAnswer | WakeAt:
     pending = Pending(query, None)
     return run_to_end(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
 
@@ -156,11 +158,11 @@ def test_a_get_that_is_looked_at_later_finds_what_it_would_have_found_at_the_mom
         horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
 
         now, shown = busy.now, horizon if through_group else None
-        expected, moment = polled(busy.channel, query, shown, now), busy.channel.moment(now)
+        expected, snapshot = polled(busy.channel, query, shown, now), busy.channel.snapshot(now)
         for _ in range(20):
             busy.happen()
-        found = polled(moment, query, shown, now)
-        moment.close()
+        found = polled(snapshot, query, shown, now)
+        snapshot.close()
         if isinstance(expected, ReadAnswer):
             released += 1
             assert isinstance(found, ReadAnswer), f"seed {seed}"

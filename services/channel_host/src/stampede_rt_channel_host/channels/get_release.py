@@ -38,8 +38,8 @@ class Source(Polled, Protocol):
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """See `ChannelCore.giving_up`."""
 
-    def moment(self, now: int) -> SourceSnapshot:
-        """See `ChannelCore.moment`."""
+    def snapshot(self, now: int) -> SourceSnapshot:
+        """See `ChannelCore.snapshot`."""
 
 
 class GetRelease:

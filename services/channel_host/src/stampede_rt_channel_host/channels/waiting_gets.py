@@ -145,7 +145,7 @@ class WaitingGets:
             self._releases[-1].merge(release)
         else:
             self._releases.append(release)
-        self._releases[-1].snapshot = self._source.moment(now)
+        self._releases[-1].snapshot = self._source.snapshot(now)
 
     def _work(self) -> None:
         if not self._working:

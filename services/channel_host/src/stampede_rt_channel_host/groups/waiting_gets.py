@@ -16,7 +16,7 @@ from stampede_rt_channel_host.channels.waiting_get import Outcome
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import (
     BEFORE_ALL,
-    Moment,
+    ChannelSnapshot,
     Pending,
     Pieces,
     ReachTracker,
@@ -47,7 +47,7 @@ class PendingAt(Pending):
 class _GroupSnapshot:
     """The channel and the cut as they were at one moment."""
 
-    def __init__(self, group: HostedGroup, snapshot: Moment) -> None:
+    def __init__(self, group: HostedGroup, snapshot: ChannelSnapshot) -> None:
         self._group = group
         self._snapshot = snapshot
         self._horizon = group.horizon()
@@ -139,9 +139,9 @@ class GroupGets:
         """See `Source`."""
         return self._view.giving_up(pending, self._horizon(pending), now)
 
-    def moment(self, now: int) -> _GroupSnapshot:
+    def snapshot(self, now: int) -> _GroupSnapshot:
         """See `Source`."""
-        return _GroupSnapshot(self._group, self._hosted.channel.moment(now))
+        return _GroupSnapshot(self._group, self._hosted.channel.snapshot(now))
 
     def wake(self) -> None:
         """The channel has changed, or the group shows more."""

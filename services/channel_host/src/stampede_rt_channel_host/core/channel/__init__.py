@@ -28,6 +28,7 @@ offered again after every consume, too.
 
 from stampede_rt_channel_host.core.channel.acceptance import REASONS
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
+from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.consumer_places import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
@@ -41,7 +42,6 @@ from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collectio
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
-from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
 from stampede_rt_channel_host.core.channel.pieces import (
     Pieces,
     Unfinished,
@@ -99,6 +99,7 @@ __all__ = [
     "ChannelCore",
     "ChannelFeed",
     "ChannelLimits",
+    "ChannelSnapshot",
     "Collection",
     "ColumnRun",
     "Consumed",
@@ -110,9 +111,8 @@ __all__ = [
     "FeedPart",
     "FeedPlace",
     "Gap",
-    "HeldThen",
+    "HoldingsSnapshot",
     "ItemKey",
-    "Moment",
     "Needs",
     "NewestCursor",
     "Offer",

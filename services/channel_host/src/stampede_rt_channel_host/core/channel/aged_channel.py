@@ -8,10 +8,10 @@ from stampede_rt.ring.layout import ABSENT_INSTANT
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
-from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
@@ -108,13 +108,13 @@ class AgedChannel:
         self._age_and_free(self._tick(now))
         return self._held, self._retention
 
-    def moment(self, now: int) -> Moment:
+    def snapshot(self, now: int) -> ChannelSnapshot:
         """The channel's present state, for later reads.
 
-        Close the moment soon: before that, the channel frees no item that the moment shows.
+        Close the snapshot soon: before that, the channel frees no item that the snapshot shows.
         """
         held, retention = self.look(now)
-        return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
+        return ChannelSnapshot(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
 
     def ring_facts(self) -> RingFacts:
         """The facts that a ring in shared memory repeats, as of the last call that took `now`."""

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
-from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.tally import Tally
 
@@ -76,7 +76,7 @@ class HeldItems:
         self._newest_longest = 0  # the longest duration of an item in the newest bucket
         self._newest_items_most = 0  # an upper bound of the number of items in the newest bucket
         self._newest_bytes_most = 0  # an upper bound of the charged bytes of the newest bucket
-        self._snapshots: dict[ChannelSnapshot, None] = {}  # the snapshots whose items must not be freed
+        self._snapshots: dict[IndexSnapshot, None] = {}  # the snapshots whose items must not be freed
         self._tally = Tally()  # counts the held items, except those after its last block
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
         self._stored_items = 0  # the items of these entries
@@ -151,9 +151,9 @@ class HeldItems:
         """See `Readable`: this object shows all items."""
         return LAST_KEY
 
-    def snapshot(self) -> ChannelSnapshot:
+    def snapshot(self) -> IndexSnapshot:
         """A snapshot of the held items. A reader can walk it while the channel changes."""
-        return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
+        return IndexSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
     def gone_before(self) -> int | None:

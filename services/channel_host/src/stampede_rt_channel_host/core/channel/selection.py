@@ -15,11 +15,11 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
-from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
 Fits = Callable[[int, int], bool]
@@ -57,7 +57,7 @@ class Readable(Protocol):
     def end(self) -> ItemKey:
         """A key above the keys of all visible items, and at or below the keys of all hidden items."""
 
-    def snapshot(self) -> ChannelSnapshot:
+    def snapshot(self) -> IndexSnapshot:
         """All items that the channel holds now, visible or not."""
 
     def next_time(self, time: int, /) -> int | None:
@@ -127,7 +127,7 @@ def select(
 class _Taking:
     """Takes slices from stretches, in one direction, until the limit is reached."""
 
-    def __init__(self, snapshot: ChannelSnapshot, limit: int | None, *, down: bool) -> None:
+    def __init__(self, snapshot: IndexSnapshot, limit: int | None, *, down: bool) -> None:
         self._snapshot = snapshot
         self._left = limit
         self._down = down

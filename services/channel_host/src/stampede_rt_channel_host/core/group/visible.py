@@ -14,8 +14,8 @@ from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, MetaTime, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
-    HeldThen,
-    Moment,
+    ChannelSnapshot,
+    HoldingsSnapshot,
     Pending,
     Query,
     ReadAnswer,
@@ -23,12 +23,12 @@ from stampede_rt_channel_host.core.channel import (
     WakeAt,
 )
 from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import behind, select
-from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 
 
 class Horizon(NamedTuple):
@@ -46,7 +46,7 @@ class VisibleHoldings:
 
     __slots__ = ("_end", "_held", "_last", "frontier", "gone_before", "newest", "oldest", "overlap_nanos")
 
-    def __init__(self, held: Holdings | HeldThen, cut: int | None) -> None:
+    def __init__(self, held: Holdings | HoldingsSnapshot, cut: int | None) -> None:
         self._held = held
         self._end: ItemKey = FIRST_KEY if cut is None else (cut, 0)
         self._last = self._end[0] - 1
@@ -66,7 +66,7 @@ class VisibleHoldings:
         """A key above the keys of all visible items, and at or below the keys of all hidden items."""
         return self._end
 
-    def snapshot(self) -> ChannelSnapshot:
+    def snapshot(self) -> IndexSnapshot:
         """All items that the channel holds now, hidden items included."""
         return self._held.snapshot()
 
@@ -87,9 +87,9 @@ class VisibleHoldings:
 class VisibleReading(Reading):
     """Answers one query from the part of a channel before a horizon."""
 
-    def __init__(self, channel: ChannelCore | Moment, horizon: Horizon, now: int) -> None:
+    def __init__(self, channel: ChannelCore | ChannelSnapshot, horizon: Horizon, now: int) -> None:
         """`now` is the host's clock. The channel first outdates the items that are too old at `now`."""
-        self._all: Holdings | HeldThen
+        self._all: Holdings | HoldingsSnapshot
         self._all, retention = channel.look(now)
         held = VisibleHoldings(self._all, horizon.cut)
         super().__init__(held, retention, channel.incarnation, channel.lost_before)
@@ -252,8 +252,10 @@ class VisibleChannel:
         return reading
 
 
-def polling(channel: ChannelCore | Moment, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-    """See `VisibleChannel.polling`. The channel may also be a `Moment`."""
+def polling(
+    channel: ChannelCore | ChannelSnapshot, pending: Pending, horizon: Horizon, now: int
+) -> Pieces[ReadAnswer | WakeAt]:
+    """See `VisibleChannel.polling`. The channel may also be a `ChannelSnapshot`."""
     reading = VisibleReading(channel, horizon, now)
     found = yield from reading.poll(pending, now)
     return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found

@@ -1,6 +1,6 @@
 """A channel as it was at one moment. Pure.
 
-If one put releases many blocked gets, the host answers these gets in pieces, all from the same `Moment`.
+If one put releases many blocked gets, the host answers these gets in pieces, all from the same `ChannelSnapshot`.
 """
 
 from __future__ import annotations
@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.values import ReadAnswer, WakeAt
 
 
-class HeldThen:
+class HoldingsSnapshot:
     """The items held at one moment, with the reading methods of `Holdings`.
 
     The channel keeps the entries of these items in the index until `close`.
@@ -39,7 +39,7 @@ class HeldThen:
         """See `Readable`: this object shows all items."""
         return LAST_KEY
 
-    def snapshot(self) -> ChannelSnapshot:
+    def snapshot(self) -> IndexSnapshot:
         """A separate snapshot of the items held at that moment. It stays valid after `close` of this object."""
         return self._snapshot.copy()
 
@@ -61,7 +61,7 @@ class HeldThen:
         self._snapshot.close()
 
 
-class Moment:
+class ChannelSnapshot:
     """A channel as it was at one moment.
 
     Reads answer as of that moment, whatever the channel has accepted or collected since.
@@ -76,10 +76,10 @@ class Moment:
         self.lost_before = lost_before
         self.advanced_to = advance
         self.clock = clock
-        self._held = HeldThen(held)
+        self._held = HoldingsSnapshot(held)
         self._retention = retention
 
-    def look(self, now: int) -> tuple[HeldThen, Retention]:
+    def look(self, now: int) -> tuple[HoldingsSnapshot, Retention]:
         """See `ChannelCore.look`. Ignores `now`."""
         return self._held, self._retention
 
@@ -91,5 +91,5 @@ class Moment:
         return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def close(self) -> None:
-        """Let the channel free the moment's items again. Idempotent."""
+        """Let the channel free the items of the snapshot again. Idempotent."""
         self._held.close()

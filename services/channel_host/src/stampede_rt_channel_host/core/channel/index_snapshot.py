@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Slice
 
 
-class ChannelSnapshot:
+class IndexSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
     The snapshot copies nothing. From `hold` to `close` the channel keeps the snapshot's entries in the index. `shows`
@@ -20,7 +20,7 @@ class ChannelSnapshot:
 
     __slots__ = ("_copies", "_copy_ends", "_end_seq", "_holders", "_index", "floor", "is_held", "kept_from")
 
-    def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
+    def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[IndexSnapshot, None]) -> None:
         """`holders` are the channel's held snapshots. The channel does not free their items at or above `kept_from`."""
         self.floor = self.kept_from = floor
         # Copies of the items below `kept_from`, in ascending order. Each one ends at the key at the same position.
@@ -40,9 +40,9 @@ class ChannelSnapshot:
             self.is_held = True
             self._holders[self] = None
 
-    def copy(self) -> ChannelSnapshot:
+    def copy(self) -> IndexSnapshot:
         """Another snapshot of the same items, already held."""
-        copy = ChannelSnapshot(self._index, self.floor, self._end_seq, self._holders)
+        copy = IndexSnapshot(self._index, self.floor, self._end_seq, self._holders)
         copy.kept_from, copy._copies, copy._copy_ends = self.kept_from, [*self._copies], [*self._copy_ends]
         copy.hold()
         return copy
