@@ -103,8 +103,8 @@ class Acceptance:
             return False
         if comes_in_order and held.reaches_no_newest(excess_items, excess_bytes):
             return True
-        front = held.front_of_items(excess_items) if excess_items > 0 else held.front_of_bytes(excess_bytes)
-        bound = held.time_behind(front)
+        oldest = held.oldest_by_count(excess_items) if excess_items > 0 else held.oldest_by_bytes(excess_bytes)
+        bound = held.time_after(oldest)
         return bound is not None and bound <= low
 
     def _take_whole(self, offer: Offer, times: Sequence[int], stamp: int | None, clock: int, seal: Seal) -> PutOutcome:
@@ -198,7 +198,7 @@ class Acceptance:
 
     def _precede(self, time: int, charged_bytes: int) -> bool:
         """Whether the held items at or before `time` are charged with at least `charged_bytes`."""
-        last = self._held.front_of_bytes(charged_bytes).last
+        last = self._held.oldest_by_bytes(charged_bytes).last
         return last is not None and last.last_time <= time
 
 

@@ -71,7 +71,7 @@ class AgedChannel:
     def emptying(self) -> Pieces[None]:
         """Free all items, in pieces. The channel must not be used afterwards."""
         self._held.tell(None)
-        self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
+        self._held.outdate(self._held.oldest_by_count(self._held.items), COUNT, self._clock or 0)
         yield
         while self._held.free(pieces.STEPS_PER_PIECE // 2):
             yield

@@ -28,7 +28,7 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
     Place,
     PlaceTable,
 )
-from stampede_rt_channel_host.core.channel.front import CountInFront
+from stampede_rt_channel_host.core.channel.oldest_items import CountOldest
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.seq_set import BLOCK_SEQS, CountedSeqs, SeqSet
@@ -231,7 +231,7 @@ class Consumers:
 
 
 class BoundedCount:
-    """A `CountInFront` that counts like `count`, but stops at a limit of its work.
+    """A `CountOldest` that counts like `count`, but stops at a limit of its work.
 
     The limits are `slices` slices, and about CONSUMERS_CHECKED_MAX looks at single consumers. `held_back`: the count
     has stopped at a limit.
@@ -239,7 +239,7 @@ class BoundedCount:
 
     __slots__ = ("_asked_to", "_consumers", "_count", "_left", "held_back")
 
-    def __init__(self, slices: int, count: CountInFront, consumers: Consumers) -> None:
+    def __init__(self, slices: int, count: CountOldest, consumers: Consumers) -> None:
         self._count = count
         self._left = slices
         self._consumers = consumers
@@ -247,7 +247,7 @@ class BoundedCount:
         self.held_back = False
 
     def __call__(self, part: Slice) -> int:
-        """See `CountInFront`."""
+        """See `CountOldest`."""
         self._left -= 1
         self.held_back = self._left < 0 or self._consumers.looked_at >= self._asked_to
         return 0 if self.held_back else self._count(part)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.channel.feeding import Collection
-from stampede_rt_channel_host.core.channel.front import Front, below
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.oldest_items import OldestItems, below
 from stampede_rt_channel_host.core.channel.run import Run
 
 
@@ -40,6 +40,6 @@ class FedHoldings(Holdings):
         self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
 
     def _collect_below(self, key: ItemKey) -> None:
-        front: Front = self.front(below(key), self._tally.whole_below(key))
-        if front.items:
-            self._leave(front, self.last_cause)
+        oldest: OldestItems = self.oldest_items(below(key), self._tally.whole_below(key))
+        if oldest.items:
+            self._leave(oldest, self.last_cause)

@@ -10,12 +10,18 @@ from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.channel import tally
-from stampede_rt_channel_host.core.channel.front import CountInFront, Front, before, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.oldest_items import (
+    CountOldest,
+    OldestItems,
+    before,
+    first_bytes,
+    first_items,
+)
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
-from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole
+from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, WholeBlocks
 
 REPORTED_SLICES_MAX = 64
 """The most collected slices that one call reports to the consumers. The next calls report the rest."""
@@ -163,7 +169,7 @@ class Holdings(HeldItems):
             self._newest_is_open |= duration == ABSENT
             self._newest_longest = max(self._newest_longest, duration)
 
-    def front(self, count: CountInFront, whole: Whole = NO_BLOCKS) -> Front:
+    def oldest_items(self, count: CountOldest, whole: WholeBlocks = NO_BLOCKS) -> OldestItems:
         """The oldest held items: those of the blocks `whole`, and the items that `count` counts after these blocks."""
         items, payload_bytes = whole.items, whole.payload_bytes
         last: Slice | None = None
@@ -175,42 +181,44 @@ class Holdings(HeldItems):
                 payload_bytes += last.payload_bytes
             if taken < part.items:
                 rest = Slice(part.run, part.lo + taken, part.hi)
-                return Front(items, payload_bytes, last or self._last_of(whole), rest)
-        return Front(items, payload_bytes, last or self._last_of(whole), None)
+                return OldestItems(items, payload_bytes, last or self._last_of(whole), rest)
+        return OldestItems(items, payload_bytes, last or self._last_of(whole), None)
 
-    def _last_of(self, whole: Whole) -> Slice | None:
+    def _last_of(self, whole: WholeBlocks) -> Slice | None:
         """The last slice in these blocks, or None if there are no blocks."""
         return next(self.slices_down(FIRST_KEY, whole.end), None) if whole.items else None
 
-    def front_before(self, time: int) -> Front:
+    def oldest_before(self, time: int) -> OldestItems:
         """The held items before `time`."""
-        return self.front(before(time), self._tally.whole_below((time, 0)))
+        return self.oldest_items(before(time), self._tally.whole_below((time, 0)))
 
-    def front_of_items(self, count: int) -> Front:
+    def oldest_by_count(self, count: int) -> OldestItems:
         """The oldest `count` items."""
         whole = self._tally.whole_within(items=count)
-        return self.front(oldest_items(count - whole.items), whole)
+        return self.oldest_items(first_items(count - whole.items), whole)
 
-    def front_of_bytes(self, charged_bytes: int) -> Front:
+    def oldest_by_bytes(self, charged_bytes: int) -> OldestItems:
         """The fewest oldest items that are together charged with at least `charged_bytes`."""
         whole = self._tally.whole_within(charged_bytes=charged_bytes)
-        return self.front(oldest_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole)
+        return self.oldest_items(
+            first_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole
+        )
 
-    def time_behind(self, front: Front) -> int | None:
+    def time_after(self, oldest: OldestItems) -> int | None:
         """The time of the bucket after the front's last bucket, or None if there is no such bucket or the front is
         empty.
         """
-        if front.rest is None or front.last is None:
+        if oldest.rest is None or oldest.last is None:
             return None
-        last_time, first_held = front.last.last_time, front.rest.first_time
+        last_time, first_held = oldest.last.last_time, oldest.rest.first_time
         return first_held if first_held > last_time else self.next_time(last_time)
 
-    def outdate(self, front: Front, cause: str, now: int) -> None:
-        """Collect the items of a front.
+    def outdate(self, oldest: OldestItems, cause: str, now: int) -> None:
+        """Collect the items of a oldest.
 
         Open spans of the newest bucket end at `now`, if the front reaches into that bucket.
         """
-        last = front.last
+        last = oldest.last
         if last is None:
             return
         self.last_cause, self.shared_batches = cause, None
@@ -218,22 +226,22 @@ class Holdings(HeldItems):
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
-            self._note_end(front, last, cause, now)
+            self._note_end(oldest, last, cause, now)
         # Not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
-        self._leave(front, cause)
-        if front.rest is None:
+        self._leave(oldest, cause)
+        if oldest.rest is None:
             self.came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
         self.report_gone(REPORTED_SLICES_MAX)
 
-    def _leave(self, front: Front, cause: str) -> None:
+    def _leave(self, oldest: OldestItems, cause: str) -> None:
         """Count the items of a front as collected."""
-        self.items -= front.items
-        self.payload_bytes -= front.payload_bytes
-        self._tally.take(front.items, front.payload_bytes)
-        self.collected[cause] += front.items
-        self.oldest = None if front.rest is None else front.rest.first_time
-        if front.rest is None:
+        self.items -= oldest.items
+        self.payload_bytes -= oldest.payload_bytes
+        self._tally.take(oldest.items, oldest.payload_bytes)
+        self.collected[cause] += oldest.items
+        self.oldest = None if oldest.rest is None else oldest.rest.first_time
+        if oldest.rest is None:
             self.newest = None
 
     def tell_resets(self, note_reset: Callable[[ItemKey], None], *, stop: bool = False) -> None:
@@ -265,14 +273,14 @@ class Holdings(HeldItems):
         self._reported_to = (parts[-1].last_time, parts[-1].end_seq) if len(parts) == slices_max else self.floor
         return self._reported_to < self.floor
 
-    def _note_end(self, front: Front, last: Slice, cause: str, now: int) -> None:
-        """Note the latest span end of the items of a front, of which `last` is the last slice.
+    def _note_end(self, oldest: OldestItems, last: Slice, cause: str, now: int) -> None:
+        """Note the latest span end of the items of a oldest, of which `last` is the last slice.
 
         Earlier buckets end at or before the last bucket's time, so only the last bucket counts.
         """
-        time, following = last.last_time, self.time_behind(front)
+        time, following = last.last_time, self.time_after(oldest)
         # The usual case: a full channel has taken in one item and drops one item, which the caller passes as `last`.
-        is_one = front.items == last.items == 1
+        is_one = oldest.items == last.items == 1
         bucket = iter((last,)) if is_one else self.slices((time, 0), (time, last.end_seq))
         if following is not None:
             end = latest_end(bucket, time, following)

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
 from stampede_rt_channel_host.core.channel.earlier_items import EarlierItems
-from stampede_rt_channel_host.core.channel.front import before
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.oldest_items import before
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 SLICES_CONSUMED_MAX = 64
@@ -131,9 +131,9 @@ class Retention:
             bound = self._prolonged(bound, clock - self.limits.max_age_unconsumed_nanos)
         if bound is None:
             return False
-        front = held.front_before(bound)
-        held.outdate(front, AGE, clock)
-        return front.items > 0
+        oldest = held.oldest_before(bound)
+        held.outdate(oldest, AGE, clock)
+        return oldest.items > 0
 
     def _age_bound(self, cutoff: int) -> int | None:
         """The time of the first bucket that is not too old. May be None if this is the oldest bucket.
@@ -249,12 +249,12 @@ class Retention:
             return False
         count = consumers.done_with if consumers.table.live else before(held.newest)
         bounded = BoundedCount(SLICES_CONSUMED_MAX, count, consumers)
-        front = held.front(bounded)
+        oldest = held.oldest_items(bounded)
         self._has_more_consumed = bounded.held_back
-        if front.items:
-            held.outdate(front, CONSUMPTION, clock)
+        if oldest.items:
+            held.outdate(oldest, CONSUMPTION, clock)
             held.free(SLICES_CONSUMED_MAX)
-        return front.items > 0
+        return oldest.items > 0
 
     @property
     def _nobody_holds(self) -> bool:
@@ -270,9 +270,9 @@ class Retention:
         if not limits.drops_oldest:
             return
         if limits.max_items is not None and held.items > limits.max_items:
-            held.outdate(held.front_of_items(held.items - limits.max_items), COUNT, clock)
+            held.outdate(held.oldest_by_count(held.items - limits.max_items), COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
-            held.outdate(held.front_of_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
+            held.outdate(held.oldest_by_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
         """Whether the channel has room for `items` more items without the collection of other items."""
@@ -307,7 +307,7 @@ class Retention:
         following = held.next_time(held.oldest)
         if (following is not None and following <= time) or held.bucket_end(held.oldest, time) > clock - age:
             return 0, 0
-        bucket = held.front_before(held.oldest + 1)
+        bucket = held.oldest_before(held.oldest + 1)
         return bucket.items, bucket.payload_bytes
 
     def release_oldest(self, clock: int) -> None:
@@ -315,7 +315,7 @@ class Retention:
         oldest = self._held.oldest
         following = None if oldest is None else self._held.next_time(oldest)
         if following is not None:
-            self._held.outdate(self._held.front_before(following), AGE, clock)
+            self._held.outdate(self._held.oldest_before(following), AGE, clock)
 
     def makes_no_room_at(self, time: int) -> bool:
         """Whether only the bucket at `time` is held, so that no wait makes room for an item at `time`.

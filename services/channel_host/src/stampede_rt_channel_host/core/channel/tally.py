@@ -22,7 +22,7 @@ items than one block has.
 """
 
 
-class Whole(NamedTuple):
+class WholeBlocks(NamedTuple):
     """Some of the first blocks: the number of their items and of their payload bytes.
 
     They hold all held items below `end`.
@@ -33,7 +33,7 @@ class Whole(NamedTuple):
     end: ItemKey
 
 
-NO_BLOCKS = Whole(0, 0, FIRST_KEY)
+NO_BLOCKS = WholeBlocks(0, 0, FIRST_KEY)
 
 
 class Tally:
@@ -109,11 +109,11 @@ class Tally:
         elif items:
             self._count(0, -items, -payload_bytes)
 
-    def whole_below(self, key: ItemKey) -> Whole:
+    def whole_below(self, key: ItemKey) -> WholeBlocks:
         """The blocks that end at or below `key`. One step for each block."""
         return self._whole(self._block(key))
 
-    def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> Whole:
+    def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> WholeBlocks:
         """As many first blocks as have at most `items` items, or at most `charged_bytes` charged bytes, together.
 
         One step for each block.
@@ -126,10 +126,10 @@ class Tally:
         charges = (count * ITEM_OVERHEAD_BYTES + payload for count, payload in columns)
         return self._whole(_within(charges, charged_bytes or 0))
 
-    def _whole(self, blocks: int) -> Whole:
+    def _whole(self, blocks: int) -> WholeBlocks:
         if not blocks:
             return NO_BLOCKS
-        return Whole(sum(self._items[:blocks]), sum(self._payload_bytes[:blocks]), self._ends[blocks - 1])
+        return WholeBlocks(sum(self._items[:blocks]), sum(self._payload_bytes[:blocks]), self._ends[blocks - 1])
 
 
 def _within(counts: Iterator[int], most: int) -> int:

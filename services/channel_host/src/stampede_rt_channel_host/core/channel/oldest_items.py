@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 
-class Front(NamedTuple):
+class OldestItems(NamedTuple):
     """Some of the oldest held items, without a gap between them: their number and their payload bytes.
 
     `last` is their last slice, or None if the front has no items. `rest` is the first slice after them, or None if no
@@ -23,26 +23,26 @@ class Front(NamedTuple):
     rest: Slice | None
 
 
-CountInFront = Callable[[Slice], int]
-"""Returns how many items at the beginning of a slice belong to the front. `Holdings.front` calls the function with one
+CountOldest = Callable[[Slice], int]
+"""Returns how many items at the beginning of a slice belong to the front. `Holdings.oldest_items` calls the function with one
 slice after the other, from the oldest on, until a slice has an item that does not belong to the front.
 """
 
 
-def before(time: int) -> CountInFront:
-    """A `CountInFront` that counts the items before `time`."""
+def before(time: int) -> CountOldest:
+    """A `CountOldest` that counts the items before `time`."""
 
-    def count_in_front(part: Slice) -> int:
+    def count_oldest(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
 
-    return count_in_front
+    return count_oldest
 
 
-def below(key: ItemKey) -> CountInFront:
-    """A `CountInFront` that counts the items below `key`."""
+def below(key: ItemKey) -> CountOldest:
+    """A `CountOldest` that counts the items below `key`."""
     time, seq = key
 
-    def count_in_front(part: Slice) -> int:
+    def count_oldest(part: Slice) -> int:
         if part.last_time < time:
             return part.items
         times = part.run.times
@@ -50,28 +50,28 @@ def below(key: ItemKey) -> CountInFront:
         bucket_end = bisect_right(times, time, bucket, part.hi)
         return min(max(bucket, seq - part.run.first_seq), bucket_end) - part.lo
 
-    return count_in_front
+    return count_oldest
 
 
-def oldest_items(count: int) -> CountInFront:
-    """A `CountInFront` that counts the first `count` items."""
+def first_items(count: int) -> CountOldest:
+    """A `CountOldest` that counts the first `count` items."""
 
-    def count_in_front(part: Slice) -> int:
+    def count_oldest(part: Slice) -> int:
         nonlocal count
         taken = min(part.items, count)
         count -= taken
         return taken
 
-    return count_in_front
+    return count_oldest
 
 
-def oldest_bytes(charged_bytes: int) -> CountInFront:
-    """A `CountInFront` that counts items until they are together charged with `charged_bytes` or more.
+def first_bytes(charged_bytes: int) -> CountOldest:
+    """A `CountOldest` that counts items until they are together charged with `charged_bytes` or more.
 
     An item is charged with its payload and ITEM_OVERHEAD_BYTES.
     """
 
-    def count_in_front(part: Slice) -> int:
+    def count_oldest(part: Slice) -> int:
         nonlocal charged_bytes
         lengths, lo = part.run.lengths, part.lo
         for at in range(lo, part.hi):
@@ -80,4 +80,4 @@ def oldest_bytes(charged_bytes: int) -> CountInFront:
             charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
         return part.items
 
-    return count_in_front
+    return count_oldest
