@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import InFuture, InvalidArgument
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, format_duration
-from stampede_rt_channel_host.core.channel.aged_channel import FREED_ENTRIES_PER_CALL
+from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.consumed_channel import ConsumedChannel
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits

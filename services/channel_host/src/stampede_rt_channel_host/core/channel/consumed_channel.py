@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.channel import pieces
-from stampede_rt_channel_host.core.channel.aged_channel import AgedChannel
+from stampede_rt_channel_host.core.channel.base_channel import BaseChannel
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS, ConsumerPlace, ConsumerStanding
 from stampede_rt_channel_host.core.channel.consumption import Consumed, check_consumption
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 
 
-class ConsumedChannel(AgedChannel):
+class ConsumedChannel(BaseChannel):
     """A channel whose consumers tell which items they have consumed. See `ChannelCore` for `now`."""
 
     def consume(

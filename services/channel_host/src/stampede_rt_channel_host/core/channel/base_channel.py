@@ -23,7 +23,7 @@ FREED_ENTRIES_PER_CALL = 32
 """The most index entries of outdated items that one put or read frees beside its own work."""
 
 
-class AgedChannel:
+class BaseChannel:
     """The parts of one channel. Each call first outdates the items that are too old."""
 
     def __init__(
