@@ -200,23 +200,20 @@ class Holdings(HeldItems):
     def oldest_by_bytes(self, charged_bytes: int) -> OldestItems:
         """The fewest oldest items that are together charged with at least `charged_bytes`."""
         whole = self._tally.whole_within(charged_bytes=charged_bytes)
-        return self.oldest_items(
-            first_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole
-        )
+        in_blocks = whole.payload_bytes + whole.items * ITEM_OVERHEAD_BYTES
+        return self.oldest_items(first_bytes(charged_bytes - in_blocks), whole)
 
     def time_after(self, oldest: OldestItems) -> int | None:
-        """The time of the bucket after the front's last bucket, or None if there is no such bucket or the front is
-        empty.
-        """
+        """The time of the bucket after the last bucket of `oldest`, or None if there is no such bucket or item."""
         if oldest.rest is None or oldest.last is None:
             return None
         last_time, first_held = oldest.last.last_time, oldest.rest.first_time
         return first_held if first_held > last_time else self.next_time(last_time)
 
     def outdate(self, oldest: OldestItems, cause: str, now: int) -> None:
-        """Collect the items of a oldest.
+        """Collect the oldest items.
 
-        Open spans of the newest bucket end at `now`, if the front reaches into that bucket.
+        Open spans of the newest bucket end at `now`, if `oldest` has items of that bucket.
         """
         last = oldest.last
         if last is None:
@@ -235,7 +232,7 @@ class Holdings(HeldItems):
         self.report_gone(REPORTED_SLICES_MAX)
 
     def _leave(self, oldest: OldestItems, cause: str) -> None:
-        """Count the items of a front as collected."""
+        """Count the oldest items as collected."""
         self.items -= oldest.items
         self.payload_bytes -= oldest.payload_bytes
         self._tally.take(oldest.items, oldest.payload_bytes)
@@ -274,7 +271,7 @@ class Holdings(HeldItems):
         return self._reported_to < self.floor
 
     def _note_end(self, oldest: OldestItems, last: Slice, cause: str, now: int) -> None:
-        """Note the latest span end of the items of a oldest, of which `last` is the last slice.
+        """Note the latest span end of the oldest items, of which `last` is the last slice.
 
         Earlier buckets end at or before the last bucket's time, so only the last bucket counts.
         """
@@ -286,7 +283,7 @@ class Holdings(HeldItems):
             end = latest_end(bucket, time, following)
         else:
             newest_end = self.newest_end(now)
-            assert newest_end is not None, "the front is not empty"
+            assert newest_end is not None, "`oldest` is not empty"
             end = end_of_newest(bucket, time, now, newest_end)
         end = max(end, time + self.overlap_nanos)
         if self.collected_end is None or end >= self.collected_end:

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 class OldestItems(NamedTuple):
     """Some of the oldest held items, without a gap between them: their number and their payload bytes.
 
-    `last` is their last slice, or None if the front has no items. `rest` is the first slice after them, or None if no
+    `last` is their last slice, or None if there are no such items. `rest` is the first slice after them, or None if no
     held item follows. Both may be parts of one slice of the index.
     """
 
@@ -24,8 +24,10 @@ class OldestItems(NamedTuple):
 
 
 CountOldest = Callable[[Slice], int]
-"""Returns how many items at the beginning of a slice belong to the front. `Holdings.oldest_items` calls the function with one
-slice after the other, from the oldest on, until a slice has an item that does not belong to the front.
+"""Returns how many items at the beginning of a slice belong to the `OldestItems`.
+
+`Holdings.oldest_items` calls the function with one slice after the other, from the oldest on, until a slice has an item
+that does not belong to them.
 """
 
 
