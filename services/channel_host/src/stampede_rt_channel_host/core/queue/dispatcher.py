@@ -6,7 +6,7 @@ from collections import OrderedDict
 from heapq import heappop, heappush
 from itertools import islice
 
-from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.takers import TakerState
@@ -44,15 +44,15 @@ class TakerCursor:
         self.returns_seen = returns_seen
         self.passed: list[int] = []
 
-    def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
-        """The oldest touched message that the taker may get, or None if there is none.
+    def next_for(self, taker_id: int, queue_items: QueueItems) -> TrackedItem | None:
+        """The oldest tracked message that the taker may get, or None if there is none.
 
         If very many messages have just come back, the result may be another one of these.
         """
         while True:  # each round looks at other messages that came back
             is_behind = self._look_at_returns(taker_id, queue_items)
             while self.passed:
-                passed = queue_items.touched.get(self.passed[0])
+                passed = queue_items.tracked.get(self.passed[0])
                 if passed is not None and passed.is_available and passed.may_go_to(taker_id):
                     return passed
                 heappop(self.passed)
@@ -191,7 +191,7 @@ class Dispatcher:
             run = queue_items.fresh_run()
             if run is None or not draft.has_room(run, queue_items.fresh_position):
                 return False
-            item = queue_items.touch_fresh()
+            item = queue_items.track_fresh()
         elif not draft.has_room(item.run, item.position):
             return False
         if cursor is not None:

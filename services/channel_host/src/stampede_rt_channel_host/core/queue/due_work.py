@@ -10,7 +10,7 @@ from itertools import islice
 
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
-from stampede_rt_channel_host.core.queue.items import TouchedItem
+from stampede_rt_channel_host.core.queue.items import TrackedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 
@@ -74,7 +74,7 @@ class DueWork:
         self.follow_up(clock)
 
     def check_all(self) -> None:
-        """Check all touched messages against the limits, the first ones now, the rest at each `tick`.
+        """Check all tracked messages against the limits, the first ones now, the rest at each `tick`.
 
         Until all are checked, takers get no messages.
         """
@@ -95,10 +95,10 @@ class DueWork:
         return self._dispatcher.has_more or self._enqueuing.has_more
 
     def _check_some(self) -> int:
-        """Check some touched messages against the limits, if not all are checked. Returns their number."""
-        items: list[TouchedItem] = []
+        """Check some tracked messages against the limits, if not all are checked. Returns their number."""
+        items: list[TrackedItem] = []
         if self._unchecked_from is not None:
-            items = [*islice(self._queue_items.touched.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
+            items = [*islice(self._queue_items.tracked.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
             self._unchecked_from = items[-1].seq + 1 if len(items) == CHECKED_PER_CALL_MAX else None
         for item in items:
             self._leasing.check_again(item)

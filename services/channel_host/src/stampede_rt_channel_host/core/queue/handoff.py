@@ -15,7 +15,7 @@ from typing import NamedTuple
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
-from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
@@ -79,7 +79,7 @@ class QueueHandoff:
 
 def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
     """The queue as of `now`. The result shares no mutable object with the queue."""
-    held = [item.seq for item in queue_items.touched.values()]
+    held = [item.seq for item in queue_items.tracked.values()]
     fresh = [seq for run, position in queue_items.fresh() for seq in range(run.first_seq + position, run.end_seq)]
     return QueueHandoff(
         next_seq=queue_items.next_seq,
@@ -111,10 +111,10 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
         if seq in states:
             _enter(queue_items, leasing, states[seq], now)
         elif seq < fresh_from:
-            queue_items.refresh(queue_items.touched[seq])
+            queue_items.refresh(queue_items.tracked[seq])
     queue_items.next_seq = state.next_seq
     for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they will leave
-        queue_items.set_leaving(queue_items.touched[seq])
+        queue_items.set_leaving(queue_items.tracked[seq])
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
@@ -131,7 +131,7 @@ def _aged(kept: KeptRun, now: int) -> KeptRun:
 def _fresh_from(state: QueueHandoff) -> int:
     """The seq from which on messages become fresh messages: the queue holds all of these, and none has a history.
 
-    An older message becomes a touched message, even if it has no history. An example is a message whose delivery the
+    An older message becomes a tracked message, even if it has no history. An example is a message whose delivery the
     queue took back before the host sent it.
     """
     if not state.held or state.held[-1].last != state.next_seq - 1:
@@ -142,7 +142,7 @@ def _fresh_from(state: QueueHandoff) -> int:
 def _runs(queue_items: QueueItems) -> Iterator[QueuedRun]:
     """Each run with a held message, once."""
     last: QueuedRun | None = None
-    for run in chain((item.run for item in queue_items.touched.values()), (run for run, _ in queue_items.fresh())):
+    for run in chain((item.run for item in queue_items.tracked.values()), (run for run, _ in queue_items.fresh())):
         if run is not last:
             last = run
             yield run
@@ -157,16 +157,16 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
     return found
 
 
-def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
+def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
     """The messages with a history that do not wait for a move to the dead-letter queue."""
-    for item in queue_items.touched.values():
+    for item in queue_items.tracked.values():
         has_history = item.returned or item.leases or item.acknowledged or item.due is not None
         if has_history and not item.is_leaving:
             yield item
 
 
-def _state(item: TouchedItem, leasing: Leasing, now: int) -> ItemState:
-    """A touched message as a value."""
+def _state(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
+    """A tracked message as a value."""
     leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
     return ItemState(
         seq=item.seq,
@@ -186,7 +186,7 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
 
 def _enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
     """Give a restored message its history."""
-    item = queue_items.touched[state.seq]
+    item = queue_items.tracked[state.seq]
     item.acknowledged = tuple(state.acknowledged)
     item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])

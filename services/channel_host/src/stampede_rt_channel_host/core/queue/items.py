@@ -57,7 +57,7 @@ class FailedDelivery(NamedTuple):
     reason: str = ""
 
 
-class TouchedItem:
+class TrackedItem:
     """A message that was delivered at least once.
 
     `returned` has a number for each copy that was delivered and has no taker now: the number of the copy's deliveries.

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.queue.items import (
     LEASE_EXPIRED,
     TERMINATED,
     FailedDelivery,
-    TouchedItem,
+    TrackedItem,
 )
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.takers import TakerState
@@ -43,7 +43,7 @@ class Lease:
 
     __slots__ = ("due", "item", "leased_at", "number", "order", "taker")
 
-    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker: TakerState, leased_at: int) -> None:
+    def __init__(self, delivery_id: int, item: TrackedItem, number: int, taker: TakerState, leased_at: int) -> None:
         self.order = delivery_id
         self.item = item
         self.number = number
@@ -69,7 +69,7 @@ class Leasing:
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
 
-    def deliver(self, item: TouchedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
+    def deliver(self, item: TrackedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the message. Returns the delivery's id and its number among the copy's deliveries.
 
         Of the returned copies, the one that was delivered most often comes first. So a message that no taker can
@@ -150,7 +150,7 @@ class Leasing:
                     else:
                         self._put_back(lease.item)
 
-    def settle_copies(self, item: TouchedItem) -> bool:
+    def settle_copies(self, item: TrackedItem) -> bool:
         """Remove the message as consumed if enough takers have acknowledged it. Returns True if it was removed."""
         if len(item.acknowledged) < self._queue_items.limits.copies:
             return False
@@ -159,8 +159,8 @@ class Leasing:
         self._queue_items.remove(item)
         return True
 
-    def check_again(self, item: TouchedItem) -> None:
-        """Apply the present limits to a touched message, after the limits have changed."""
+    def check_again(self, item: TrackedItem) -> None:
+        """Apply the present limits to a tracked message, after the limits have changed."""
         if item.is_leaving and not self._queue_items.limits.dead_letters:
             self.expel(item)
         elif not self.settle_copies(item):
@@ -169,12 +169,12 @@ class Leasing:
             else:
                 self._put_back(item)
 
-    def is_exhausted(self, item: TouchedItem) -> bool:
+    def is_exhausted(self, item: TrackedItem) -> bool:
         """Whether the queue has delivered one of the returned copies as often as the limit allows."""
         most = self._queue_items.limits.max_deliveries
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
-    def give_up(self, item: TouchedItem) -> None:
+    def give_up(self, item: TrackedItem) -> None:
         """End the leases of the message. Let it move to the dead-letter queue or, if there is none, remove it."""
         if self._queue_items.limits.dead_letters:
             self._void(item)
@@ -182,7 +182,7 @@ class Leasing:
         else:
             self.expel(item)
 
-    def expel(self, item: TouchedItem) -> None:
+    def expel(self, item: TrackedItem) -> None:
         """End the leases of the message and remove it, without a move to a dead-letter queue."""
         self._void(item)
         self._queue_items.tally.expelled += 1
@@ -226,12 +226,12 @@ class Leasing:
             self._queue_items.delays.arm(item, not_before)
         self._put_back(item)
 
-    def _put_back(self, item: TouchedItem) -> None:
+    def _put_back(self, item: TrackedItem) -> None:
         """Make a message whose lease has ended available to takers again, unless the queue holds it back."""
         self._queue_items.refresh(item)
         self._queue_items.log_return(item)
 
-    def _void(self, item: TouchedItem) -> None:
+    def _void(self, item: TrackedItem) -> None:
         """End all leases of the message."""
         for delivery_id in list(item.leases.values()):
             self._end(self.leases[delivery_id])

@@ -211,7 +211,7 @@ class QueueCore:
     def configure(self, limits: QueueLimits, now: int) -> None:
         """Set other limits. Held messages stay, even if they need more room than the new limits allow.
 
-        The queue checks all touched messages against the new limits, a bounded number in one call. Until all are
+        The queue checks all tracked messages against the new limits, a bounded number in one call. Until all are
         checked, it gives takers no messages.
         """
         clock = self._due_work.tick(now)
@@ -222,7 +222,7 @@ class QueueCore:
     def emptying(self) -> Pieces[None]:
         """Remove all messages, in pieces. The caller must not use the queue between the pieces or afterwards."""
         while self._queue_items.items:
-            for item in [*islice(self._queue_items.touched.values(), EMPTIED_PER_PIECE)]:
+            for item in [*islice(self._queue_items.tracked.values(), EMPTIED_PER_PIECE)]:
                 self._leasing.expel(item)
             yield
             for _ in range(EMPTIED_PER_PIECE):

@@ -1,6 +1,6 @@
 """The messages of a queue. Pure.
 
-Fresh messages were never delivered. They stand in the order of acceptance. Touched messages were delivered at least
+Fresh messages were never delivered. They stand in the order of acceptance. Tracked messages were delivered at least
 once. Sorted lists say which of these a taker may get, and which of these have no lease. Every operation costs amortised
 O(log n).
 """
@@ -16,7 +16,7 @@ from sortedcontainers import SortedDict, SortedList
 
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
-from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
 
 
@@ -42,9 +42,9 @@ class QueueTally:
 
 
 class QueueItems:
-    """The held messages. Seqs start at 1. All touched messages are older than all fresh messages.
+    """The held messages. Seqs start at 1. All tracked messages are older than all fresh messages.
 
-    `touched` maps seqs to touched messages. `leased` counts messages with a lease. `stored_bytes` is the sum of the
+    `tracked` maps seqs to tracked messages. `leased` counts messages with a lease. `stored_bytes` is the sum of the
     bodies of all runs with a held message. `leaving` has the messages that wait for their move to the dead-letter
     queue, by seq.
     """
@@ -55,14 +55,14 @@ class QueueItems:
         self.next_seq = 1
         self.items = self.payload_bytes = self.stored_bytes = 0
         self.fresh_items = self.leased = 0
-        self.touched: ChunkedMap[TouchedItem] = ChunkedMap()
-        self.leaving: OrderedDict[int, TouchedItem] = OrderedDict()
-        self.delays: Deadlines[TouchedItem] = Deadlines()  # the messages that the queue holds back
+        self.tracked: ChunkedMap[TrackedItem] = ChunkedMap()
+        self.leaving: OrderedDict[int, TrackedItem] = OrderedDict()
+        self.delays: Deadlines[TrackedItem] = Deadlines()  # the messages that the queue holds back
         self.returns_logged = 0  # the number of the latest return; see `log_return`
         self._fresh: deque[QueuedRun] = deque()
         self._fresh_position = 0  # the position of the first fresh message in the first run of `_fresh`
-        self._available: Any = SortedList()  # seqs of touched messages that some taker may get
-        self._unleased: Any = SortedList()  # seqs of touched messages without a lease
+        self._available: Any = SortedList()  # seqs of tracked messages that some taker may get
+        self._unleased: Any = SortedList()  # seqs of tracked messages without a lease
         self._returns: Any = SortedDict()  # return number -> seq of an available message; empty if `copies` is 1
 
     def has_room(self, length: int) -> bool:
@@ -94,7 +94,7 @@ class QueueItems:
     def put_back(self, run: QueuedRun, position: int, *, is_fresh: bool) -> None:
         """Enter a message that another host held. The caller enters messages in the order of their seqs.
 
-        This order puts all touched messages before all fresh messages.
+        This order puts all tracked messages before all fresh messages.
         """
         if not run.held:
             self.stored_bytes += len(run.body)
@@ -102,8 +102,8 @@ class QueueItems:
         self.items += 1
         self.payload_bytes += run.lengths[position]
         if not is_fresh:
-            item = TouchedItem(run, position)
-            self.touched[item.seq] = item
+            item = TrackedItem(run, position)
+            self.tracked[item.seq] = item
             return
         self.fresh_items += 1
         if not self._fresh:
@@ -121,7 +121,7 @@ class QueueItems:
     def drop_oldest(self) -> bool:
         """Remove the oldest message without a lease. Returns False if there is none."""
         if self._unleased:
-            self.remove(self.touched[self._unleased[0]])
+            self.remove(self.tracked[self._unleased[0]])
         elif (run := self.fresh_run()) is not None:
             length = run.lengths[self._fresh_position]
             self._fresh_position += 1
@@ -144,17 +144,17 @@ class QueueItems:
         """The position of the first fresh message in `fresh_run()`."""
         return self._fresh_position
 
-    def touch_fresh(self) -> TouchedItem:
-        """Turn the first fresh message into a touched message, for its first delivery.
+    def track_fresh(self) -> TrackedItem:
+        """Turn the first fresh message into a tracked message, for its first delivery.
 
         There must be a fresh message.
         """
         run = self.fresh_run()
         assert run is not None, "the caller has checked that there is a fresh message"
-        item = TouchedItem(run, self._fresh_position)
+        item = TrackedItem(run, self._fresh_position)
         self._fresh_position += 1
         self.fresh_items -= 1
-        self.touched[item.seq] = item
+        self.tracked[item.seq] = item
         return item
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
@@ -170,25 +170,25 @@ class QueueItems:
         """The number of messages that some taker may get."""
         return self.fresh_items + len(self._available)
 
-    def first_available(self, from_seq: int = 0) -> TouchedItem | None:
-        """The oldest touched message from `from_seq` on that some taker may get, or None if there is none."""
+    def first_available(self, from_seq: int = 0) -> TrackedItem | None:
+        """The oldest tracked message from `from_seq` on that some taker may get, or None if there is none."""
         if not self._available:
             return None
         for seq in self._available.irange(minimum=from_seq):
-            return self.touched[seq]
+            return self.tracked[seq]
         return None
 
-    def returned_since(self, number: int) -> Iterator[TouchedItem]:
+    def returned_since(self, number: int) -> Iterator[TrackedItem]:
         """The available messages whose return has a higher number than `number`, in the order of their returns."""
         for later in self._returns.irange(minimum=number, inclusive=(False, True)):
-            yield self.touched[self._returns[later]]
+            yield self.tracked[self._returns[later]]
 
     @property
     def latest_return(self) -> int:
         """The number of the latest return of a message that is still available, or 0 if there is none."""
         return self._returns.peekitem(-1)[0] if self._returns else 0
 
-    def log_return(self, item: TouchedItem) -> None:
+    def log_return(self, item: TrackedItem) -> None:
         """Note that a copy came back, so that takers whose cursor is after the message look at it again."""
         if self.limits.copies > 1 and item.is_available:
             self._returns.pop(item.return_number, None)
@@ -196,7 +196,7 @@ class QueueItems:
             item.return_number = self.returns_logged
             self._returns[self.returns_logged] = item.seq
 
-    def refresh(self, item: TouchedItem) -> None:
+    def refresh(self, item: TrackedItem) -> None:
         """Update the sorted lists after a change of the message."""
         available = not item.is_leaving and item.due is None and item.free_copies(self.limits.copies) > 0
         unleased = not item.is_leaving and not item.leases
@@ -209,17 +209,17 @@ class QueueItems:
             item.is_unleased = unleased
             (self._unleased.add if unleased else self._unleased.remove)(item.seq)
 
-    def set_leaving(self, item: TouchedItem) -> None:
+    def set_leaving(self, item: TrackedItem) -> None:
         """Mark a message as one that waits for its move to the dead-letter queue. No taker gets it any more."""
         item.is_leaving = True
         self.delays.disarm(item)
         self.leaving[item.seq] = item
         self.refresh(item)
 
-    def remove(self, item: TouchedItem) -> None:
+    def remove(self, item: TrackedItem) -> None:
         """Remove a message, which must have no lease."""
         assert not item.leases, "a leased message cannot be removed"
-        del self.touched[item.seq]
+        del self.tracked[item.seq]
         self.leaving.pop(item.seq, None)
         self.delays.disarm(item)
         if item.is_available:
@@ -240,7 +240,7 @@ class QueueItems:
     @property
     def oldest_accepted_at(self) -> int | None:
         """The time at which the oldest held message was accepted, or None if no message is held."""
-        if self.touched:
-            return next(self.touched.values()).run.accepted_at
+        if self.tracked:
+            return next(self.tracked.values()).run.accepted_at
         run = self.fresh_run()
         return None if run is None else run.accepted_at
