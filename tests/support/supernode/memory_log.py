@@ -19,7 +19,7 @@ from stampede_rt_supernode.replication.interface import (
 SELF, OTHER = Member(member_id="s1", address="localhost:7581"), Member(member_id="s2", address="localhost:7582")
 
 
-class Fate(Enum):
+class ProposalOutcome(Enum):
     """The outcome of a proposal."""
 
     REFUSED = "not taken"
@@ -28,7 +28,7 @@ class Fate(Enum):
 
 
 class MemoryLog:
-    """A log in memory. `fates`: the outcomes of the next proposals; empty: all succeed. `quorum` False: all fail."""
+    """A log in memory. `outcomes`: the outcomes of the next proposals; empty: all succeed. `quorum` False: all fail."""
 
     def __init__(self, machine: StateMachine) -> None:
         self.machine = machine
@@ -46,7 +46,7 @@ class MemoryLog:
         self.change_fails: Exception | None = None
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
-        self.fates: deque[Fate] = deque()
+        self.outcomes: deque[ProposalOutcome] = deque()
         # With True the next proposal never ends for its caller. `apply_held` applies it later.
         self.holds = False
         self.held: list[bytes] = []
@@ -54,15 +54,15 @@ class MemoryLog:
         self.reads_may_end = asyncio.Event()
         self.reads_may_end.set()
         self.read_waits = asyncio.Event()  # set once a read has come; reads wait for `reads_may_end`
-        self.fate_met = asyncio.Event()  # set once a proposal has had one of the fates
+        self.outcome_met = asyncio.Event()  # set once a proposal has had one of the outcomes
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
-        fate = self.fates.popleft() if self.fates else None
-        if fate is not None:
-            self.fate_met.set()
-        if fate is Fate.REFUSED or not self.quorum:
+        outcome = self.outcomes.popleft() if self.outcomes else None
+        if outcome is not None:
+            self.outcome_met.set()
+        if outcome is ProposalOutcome.REFUSED or not self.quorum:
             raise LogUnavailable("told so")
-        if fate is Fate.LOST:
+        if outcome is ProposalOutcome.LOST:
             raise Ambiguous("told so")
         if self.holds:
             self.holds = False
@@ -71,7 +71,7 @@ class MemoryLog:
             await asyncio.Event().wait()  # until the caller gives up
         self.index += 1
         result = self.machine.apply(self.index, command)
-        if fate is Fate.DONE_UNHEARD:
+        if outcome is ProposalOutcome.DONE_UNHEARD:
             raise Ambiguous("told so")
         return result
 

@@ -12,7 +12,7 @@ from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.servicers import calls, submission
-from tests.support.supernode.memory_log import Fate
+from tests.support.supernode.memory_log import ProposalOutcome
 from tests.support.supernode.node import Node, reason_of, running_node, spec
 from tests.support.supernode.operations import TTL_NANOS, id_of
 
@@ -103,9 +103,9 @@ async def test_repeating_a_request_id_repeats_the_answer(node: Node) -> None:
     assert other.reason == "INVALID_ARGUMENT"
 
 
-@pytest.mark.parametrize("fate", list(Fate))
-async def test_an_update_survives_a_proposal_that_fails_and_is_done_once(node: Node, fate: Fate) -> None:
-    node.log.fates.extend([fate, fate])
+@pytest.mark.parametrize("outcome", list(ProposalOutcome))
+async def test_an_update_survives_a_proposal_that_fails_and_is_done_once(node: Node, outcome: ProposalOutcome) -> None:
+    node.log.outcomes.extend([outcome, outcome])
     opened = await node.open("cam")
     assert opened.created
     assert opened.host.channels == 1
@@ -113,7 +113,7 @@ async def test_an_update_survives_a_proposal_that_fails_and_is_done_once(node: N
 
 async def test_an_outcome_that_stays_unknown_is_ambiguous(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calls, "ANSWER_SECONDS", 2.0)  # the answer comes within it on a busy machine, too
-    node.log.fates.extend([Fate.LOST] + [Fate.REFUSED] * 1000)
+    node.log.outcomes.extend([ProposalOutcome.LOST] + [ProposalOutcome.REFUSED] * 1000)
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))
     error = await reason_of(node.stub.DeleteChannel(request, timeout=2.5))
     assert error.reason == "AMBIGUOUS"
@@ -136,16 +136,16 @@ async def test_a_failed_proposal_is_repeated_a_bounded_number_of_times(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(submission, "BACKOFF_SECONDS_MIN", 0.1)
-    node.log.fates.extend([Fate.REFUSED] * 1000)
+    node.log.outcomes.extend([ProposalOutcome.REFUSED] * 1000)
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))
     await reason_of(node.stub.DeleteChannel(request, timeout=0.6))
-    assert 1000 - len(node.log.fates) < 15
+    assert 1000 - len(node.log.outcomes) < 15
 
 
 async def test_a_call_that_waits_when_the_supernode_stops_is_sent_to_another(node: Node) -> None:
-    node.log.fates.extend([Fate.REFUSED] * 1000)
+    node.log.outcomes.extend([ProposalOutcome.REFUSED] * 1000)
     waiting = asyncio.ensure_future(node.open("cam"))
-    await node.log.fate_met.wait()
+    await node.log.outcome_met.wait()
     node.submission.close()
     assert (await reason_of(waiting)).reason == "SHUTTING_DOWN"
 

@@ -10,7 +10,7 @@ import pytest_asyncio
 
 from stampede_rt_supernode.core.kept_answers import MARKS_KEPT
 from stampede_rt_supernode.servicers import lease_keeper
-from tests.support.supernode.memory_log import OTHER, Fate
+from tests.support.supernode.memory_log import OTHER, ProposalOutcome
 from tests.support.supernode.node import Node, reason_of, running_node
 
 
@@ -103,10 +103,10 @@ async def test_a_leader_replaced_while_it_confirms_acknowledges_nothing(node: No
 
 async def test_once_its_end_is_proposed_a_lease_is_not_renewed_even_if_the_proposal_fails(node: Node) -> None:
     await node.pass_seconds(4)
-    node.log.fates.append(Fate.REFUSED)
+    node.log.outcomes.append(ProposalOutcome.REFUSED)
     node.clock.advance(2 * 10**9)
     ending = asyncio.ensure_future(node.leases.tick())
-    await node.log.fate_met.wait()
+    await node.log.outcome_met.wait()
     error = await reason_of(node.renew(1))
     assert error.reason == "LEASE_EXPIRED"
     await ending

@@ -11,7 +11,7 @@ from stampede_rt.v1 import directory_pb2, queue_pb2
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peers_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
-from tests.support.supernode.memory_log import Fate
+from tests.support.supernode.memory_log import ProposalOutcome
 from tests.support.supernode.node import Node, reason_of, running_node
 from tests.support.supernode.operations import id_of
 
@@ -65,7 +65,7 @@ async def test_a_queue_that_is_there_is_opened_without_an_entry_in_the_log(node:
 
 
 async def test_a_queue_is_made_once_although_its_first_proposal_is_not_heard_of(node: Node) -> None:
-    node.log.fates.append(Fate.DONE_UNHEARD)
+    node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
     assert (await node.queues.OpenQueue(open_request(1, "jobs"))).created
     assert len((await node.queues.ListQueues(pb.ListQueuesRequest())).queues) == 1
 

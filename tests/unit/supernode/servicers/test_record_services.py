@@ -12,7 +12,7 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, group_pb2, replica_pb2, s
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
 from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
-from tests.support.supernode.memory_log import Fate
+from tests.support.supernode.memory_log import ProposalOutcome
 from tests.support.supernode.node import Node, reason_of, running_node
 from tests.support.supernode.operations import id_of
 
@@ -77,7 +77,7 @@ async def test_a_group_that_is_there_is_opened_without_an_entry_in_the_log(node:
 
 async def test_a_group_is_made_once_although_its_first_proposal_is_not_heard_of(node: Node) -> None:
     left, _ = await two_channels(node)
-    node.log.fates.append(Fate.DONE_UNHEARD)
+    node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
     opened = await node.groups.OpenGroup(open_request(1, "pair", left))
     assert opened.created
     assert len((await node.groups.ListGroups(groups_pb.ListGroupsRequest())).groups) == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pysyncobj.config import FAIL_REASON
 
-from stampede_rt_supernode.replication.library.node import Fate, LibraryNode
+from stampede_rt_supernode.replication.library.node import LibraryNode, ProposalFailure
 from stampede_rt_supernode.replication.wire.messages import (
     ForwardedCommand,
     ForwardedCommandReply,
@@ -19,13 +19,14 @@ UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
 
 
 @pytest.mark.parametrize(
-    ("reason", "fate"), [(name, Fate.NOT_TAKEN) for name in NOT_TAKEN] + [(name, Fate.UNKNOWN) for name in UNKNOWN]
+    ("reason", "failure"),
+    [(name, ProposalFailure.NOT_TAKEN) for name in NOT_TAKEN] + [(name, ProposalFailure.UNKNOWN) for name in UNKNOWN],
 )
-def test_every_reason_of_the_library_says_what_became_of_a_command(reason: str, fate: Fate) -> None:
+def test_every_reason_of_the_library_says_what_became_of_a_command(reason: str, failure: ProposalFailure) -> None:
     lone, heard = LoneNode(), []
     lone.node._applyCommand = lambda command, callback, kind: callback(None, getattr(FAIL_REASON, reason))
     lone.node.propose(b"c", heard.append)
-    assert heard == [fate]
+    assert heard == [failure]
 
 
 def test_a_reason_that_nothing_should_give_stops_the_replica() -> None:
@@ -63,4 +64,4 @@ def test_a_forwarded_command_that_the_leader_does_not_take_is_certainly_not_in_t
     lone.node.propose(b"new", heard.append)
     [(_, request)] = lone.tick()
     lone.receive("b", ForwardedCommandReply(request_id=request.request_id, refusal=ForwardRefusal.DENIED))
-    assert heard == [Fate.NOT_TAKEN]
+    assert heard == [ProposalFailure.NOT_TAKEN]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
-from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
+from stampede_rt_supernode.replication.library.node import ProposalDone, ProposalFailure
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal, Proposals
 
 
@@ -49,10 +49,10 @@ def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadlin
     library = Library()
     library.propose()
     library.advance(1.0)
-    library.handed[0][1](Fate.NOT_TAKEN)
+    library.handed[0][1](ProposalFailure.NOT_TAKEN)
     library.advance(2.0)
     assert len(library.handed) == 2
-    library.handed[1][1](Fate.NOT_TAKEN)
+    library.handed[1][1](ProposalFailure.NOT_TAKEN)
     library.advance(10.0)
     assert [type(outcome) for outcome in library.outcomes] == [LogUnavailable]
 
@@ -61,7 +61,7 @@ def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again() -> N
     library = Library()
     library.propose()
     library.advance(1.0)
-    library.handed[0][1](Fate.UNKNOWN)
+    library.handed[0][1](ProposalFailure.UNKNOWN)
     library.advance(2.0)
     assert len(library.handed) == 1
     assert isinstance(library.outcomes[0], Ambiguous)

@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.library.node import CANDIDATE, Fate
+from stampede_rt_supernode.replication.library.node import CANDIDATE, ProposalFailure
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
@@ -166,7 +166,7 @@ def test_what_a_stranger_refuses_disputes_nothing() -> None:
     assert lone.node.disputed_by == {}
 
 
-def forwarded(lone: LoneNode, outcomes: list[bytes | Fate]) -> int:
+def forwarded(lone: LoneNode, outcomes: list[bytes | ProposalFailure]) -> int:
     """Have the node forward a command to its leader; returns the id of the request."""
     lone.node.propose(b"command", outcomes.append)
     [(_, message)] = lone.tick()
@@ -178,7 +178,7 @@ def taken(request_id: int, log_index: int) -> Message:
 
 
 def test_only_the_leader_answers_what_was_asked_of_it() -> None:
-    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | Fate]
+    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | ProposalFailure]
     lone.receive("b", append(1, (1, 0), []))
     request_id = forwarded(lone, outcomes)
     lone.receive("c", taken(request_id, 5))
@@ -188,13 +188,13 @@ def test_only_the_leader_answers_what_was_asked_of_it() -> None:
 
 
 def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() -> None:
-    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | Fate]
+    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | ProposalFailure]
     lone.receive("b", append(1, (1, 0), []))
     most = lone.node.conf.commandsQueueSize
     for number in range(most + 10):
         lone.receive("b", taken(forwarded(lone, outcomes), 1000 + number))
     assert lone.node.callers_waiting_count() == most
-    assert outcomes == [Fate.UNKNOWN] * 10
+    assert outcomes == [ProposalFailure.UNKNOWN] * 10
 
 
 def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answer_only() -> None:

@@ -34,8 +34,8 @@ class RandomSource(Protocol):
         """A number in [0, 1)."""
 
 
-class Fate(enum.Enum):
-    """The fate of a command without a result."""
+class ProposalFailure(enum.Enum):
+    """Why a command has no result."""
 
     # The command is certainly not in the log, or was cut off the log before any member applied it.
     NOT_TAKEN = enum.auto()
@@ -43,12 +43,12 @@ class Fate(enum.Enum):
     UNKNOWN = enum.auto()
 
 
-# Gets the result of a command, or its fate.
-ProposalDone = Callable[[bytes | Fate], None]
+# Gets the result of a command, or why there is none.
+ProposalDone = Callable[[bytes | ProposalFailure], None]
 
 # The library's FAIL_REASON numbers. A command was not taken in five cases: its queue was full, no leader was known, its
-# entry was replaced, the asked member did not lead, or the state does not accept the command yet. Its fate is unknown
-# after a change of the leader, or if the library says so.
+# entry was replaced, the asked member did not lead, or the state does not accept the command yet. Its outcome is
+# unknown after a change of the leader, or if the library says so.
 _SUCCESS = 0
 _REASON_DENIED = 6
 _REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
@@ -161,11 +161,11 @@ class LibraryNode:
             self.log.commit_index = log_index
 
     def propose(self, command: bytes, done: ProposalDone) -> None:
-        """Put a command into the log, or send it to the leader. Calls `done` with the result or the fate."""
+        """Put a command into the log, or send it to the leader. Calls `done` with the result or the failure."""
         self._applyCommand(command, lambda result, reason: done(_outcome(result, reason)), COMMAND)
 
     def give_up_forwarded(self) -> None:
-        """Report an unknown fate for the commands that this node has forwarded, because their answers may be lost."""
+        """Report an unknown outcome for all commands that this node has forwarded: their answers may be lost."""
         self._SyncObj__onLeaderChanged()
 
     def callers_waiting_count(self) -> int:
@@ -173,13 +173,13 @@ class LibraryNode:
         return len(self._SyncObj__commandsWaitingCommit)
 
     def disown_forwarded(self, request_id: int) -> None:
-        """Report an unknown fate to the caller of a forwarded command."""
+        """Report an unknown outcome to the caller of a forwarded command."""
         callback = self._SyncObj__commandsWaitingReply.pop(request_id, None)
         if callback is not None:
             callback(None, _REASON_UNKNOWN)
 
     def give_up_waiting(self, log_index: int) -> None:
-        """Report an unknown fate for commands up to a position, because a snapshot has replaced them."""
+        """Report an unknown outcome for commands up to a position, because a snapshot has replaced them."""
         waiting = self._SyncObj__commandsWaitingCommit
         for index in [index for index in waiting if index <= log_index]:
             for _, callback in waiting.pop(index):
@@ -268,12 +268,12 @@ class LibraryNode:
         return self.apply(self.last_applied + 1, command[1:]) if command[0] == COMMAND else None
 
 
-def _outcome(result: bytes | None, reason: int) -> bytes | Fate:
+def _outcome(result: bytes | None, reason: int) -> bytes | ProposalFailure:
     if reason == _SUCCESS:
         assert result is not None
         return result
     if reason in _REASONS_NOT_TAKEN:
-        return Fate.NOT_TAKEN
+        return ProposalFailure.NOT_TAKEN
     if reason in _REASONS_UNKNOWN:
-        return Fate.UNKNOWN
+        return ProposalFailure.UNKNOWN
     raise AssertionError(f"the library answered a command with reason {reason}")

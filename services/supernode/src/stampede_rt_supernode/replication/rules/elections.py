@@ -107,7 +107,7 @@ class RaftRules(Following, Leading):
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
         """Take in the leader's answer to a forwarded command. The caller then waits for the command's commit.
 
-        If too many callers wait for commits already, this caller gets an unknown fate at once.
+        If too many callers wait for commits already, this caller gets an unknown outcome at once.
         """
         if node != self.leader:
             return
@@ -195,7 +195,7 @@ class PreVoteElections(RaftRules):
     def _lose_leader(self) -> None:
         """Forget the leader, because an election is due.
 
-        Reads wait for the next leader. Commands that were forwarded to the former leader get an unknown fate.
+        Reads wait for the next leader. Commands that were forwarded to the former leader get an unknown outcome.
         """
         if self.leader is not None:
             self.leader = None

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
-from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
+from stampede_rt_supernode.replication.library.node import ProposalDone, ProposalFailure
 
 Outcome = bytes | LogUnavailable | Ambiguous
 
@@ -95,15 +95,15 @@ class Proposals:
         self._submitted += 1
         self._submit(proposal.command, lambda answer: self._on_answer(proposal, answer))
 
-    def _on_answer(self, proposal: Proposal, answer: bytes | Fate) -> None:
+    def _on_answer(self, proposal: Proposal, answer: bytes | ProposalFailure) -> None:
         if proposal.finished:
             return
         self._submitted -= 1
-        if answer is Fate.NOT_TAKEN:
+        if answer is ProposalFailure.NOT_TAKEN:
             # The command is certainly not applied. It waits for the next leader, until its own deadline.
             proposal.submitted = False
             self._waiting.append(proposal)
-        elif answer is Fate.UNKNOWN:
+        elif answer is ProposalFailure.UNKNOWN:
             self._finish(proposal, Ambiguous("the leader changed during the command, which may still be applied"))
         else:
             self._finish(proposal, answer)

@@ -72,8 +72,8 @@ class NodeState(LibraryNode):
     def on_stream_opened(self, node: MemberNode) -> None:
         """Note that a stream to or from a member has ended or begun, so that requests or replies may be lost.
 
-        If the member is the leader, this node repeats its read requests, and reports an unknown fate for the commands
-        that it has forwarded. The library lets the callers of those commands wait for ever.
+        If the member is the leader, this node repeats its read requests, and reports an unknown outcome for its
+        forwarded commands. The library lets the callers of those commands wait for ever.
         """
         if node == self.leader:
             self.give_up_forwarded()
