@@ -30,7 +30,7 @@ def test_a_caller_uses_as_much_as_its_limit_and_no_more() -> None:
 
 def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
     one = account(bytes_in_flight=10)
-    one.hold(Quota.BYTES_IN_FLIGHT).set(7)
+    one.charge_for(Quota.BYTES_IN_FLIGHT).set(7)
     with pytest.raises(Overloaded) as caught:
         one.check(Quota.BYTES_IN_FLIGHT, 4)
     assert caught.value.message == (
@@ -42,7 +42,7 @@ def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
 
 def test_holds_add_up_and_what_is_set_to_nothing_is_given_back() -> None:
     one = account(bytes_in_flight=10)
-    first, second = one.hold(Quota.BYTES_IN_FLIGHT), one.hold(Quota.BYTES_IN_FLIGHT)
+    first, second = one.charge_for(Quota.BYTES_IN_FLIGHT), one.charge_for(Quota.BYTES_IN_FLIGHT)
     first.set(4)
     second.set(5)
     first.set(3)
@@ -91,7 +91,7 @@ def test_members_are_bound_by_no_quota() -> None:
 def test_callers_that_use_nothing_are_forgotten_once_many_others_came_and_those_that_use_something_are_not() -> None:
     accounts = Accounts()
     busy = accounts.of("busy")
-    held = accounts.of("holding").hold(Quota.BYTES_HELD)
+    held = accounts.of("holding").charge_for(Quota.BYTES_HELD)
     for number in range(3 * RECENT_MAX):
         accounts.of(f"passer-{number}")
     held.set(1)

@@ -98,7 +98,7 @@ class GetStream:
         self._idle = asyncio.Event()  # set when the last call has ended
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         # how many calls the caller's quota counts for this stream
-        self._under_way = self._account.hold(Quota.WAITING_CALLS)
+        self._under_way = self._account.charge_for(Quota.WAITING_CALLS)
         self._held_back: dict[int, _OpenGet] = {}  # released gets that wait for room in the outbox
         self._rights = request_rights(self._lose)
         self._is_polling = False  # whether `_polling_again` is under way

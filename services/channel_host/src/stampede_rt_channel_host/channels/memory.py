@@ -95,7 +95,7 @@ class Charge:
         """`account`: the account of the creator; None: the bytes count for no caller."""
         self._budget = budget
         self._account = account or unlimited()
-        self._held = self._account.hold(Quota.BYTES_HELD)
+        self._held = self._account.charge_for(Quota.BYTES_HELD)
         self._bytes = 0
 
     @property

@@ -58,7 +58,7 @@ class Outbox:
         The queued bytes count as in flight for `account`; None: for nobody.
         """
         self._context = context
-        self._in_flight = (account or unlimited()).hold(Quota.BYTES_IN_FLIGHT)
+        self._in_flight = (account or unlimited()).charge_for(Quota.BYTES_IN_FLIGHT)
         self._work = current_work()
         self._stream = stream
         self.queued_bytes = 0

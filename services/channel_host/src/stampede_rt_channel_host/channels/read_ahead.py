@@ -42,7 +42,7 @@ class ReadAhead:
         self._memory = memory
         self._charge = Charge(memory)
         self._account = account
-        self._in_flight = account.hold(Quota.BYTES_IN_FLIGHT)
+        self._in_flight = account.charge_for(Quota.BYTES_IN_FLIGHT)
         self._received: deque[tuple[Any, float]] = deque()  # the requests read ahead, each with its monotonic time
         self._bytes = 0  # of these requests, of the one that `next` gave last, and those that `keeping` adds
         self._given_bytes = 0  # of the request that `next` gave last, if it was read ahead

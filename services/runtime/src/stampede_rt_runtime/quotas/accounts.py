@@ -97,9 +97,9 @@ class Account:
         for quota in quotas:
             self._used[quota] -= 1
 
-    def hold(self, quota: Quota) -> Hold:
+    def charge_for(self, quota: Quota) -> QuotaCharge:
         """An object that sets a part of the caller's use of one quota. The part is 0 at first."""
-        return Hold(self, quota)
+        return QuotaCharge(self, quota)
 
     @contextmanager
     def using(self, quota: Quota, amount: int = 1) -> Iterator[None]:
@@ -178,7 +178,7 @@ class Account:
         )
 
 
-class Hold:
+class QuotaCharge:
     """A part of a caller's use of one quota. `set` never refuses. Call `Account.check` before it."""
 
     __slots__ = ("_account", "_amount", "_quota")
