@@ -16,9 +16,9 @@ from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt_runtime.access import control
-from stampede_rt_runtime.quotas import turns
+from stampede_rt_runtime.quotas import loop_shares
 from stampede_rt_runtime.quotas.accounts import Accounts
-from stampede_rt_runtime.quotas.turns import Turn
+from stampede_rt_runtime.quotas.loop_shares import LoopShare
 from tests.support.channel_host.group_rig import GroupedChannel, Host, running_cluster
 from tests.support.channel_host.queue_rig import QueueRig, running_queue_host
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
@@ -31,7 +31,7 @@ WAIT_SECONDS = 15.0
 @pytest.fixture(autouse=True)
 def each_connection_is_a_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "subject_of", lambda caller, peer: peer)
-    monkeypatch.setattr(turns, "CONTENDED_NANOS", 3600 * S)
+    monkeypatch.setattr(loop_shares, "CONTENDED_NANOS", 3600 * S)
 
 
 class Heavy:
@@ -42,11 +42,11 @@ class Heavy:
         self._accounts = accounts
         self._known = {use.subject for use in accounts.uses()}
 
-    def overspend(self) -> Turn:
+    def overspend(self) -> LoopShare:
         """Let the callers of all open streams, of which this connection has the only ones, be beyond their share."""
         (subject,) = {use.subject for use in self._accounts.uses() if str(use.quota) == "streams" and use.used}
-        found = self._accounts.of(subject).turn
-        other = self._accounts.of("other").turn
+        found = self._accounts.of(subject).loop_share
+        other = self._accounts.of("other").loop_share
         assert found is not None
         assert other is not None
         other.spend(1)
@@ -54,10 +54,10 @@ class Heavy:
         return found
 
 
-async def waits_in_line(turn: Turn, work: Callable[[], Awaitable[object]]) -> None:
+async def waits_in_line(loop_share: LoopShare, work: Callable[[], Awaitable[object]]) -> None:
     """Do good clients' work until a step of the heavy caller waits for its turn."""
     async with asyncio.timeout(WAIT_SECONDS):
-        while not turn.has_line:
+        while not loop_share.has_line:
             await work()
 
 
@@ -95,7 +95,7 @@ async def test_a_reader_waits_for_its_turn_before_it_looks_for_its_next_message(
     call = method()
     await call.write(request)
     await call.read()
-    turn = heavy.overspend()
+    loop_share = heavy.overspend()
 
     async def put() -> None:
         nonlocal t
@@ -103,7 +103,7 @@ async def test_a_reader_waits_for_its_turn_before_it_looks_for_its_next_message(
         await left.put(t)
         await right.put(t)
 
-    await waits_in_line(turn, put)
+    await waits_in_line(loop_share, put)
     await heavy.connection.close()
 
 
@@ -114,9 +114,9 @@ async def test_a_get_waits_for_its_turn_before_it_is_read(host: Host) -> None:
     request = pb.GetRequest(call_id=1, channel_id=left.channel_id, epoch=1, interval=between(MIN_INSTANT, MAX_INSTANT))
     await call.write(request)
     await call.read()
-    turn = heavy.overspend()
+    loop_share = heavy.overspend()
     await call.write(request)
-    await waits_in_line(turn, lambda: left.put(host.now()))
+    await waits_in_line(loop_share, lambda: left.put(host.now()))
     await heavy.connection.close()
 
 
@@ -133,8 +133,8 @@ async def test_a_taker_waits_for_its_turn_before_it_gets_its_next_message(rig: Q
     opened = queue_pb.TakeOpen(queue_id=queue.queue_id, epoch=queue.record.epoch, taker_id=1)
     await call.write(queue_pb.TakeRequest(open=opened, credit=100))
     await call.read()
-    turn = heavy.overspend()
-    await waits_in_line(turn, lambda: queue.put(b"x"))
+    loop_share = heavy.overspend()
+    await waits_in_line(loop_share, lambda: queue.put(b"x"))
     await heavy.connection.close()
 
 
@@ -145,9 +145,9 @@ async def test_a_settlement_waits_for_the_turn_of_its_taker(rig: QueueRig) -> No
     opened = queue_pb.TakeOpen(queue_id=queue.queue_id, epoch=queue.record.epoch, taker_id=1)
     await call.write(queue_pb.TakeRequest(open=opened))
     await call.read()
-    turn = heavy.overspend()
+    loop_share = heavy.overspend()
     await call.write(queue_pb.TakeRequest(credit=1))
-    await waits_in_line(turn, queue.status)
+    await waits_in_line(loop_share, queue.status)
     await heavy.connection.close()
 
 
@@ -157,9 +157,9 @@ async def test_an_enqueue_waits_for_its_turn_before_it_is_judged(rig: QueueRig) 
     call: Any = QueueServiceStub(heavy.connection).Enqueue()
     await call.write(queue.enqueue_request(queue_run_of(b"x")))
     await call.read()
-    turn = heavy.overspend()
+    loop_share = heavy.overspend()
     await call.write(queue.enqueue_request(queue_run_of(b"y")))
-    await waits_in_line(turn, queue.status)
+    await waits_in_line(loop_share, queue.status)
     assert (await queue.status()).counters.accepted == 1
     await heavy.connection.close()
 
@@ -171,10 +171,10 @@ async def test_a_get_that_is_too_long_is_refused_at_once_and_does_not_wait_for_i
     request = pb.GetRequest(call_id=1, channel_id=left.channel_id, epoch=1, interval=between(MIN_INSTANT, MAX_INSTANT))
     await call.write(request.SerializeToString())
     await call.read()
-    turn = heavy.overspend()
+    loop_share = heavy.overspend()
     await call.write(bytes(200_000))
     async with asyncio.timeout(WAIT_SECONDS):
         assert await call.code() is grpc.StatusCode.INVALID_ARGUMENT
     assert "has 200000 bytes" in await call.details()
-    assert not turn.has_line
+    assert not loop_share.has_line
     await heavy.connection.close()

@@ -12,7 +12,7 @@ import pytest
 
 from stampede_rt_runtime import pacing
 from stampede_rt_runtime.pacing import STREAMS_PER_TURN, AtOnceBudget, PacedContext, PacingInterceptor, TurnGate
-from stampede_rt_runtime.quotas import turns as caller_turns
+from stampede_rt_runtime.quotas import loop_shares
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import DEFAULTS
 from stampede_rt_runtime.quotas.working import CallerWork
@@ -21,7 +21,7 @@ STREAMS = 200
 ONE, OTHER = Account("one", DEFAULTS), Account("other", DEFAULTS)
 
 
-class Turns:
+class LoopTurns:
     """Counts the turns of the event loop, and what went on in each of them."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Turns:
 
 
 async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -> None:
-    gate, turns, order = TurnGate(), Turns(), list[int]()
+    gate, turns, order = TurnGate(), LoopTurns(), list[int]()
 
     async def pass_through(number: int) -> None:
         if not gate.admits(ONE):
@@ -61,7 +61,7 @@ async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -
 
 
 async def test_however_many_streams_of_one_caller_wait_the_next_of_another_one_goes_on_in_the_next_turn() -> None:
-    gate, turns = TurnGate(), Turns()
+    gate, turns = TurnGate(), LoopTurns()
     crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.admits(ONE)]
     assert len(crowd) == STREAMS - STREAMS_PER_TURN
     for _ in range(3):  # one request after the other
@@ -126,7 +126,7 @@ async def test_a_long_message_that_was_read_counts_for_its_caller(monkeypatch: p
 
 @pytest.mark.parametrize("operation", ["read", "write"])
 async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_turn(operation: str) -> None:
-    turns, reads, writes, done = Turns(), TurnGate(), TurnGate(), list[Any]()
+    turns, reads, writes, done = LoopTurns(), TurnGate(), TurnGate(), list[Any]()
 
     async def serve() -> None:
         context = PacedContext(Stream(), reads, writes)  # type: ignore[arg-type]
@@ -157,7 +157,7 @@ async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: py
     """Of every service: a supernode's list with a pattern counts more than one without."""
     now = 10**9
     monkeypatch.setattr("time.thread_time_ns", lambda: now)
-    caller = Account("one", DEFAULTS, turns=caller_turns.Turns(lambda: now, lambda delay_s, call: None))
+    caller = Account("one", DEFAULTS, loop_shares=loop_shares.LoopShares(lambda: now, lambda delay_s, call: None))
     monkeypatch.setattr(pacing, "current_account", lambda: caller)
     monkeypatch.setattr(pacing, "current_work", lambda: CallerWork(caller))
 
@@ -183,11 +183,11 @@ async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: py
     await handler(None, Stream())
     now += 10**9
     assert caller.turn is not None
-    assert caller.turn.used_percent() == 30
+    assert caller.loop_share.used_percent() == 30
 
 
 async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    caller = Account("one", DEFAULTS, turns=caller_turns.Turns(lambda: 10**9, lambda delay_s, call: None))
+    caller = Account("one", DEFAULTS, loop_shares=loop_shares.LoopShares(lambda: 10**9, lambda delay_s, call: None))
     waiting = CallerWork(caller)
     monkeypatch.setattr(pacing, "current_work", lambda: waiting)
     assert caller.turn is not None
@@ -243,7 +243,7 @@ async def test_streams_whose_callers_go_together_end_a_few_in_each_turn() -> Non
     calls = [asyncio.create_task(handler(None, Stream())) for _ in range(STREAMS)]
     for _ in range(3):
         await asyncio.sleep(0)
-    turns = Turns()
+    turns = LoopTurns()
     for call in calls:
         call.cancel()
     await turns.until(lambda: ended == STREAMS)
@@ -275,7 +275,7 @@ async def test_streams_that_yield_their_responses_go_on_and_end_a_few_in_each_tu
             ended += 1
             turns.note()
 
-    handler, streams, turns = await _handler(behavior), [Stream() for _ in range(STREAMS)], Turns()
+    handler, streams, turns = await _handler(behavior), [Stream() for _ in range(STREAMS)], LoopTurns()
     calls = [asyncio.create_task(handler(None, stream)) for stream in streams]
     while not all(stream.written == [b"one", b"two"] for stream in streams):  # noqa: ASYNC110  (no event)
         await asyncio.sleep(0)
@@ -288,7 +288,7 @@ async def test_streams_that_yield_their_responses_go_on_and_end_a_few_in_each_tu
 
 
 async def test_messages_are_answered_at_once_for_a_bounded_time_in_each_turn() -> None:
-    now, turns, step = 0, Turns(), pacing.AT_ONCE_NANOS // 4
+    now, turns, step = 0, LoopTurns(), pacing.AT_ONCE_NANOS // 4
     budget = AtOnceBudget(lambda: now)
 
     def answer() -> None:

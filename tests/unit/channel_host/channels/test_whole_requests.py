@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota
-from stampede_rt_runtime.quotas.turns import Turns
+from stampede_rt_runtime.quotas.loop_shares import LoopShares
 from tests.support.channel_host.rig import run_of, running_host
 
 
@@ -61,12 +61,12 @@ async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_pi
     monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.0)
     monkeypatch.setattr(whole_requests, "BYTES_PER_SECOND_MIN", 2**40)  # the wait for a turn is no part of the limit
     now, scheduled = 1, deque[Callable[[], None]]()
-    turns = Turns(lambda: now, lambda _, call: scheduled.append(call))
-    cam, other = (Account(name, DEFAULTS, turns=turns) for name in ("cam", "other"))
-    assert cam.turn is not None
-    assert other.turn is not None
-    other.turn.spend(1)
-    cam.turn.spend(10**9)
+    turns = LoopShares(lambda: now, lambda _, call: scheduled.append(call))
+    cam, other = (Account(name, DEFAULTS, loop_shares=turns) for name in ("cam", "other"))
+    assert cam.loop_share is not None
+    assert other.loop_share is not None
+    other.loop_share.spend(1)
+    cam.loop_share.spend(10**9)
     large, reads = b"\x0a" + bytes(3 * MESSAGE_BYTES_MAX), 0
     left = iter(messages_of(large))
 
@@ -83,8 +83,8 @@ async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_pi
         if expected < 4:
             now += 10**9
             scheduled.popleft()()
-            cam.turn.spend(10**9)
-            other.turn.spend(1)
+            cam.loop_share.spend(10**9)
+            other.loop_share.spend(1)
     assert await reading == large
 
 

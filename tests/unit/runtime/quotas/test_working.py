@@ -16,7 +16,7 @@ import pytest
 from stampede_rt_runtime.quotas import working
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
-from stampede_rt_runtime.quotas.turns import Turns
+from stampede_rt_runtime.quotas.loop_shares import LoopShares
 from stampede_rt_runtime.quotas.working import (
     CALL_NANOS,
     GRPC_COSTS,
@@ -25,7 +25,7 @@ from stampede_rt_runtime.quotas.working import (
     CallerWork,
     TransportCosts,
     charged,
-    loop_turns,
+    loop_shares,
     usable_time,
 )
 
@@ -33,7 +33,7 @@ MS = 1_000_000
 
 
 async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> None:
-    accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 1}, turns=loop_turns())
+    accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 1}, loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     order: list[str] = []
 
@@ -56,7 +56,7 @@ async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> No
 
 
 async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() -> None:
-    accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 50}, turns=loop_turns())
+    accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 50}, loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     CallerWork(light).spend(CALL_NANOS)
     CallerWork(heavy).spend(CALL_NANOS)
@@ -82,9 +82,9 @@ class Spent:
 @pytest.mark.parametrize("costs", [GRPC_COSTS, SOCKET_COSTS])
 @pytest.mark.parametrize("length_bytes", [0, LONG_BYTES, LONG_BYTES + 1, 2**18])
 async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: int, costs: TransportCosts) -> None:
-    account: Any = SimpleNamespace(turn=Spent())
+    account: Any = SimpleNamespace(loop_share=Spent())
     CallerWork(account, costs).received(bytes(length_bytes))
-    assert account.turn.nanos == ([length_bytes * costs.kib_nanos // 1024] if length_bytes > LONG_BYTES else [])
+    assert account.loop_share.nanos == ([length_bytes * costs.kib_nanos // 1024] if length_bytes > LONG_BYTES else [])
     CallerWork(unlimited()).received(bytes(length_bytes))
     CallerWork(account).received(grpc.aio.EOF)
 
@@ -96,7 +96,7 @@ async def test_what_nobody_is_bound_by_never_waits() -> None:
 
 
 async def test_a_change_of_the_share_is_heeded_at_once() -> None:
-    accounts = Accounts(turns=loop_turns())
+    accounts = Accounts(loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     accounts.set_table(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))
     CallerWork(light).spend(CALL_NANOS)
@@ -114,7 +114,7 @@ class Clock:
 
     def __init__(self) -> None:
         self.now = 10**9
-        self.account = Account("one", DEFAULTS, turns=Turns(lambda: self.now, lambda delay_s, call: None))
+        self.account = Account("one", DEFAULTS, loop_shares=LoopShares(lambda: self.now, lambda delay_s, call: None))
 
     def works(self, nanos: int) -> None:
         self.now += nanos
@@ -126,8 +126,8 @@ class Clock:
     def used_ms(self) -> int:
         """In the present second."""
         self.now = (self.now // 10**9 + 1) * 10**9
-        assert self.account.turn is not None
-        return self.account.turn.used_percent() * 10
+        assert self.account.loop_share is not None
+        return self.account.loop_share.used_percent() * 10
 
 
 @pytest.fixture

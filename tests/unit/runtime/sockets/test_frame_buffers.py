@@ -4,7 +4,7 @@ import asyncio
 
 from stampede_rt_runtime.quotas.accounts import Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS
-from stampede_rt_runtime.quotas.turns import Turns
+from stampede_rt_runtime.quotas.loop_shares import LoopShares
 from stampede_rt_runtime.sockets.frame_buffers import PLACES, FrameBuffers
 
 
@@ -53,8 +53,8 @@ async def test_members_of_the_cluster_never_wait_for_a_place() -> None:
 
 async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> None:
     now = 0
-    accounts = Accounts(DEFAULTS, turns=Turns(lambda: now, lambda delay, call: None))
-    accounts.of("good").turn.spend(1)  # type: ignore[union-attr]  # several callers have work
+    accounts = Accounts(DEFAULTS, loop_shares=LoopShares(lambda: now, lambda delay, call: None))
+    accounts.of("good").loop_share.spend(1)  # type: ignore[union-attr]  # several callers have work
     place = FrameBuffers().place(accounts.of("busy"))
     begun = 0
     while place.take_now():

@@ -24,7 +24,7 @@ from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_to
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import SHARED_NAMES, Quota
 from stampede_rt_runtime.quotas.subjects import subject_of
-from stampede_rt_runtime.quotas.working import CallerWork, costs_of, loop_turns
+from stampede_rt_runtime.quotas.working import CallerWork, costs_of, loop_shares
 
 logger = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ class AccessControl:
         self.audit = AuditLog()
         self.takes_ids = False
         """Whether callers of this port know things by id, so that its errors must not tell hidden names."""
-        self.accounts = Accounts(clock_s=time.monotonic, turns=loop_turns())
+        self.accounts = Accounts(clock_s=time.monotonic, loop_shares=loop_shares())
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
         """From now on get the state from `source`."""

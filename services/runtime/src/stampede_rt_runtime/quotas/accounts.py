@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_runtime.quotas.limits import DEFAULTS, IN_DIRECTORY, LIMIT_MAX, NO_SETTINGS, Quota, QuotaTable
-from stampede_rt_runtime.quotas.turns import Turn, Turns
+from stampede_rt_runtime.quotas.loop_shares import LoopShare, LoopShares
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
@@ -50,7 +50,7 @@ class Account:
 
     __slots__ = (
         "__weakref__", "_changes", "_changes_at_s", "_clock_s", "_limits", "_on_refused", "_refused", "_used",
-        "subject", "turn",
+        "loop_share", "subject",
     )  # fmt: skip
 
     def __init__(
@@ -58,11 +58,11 @@ class Account:
         subject: str,
         limits: Mapping[Quota, int],
         clock_s: Callable[[], float] = lambda: 0.0,
-        turns: Turns | None = None,
+        loop_shares: LoopShares | None = None,
         on_refused: Callable[[Quota], None] = lambda quota: None,
     ) -> None:
-        """`clock_s`: seconds of a clock that never goes back. `turns` None: the caller's work never waits."""
-        self.turn = None if turns is None else Turn(turns, limits[Quota.CPU_PERCENT])
+        """`clock_s`: seconds of a clock that never goes back. `loop_shares` None: the caller's work never waits."""
+        self.loop_share = None if loop_shares is None else LoopShare(loop_shares, limits[Quota.CPU_PERCENT])
         self.subject = subject
         self._clock_s = clock_s
         self._on_refused = on_refused
@@ -75,8 +75,8 @@ class Account:
     def set_limits(self, limits: Mapping[Quota, int]) -> None:
         """Set the limits. Present use stays, even beyond them."""
         self._limits = limits
-        if self.turn is not None:
-            self.turn.percent = limits[Quota.CPU_PERCENT]
+        if self.loop_share is not None:
+            self.loop_share.percent = limits[Quota.CPU_PERCENT]
 
     def has_room(self, quota: Quota, more: int = 1) -> bool:
         """Whether the caller may use `more` of the quota."""
@@ -149,8 +149,8 @@ class Account:
     def uses(self) -> Iterator[QuotaUse]:
         """The use of each quota."""
         self._changes_now()
-        if self.turn is not None:
-            self._used[Quota.CPU_PERCENT] = self.turn.used_percent()
+        if self.loop_share is not None:
+            self._used[Quota.CPU_PERCENT] = self.loop_share.used_percent()
         for quota, used in self._used.items():
             yield QuotaUse(
                 subject=self.subject,
@@ -213,10 +213,10 @@ class Accounts:
         self,
         defaults: Mapping[Quota, int] = DEFAULTS,
         clock_s: Callable[[], float] = lambda: 0.0,
-        turns: Turns | None = None,
+        loop_shares: LoopShares | None = None,
     ) -> None:
-        """`clock_s`, `turns`: see `Account`."""
-        self._turns = turns
+        """`clock_s`, `loop_shares`: see `Account`."""
+        self._loop_shares = loop_shares
         self._defaults = dict(defaults)
         self._clock_s = clock_s
         self._table = NO_SETTINGS
@@ -248,7 +248,9 @@ class Accounts:
         account = self._accounts.get(subject)
         if account is None:
             limits = self._table.limits_of(subject, self._defaults)
-            account = self._accounts[subject] = Account(subject, limits, self._clock_s, self._turns, self._note_refusal)
+            account = self._accounts[subject] = Account(
+                subject, limits, self._clock_s, self._loop_shares, self._note_refusal
+            )
         self._recent[subject] = account
         self._recent.move_to_end(subject)
         if len(self._recent) > RECENT_MAX:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from stampede_rt_runtime.quotas.accounts import Account
-from stampede_rt_runtime.quotas.turns import Turn, Turns
+from stampede_rt_runtime.quotas.loop_shares import LoopShare, LoopShares
 
 CALL_NANOS = 400_000
 """The approximate time that a call takes outside of its measured steps, over gRPC and over a socket."""
@@ -47,9 +47,9 @@ def costs_of(context: object) -> TransportCosts:
     return found
 
 
-def loop_turns() -> Turns:
-    """The turns of the callers of the running event loop."""
-    return Turns(usable_time(), _schedule)
+def loop_shares() -> LoopShares:
+    """The shares of callers in the time of the running event loop."""
+    return LoopShares(usable_time(), _schedule)
 
 
 def usable_time(
@@ -112,37 +112,37 @@ def _schedule(delay_s: float, call: Callable[[], None]) -> object:
 class CallerWork:
     """The work of one stream or call. Before a step with much work: `if work.must_wait: await work.turn()`."""
 
-    __slots__ = ("_costs", "_turn")
+    __slots__ = ("_costs", "_loop_share")
 
     def __init__(self, account: Account, costs: TransportCosts = GRPC_COSTS) -> None:
-        self._turn, self._costs = account.turn, costs
+        self._loop_share, self._costs = account.loop_share, costs
 
     @property
     def must_wait(self) -> bool:
         """Whether the next step must wait for its caller's turn."""
-        return self._turn is not None and self._turn.must_wait
+        return self._loop_share is not None and self._loop_share.must_wait
 
     async def turn(self) -> None:
         """Wait for the caller's turn."""
-        assert self._turn is not None, "an account without turns never waits"
+        assert self._loop_share is not None, "an account without turns never waits"
         came: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._turn.stand(partial(_set_unless_done, came))
+        self._loop_share.stand(partial(_set_unless_done, came))
         await came
 
     def spend(self, nanos: int) -> None:
         """Count time that passes outside of the measured steps."""
-        if self._turn is not None:
-            self._turn.spend(nanos)
+        if self._loop_share is not None:
+            self._loop_share.spend(nanos)
 
     def spend_read(self) -> None:
         """Count what the transport takes to read a message, at the end of the present step."""
-        if self._turn is not None:
-            self._turn.owe(self._costs.read_nanos)
+        if self._loop_share is not None:
+            self._loop_share.owe(self._costs.read_nanos)
 
     def spend_write(self) -> None:
         """Count what the transport takes to write a message, at the end of the present step."""
-        if self._turn is not None:
-            self._turn.owe(self._costs.write_nanos)
+        if self._loop_share is not None:
+            self._loop_share.owe(self._costs.write_nanos)
 
     def spend_bytes(self, count: int) -> None:
         """Count what the transport takes to read so many bytes."""
@@ -150,13 +150,13 @@ class CallerWork:
 
     def received(self, message: Any) -> None:
         """Count the time that the bytes of a long message took, before the stream or call does anything with it."""
-        if self._turn is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
+        if self._loop_share is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
             self.spend_bytes(len(message))
 
 
 def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[Any, Any, Result]:
     """A coroutine that runs `work`. Each of its steps, from one wait to the next, counts for the account."""
-    return work if account.turn is None else _Charged(account.turn, work)
+    return work if account.loop_share is None else _Charged(account.loop_share, work)
 
 
 class _Charged(Coroutine[Any, Any, Result]):
@@ -167,10 +167,10 @@ class _Charged(Coroutine[Any, Any, Result]):
     It is no `async def` function: if its task is cancelled before the first step, the cancellation reaches `work`.
     """
 
-    __slots__ = ("_turn", "_work")
+    __slots__ = ("_loop_share", "_work")
 
-    def __init__(self, turn: Turn, work: Coroutine[Any, Any, Result]) -> None:
-        self._turn = turn
+    def __init__(self, loop_share: LoopShare, work: Coroutine[Any, Any, Result]) -> None:
+        self._loop_share = loop_share
         self._work = work
 
     def send(self, value: Any) -> Any:
@@ -179,7 +179,7 @@ class _Charged(Coroutine[Any, Any, Result]):
         try:
             return self._work.send(value)
         finally:
-            self._turn.spend(time.thread_time_ns() - began_at)
+            self._loop_share.spend(time.thread_time_ns() - began_at)
 
     def throw(self, *error: Any) -> Any:
         """One step, which begins with an error, such as a cancellation."""
@@ -188,7 +188,7 @@ class _Charged(Coroutine[Any, Any, Result]):
             return self._work.throw(*error)
         finally:
             error = ()  # else the error's traceback keeps this frame, and this frame the error
-            self._turn.spend(time.thread_time_ns() - began_at)
+            self._loop_share.spend(time.thread_time_ns() - began_at)
 
     def close(self) -> None:
         """End the work where it waits."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stampede_rt_runtime.quotas.turns import BURST_NANOS, CONTENDED_NANOS, Turn, Turns
+from stampede_rt_runtime.quotas.loop_shares import BURST_NANOS, CONTENDED_NANOS, LoopShare, LoopShares
 
 MS = 1_000_000
 
@@ -15,16 +15,16 @@ class Loop:
     def __init__(self) -> None:
         self.now = 10**9
         self._timers: list[tuple[int, Callable[[], None]]] = []
-        self.turns = Turns(
+        self.loop_shares = LoopShares(
             lambda: self.now, lambda delay_s, call: self._timers.append((self.now + round(delay_s * 1e9), call))
         )
 
-    def caller(self, percent: int = 50) -> Turn:
-        return Turn(self.turns, percent)
+    def caller(self, percent: int = 50) -> LoopShare:
+        return LoopShare(self.loop_shares, percent)
 
-    def works(self, turn: Turn, nanos: int) -> None:
+    def works(self, loop_share: LoopShare, nanos: int) -> None:
         self.now += nanos
-        turn.spend(nanos)
+        loop_share.spend(nanos)
 
     def run_until(self, end: int) -> None:
         """Fire the timers that are due by then."""
@@ -177,7 +177,7 @@ def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
     busy, light = loop.caller(), loop.caller()
     loop.works(busy, MS)
     loop.works(light, MS)
-    now, loop.turns.now = loop.turns.now, lambda: (looks.append(1), now())[1]  # type: ignore[func-returns-value]
+    now, loop.loop_shares.now = loop.loop_shares.now, lambda: (looks.append(1), now())[1]  # type: ignore[func-returns-value]
     assert not light.must_wait
     light.owe(1000)
     light.owe(1000)

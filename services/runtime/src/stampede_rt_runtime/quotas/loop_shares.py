@@ -22,8 +22,11 @@ Schedule = Callable[[float, Callable[[], None]], object]
 """Calls a function after a delay in seconds; 0: in the next turn of the event loop."""
 
 
-class Turns:
-    """The callers of one loop. `now` returns nanoseconds of a clock that never goes back."""
+class LoopShares:
+    """The shares of the callers in the time of one event loop.
+
+    `now` returns nanoseconds of a clock that never goes back.
+    """
 
     def __init__(self, now: Callable[[], int], schedule: Schedule) -> None:
         self.now = now
@@ -32,32 +35,32 @@ class Turns:
         """Until then several callers count as having work."""
         self.latest = 0
         """The time of the last work."""
-        self._last: Turn | None = None
+        self._last: LoopShare | None = None
 
-    def works(self, turn: Turn, now: int) -> bool:
+    def works(self, loop_share: LoopShare, now: int) -> bool:
         """Note that a caller has worked. Returns whether several callers have work."""
         self.latest = now
-        if turn is not self._last:
+        if loop_share is not self._last:
             if self._last is not None:
                 self.contended_until = now + CONTENDED_NANOS
-            self._last = turn
+            self._last = loop_share
         return now < self.contended_until
 
 
-class Turn:
-    """The line and the used time of one caller.
+class LoopShare:
+    """The share of one caller in the time of the event loop: its line of waiting steps, and the time it has used.
 
     `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
     """
 
     __slots__ = (
-        "_before_nanos", "_busy_until", "_line", "_owed_nanos", "_second", "_ticking", "_turns", "_used_nanos",
+        "_before_nanos", "_busy_until", "_line", "_owed_nanos", "_second", "_shares", "_ticking", "_used_nanos",
         "percent",
     )  # fmt: skip
 
-    def __init__(self, turns: Turns, percent: int) -> None:
+    def __init__(self, loop_shares: LoopShares, percent: int) -> None:
         self.percent = percent
-        self._turns = turns
+        self._shares = loop_shares
         self._line: deque[Callable[[], None]] = deque()
         self._ticking = False
         self._owed_nanos = 0  # the time of the present step that is counted at its end
@@ -75,21 +78,21 @@ class Turn:
         """Whether the caller's next step must `stand` in line first."""
         if self._line:
             return True
-        if self._held_for(self._turns.latest) <= 0:
+        if self._held_for(self._shares.latest) <= 0:
             return False  # it need not have waited even then; a look at the clock takes longer than all else here
-        return self._held_for(self._turns.now()) > 0
+        return self._held_for(self._shares.now()) > 0
 
     def stand(self, wake: Callable[[], None]) -> None:
         """Wait in line: call `wake` when it is the caller's turn."""
         self._line.append(wake)
-        self._tick_later(self._turns.now())
+        self._tick_later(self._shares.now())
 
     def spend(self, nanos: int) -> None:
         """Note the time that a step of the caller took."""
-        now = self._turns.now()
+        now = self._shares.now()
         nanos, self._owed_nanos = nanos + self._owed_nanos, 0
         self._count(nanos, now)
-        if self._turns.works(self, now):
+        if self._shares.works(self, now):
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
 
     def owe(self, nanos: int) -> None:
@@ -98,17 +101,17 @@ class Turn:
 
     def _held_for(self, now: int) -> int:
         """The nanoseconds for which the next step must wait; 0 or less: it need not wait."""
-        return min(self._busy_until - BURST_NANOS, self._turns.contended_until) - now
+        return min(self._busy_until - BURST_NANOS, self._shares.contended_until) - now
 
     def _tick_later(self, now: int) -> None:
         if not self._ticking:
             self._ticking = True
             held = self._held_for(now)
-            self._turns.schedule(max(held / 1e9, PAUSE_SECONDS_MIN) if held > 0 else 0.0, self._tick)
+            self._shares.schedule(max(held / 1e9, PAUSE_SECONDS_MIN) if held > 0 else 0.0, self._tick)
 
     def _tick(self) -> None:
         """Wake one step, unless the line must still wait. Come back in the next turn of the loop for the next step."""
-        self._ticking, now = False, self._turns.now()
+        self._ticking, now = False, self._shares.now()
         if self._held_for(now) <= 0:
             self._line.popleft()()
         if self._line:
@@ -116,7 +119,7 @@ class Turn:
 
     def used_percent(self) -> int:
         """The caller's share of the loop's time in the last whole second."""
-        self._count(0, self._turns.now())
+        self._count(0, self._shares.now())
         return round(100 * self._before_nanos / _SECOND_NANOS)
 
     def _count(self, nanos: int, now: int) -> None:
