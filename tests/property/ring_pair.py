@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
-from stampede_rt.ring.following import Next, following
-from stampede_rt.ring.latest import Latest, latest
 from stampede_rt.ring.layout import RingSize
+from stampede_rt.ring.newest import FoundNewest, find_newest
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.ring.selecting import Columns, RunPiece, select
+from stampede_rt.ring.successors import FoundNext, find_next
 from stampede_rt.values.model import Policy
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.core.channel import AllCursor, Offer, Query, Slice
@@ -134,10 +134,10 @@ class RingPair(ChannelPair):
         known = view.facts()
         assert known is not None
         for after in (None, (self.clock, 0)):
-            found = latest(view, known, after)
+            found = find_newest(view, known, after)
             self.oracle.age(self.clock)
             newest = self.oracle.held[-1] if self.oracle.held else None
-            if isinstance(found, Latest):
+            if isinstance(found, FoundNewest):
                 self.answered["newest"] += 1
                 assert newest is not None
                 assert (found.slot.last_time, found.slot.seq + found.slot.items - 1) == (newest.time, newest.seq)
@@ -154,11 +154,11 @@ class RingPair(ChannelPair):
     def _next_of_ring(self, view: RingView, seq: int, subscription: OracleSubscription) -> None:
         known = view.facts()
         assert known is not None
-        found = following(view, known, seq, -1, self.clock, columns_of)
+        found = find_next(view, known, seq, -1, self.clock, columns_of)
         self.oracle.age(self.clock)
         if not found:
             assert seq == len(self.oracle.log) + 1
-        elif isinstance(found, Next):
+        elif isinstance(found, FoundNext):
             self.answered["next"] += 1
             items = _items_in(found.piece, found.end_seq - found.piece.hi)
             assert items[0].seq == seq

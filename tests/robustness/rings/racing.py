@@ -18,11 +18,11 @@ from collections.abc import Iterator
 from multiprocessing.synchronize import Event
 from typing import Any
 
-from stampede_rt.ring.following import Next, following
-from stampede_rt.ring.latest import Latest, latest
 from stampede_rt.ring.layout import RingSize
+from stampede_rt.ring.newest import FoundNewest, find_newest
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.ring.selecting import Columns, select
+from stampede_rt.ring.successors import FoundNext, find_next
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingFacts, RingRun, RingWriter
@@ -85,15 +85,15 @@ def _items(view: RingView, ends: Event) -> Iterator[tuple[str, int]]:
         facts = view.facts()
         if facts is None:
             continue
-        newest = latest(view, facts)
-        if isinstance(newest, Latest):
+        newest = find_newest(view, facts)
+        if isinstance(newest, FoundNewest):
             seq = seq_in(newest.body)
             assert seq == newest.slot.seq, "a recycled item"
             assert seq >= last_newest, "the newest item went back"
             last_newest = seq
-        yield "newest", last_newest if isinstance(newest, Latest) else 0
-        item = following(view, facts, next_seq, slot, 0, no_columns)
-        if isinstance(item, Next):
+        yield "newest", last_newest if isinstance(newest, FoundNewest) else 0
+        item = find_next(view, facts, next_seq, slot, 0, no_columns)
+        if isinstance(item, FoundNext):
             assert seq_in(item.piece.body) == next_seq, "a skipped or reordered item"
             slot, next_seq = item.slot, item.end_seq
             yield "next", next_seq

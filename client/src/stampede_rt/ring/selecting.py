@@ -36,7 +36,7 @@ class RunPiece(NamedTuple):
     is_whole: bool
 
 
-class Picked(NamedTuple):
+class RingAnswer(NamedTuple):
     """The answer to a read, see `values.model.Items`. `next_time`: the time of the bucket after the last item."""
 
     pieces: Sequence[RunPiece]
@@ -107,7 +107,7 @@ def _runs(body: bytes, picks: Sequence[int], begin: int, items: int) -> list[Run
     return pieces
 
 
-def select(view: RingView, facts: list[int], query: ReadQuery, now: int, columns_of: ColumnsOf) -> Picked | None:
+def select(view: RingView, facts: list[int], query: ReadQuery, now: int, columns_of: ColumnsOf) -> RingAnswer | None:
     """Return the answer to a read without `after` and `newer_than`, or None if only the host has it.
 
     `now`: the host's clock. The answer has items, and nothing of it is missing. The caller looks afterwards whether the
@@ -135,7 +135,7 @@ def select(view: RingView, facts: list[int], query: ReadQuery, now: int, columns
 def _answer(
     found: _Items, picks: list[int] | None, query: ReadQuery, within: ResolvedInterval, facts: list[int],
     aged: int | None, knows_start: bool, truncated: bool,
-) -> Picked | None:  # fmt: skip
+) -> RingAnswer | None:  # fmt: skip
     """Apply the limit. `knows_start`: the items have the whole interval, and nothing of it was collected."""
     if not picks:
         return None
@@ -154,7 +154,7 @@ def _answer(
     if pieces is None or (query.complete and not complete):
         return None
     next_time = _time_behind(found, found.times[picks[-1]], facts)
-    return Picked(pieces, next_time, within, complete, truncated, more)
+    return RingAnswer(pieces, next_time, within, complete, truncated, more)
 
 
 def _resolved(facts: list[int], query: ReadQuery, now: int) -> ResolvedInterval | None:

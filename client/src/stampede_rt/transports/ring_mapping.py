@@ -31,7 +31,7 @@ _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 _FILES_MAX = 4
 
 
-class Unsuited(StampedeError):
+class ChannelNotShared(StampedeError):
     """The host repeats no channel of this kind in shared memory."""
 
 
@@ -119,7 +119,7 @@ def receive_ring(
     """Ask for a ring over a new connection, and map it. None: there is no connection, or the host shares no memory.
 
     Blocks for at most CONNECT_S_MAX for each step. Closes the connection if there is no ring. Raises the errors of the
-    host, Unsuited, and Unavailable if no ring came.
+    host, ChannelNotShared, and Unavailable if no ring came.
     """
     if connected is None:
         return None
@@ -144,7 +144,7 @@ def _receive_ring(connected: socket.socket, opening: bytes, channel_id: bytes, e
     try:
         response = _response(connected, frames, files)
         if not response.memory_bytes:
-            raise Unsuited(f"the host does not share this channel: {response.detail}")
+            raise ChannelNotShared(f"the host does not share this channel: {response.detail}")
         if not files:
             raise Unavailable("the host sent no file with its memory; install the same release on both")
         return RingMapping(connected, _mapped(files[0], response.memory_bytes), frames)

@@ -9,11 +9,11 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.ring.facts import host_now
-from stampede_rt.ring.following import following
-from stampede_rt.ring.latest import Latest, latest
 from stampede_rt.ring.layout import HEADER_WORDS, SEQUENCE_WORD, SLOT_WORDS, RingSize, words_of
+from stampede_rt.ring.newest import FoundNewest, find_newest
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.ring.selecting import Columns, select
+from stampede_rt.ring.successors import find_next
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingFacts, RingRun, RingWriter, ring_size
@@ -86,11 +86,11 @@ def test_a_copy_that_the_writer_has_overtaken_is_not_believed() -> None:
     for time in range(3):
         ring.put(time)
     facts = ring.facts()
-    assert isinstance(latest(ring.view, facts), Latest)
+    assert isinstance(find_newest(ring.view, facts), FoundNewest)
     for time in range(3, 30):
         ring.put(time)
-    assert latest(ring.view, facts) is True
-    assert following(ring.view, facts, 2, 0, 1000, no_columns) is True
+    assert find_newest(ring.view, facts) is True
+    assert find_next(ring.view, facts, 2, 0, 1000, no_columns) is True
     assert select(ring.view, facts, ReadQuery(Interval(Bound(None, 1), Bound(None, 2))), 1000, no_columns) is None
 
 
@@ -124,8 +124,8 @@ def test_damaged_numbers_lead_to_errors_or_to_the_host_and_never_outside_of_the_
         start = drawn.randrange(0, 7)
         query = ReadQuery(Interval(Bound(None, start), Bound(None, start + 2)), limit=drawn.choice((None, 1)))
         with suppress(StampedeError):
-            latest(ring.view, facts)
-            following(ring.view, facts, start, -1, 1000, no_columns)
+            find_newest(ring.view, facts)
+            find_next(ring.view, facts, start, -1, 1000, no_columns)
             select(ring.view, facts, query, host_now(facts, BOOTTIME), no_columns)
 
 

@@ -11,7 +11,7 @@ from stampede_rt.ring.ring_view import RingView, Slot
 from stampede_rt.ring.selecting import ColumnsOf, RunPiece
 
 
-class Next(NamedTuple):
+class FoundNext(NamedTuple):
     """Items that follow each other in seq. `next_time`: the time of the bucket after the last one. `slot`: their slot.
 
     `end_seq`: the seq after the last item's seq.
@@ -23,7 +23,9 @@ class Next(NamedTuple):
     end_seq: int
 
 
-def following(view: RingView, facts: list[int], seq: int, near: int, now: int, columns_of: ColumnsOf) -> Next | bool:
+def find_next(
+    view: RingView, facts: list[int], seq: int, near: int, now: int, columns_of: ColumnsOf
+) -> FoundNext | bool:
     """Return the items from `seq` on; False if there are none yet, True to ask the host.
 
     `near`: the slot of the items before, or -1. `now`: the host's clock.
@@ -41,7 +43,7 @@ def following(view: RingView, facts: list[int], seq: int, near: int, now: int, c
     next_time = _next_time(view, facts, slot, columns_of)
     if next_time is True:
         return True
-    return Next(RunPiece(body, lo, slot.items, lo == 0), next_time, slot.number, slot.seq + slot.items)
+    return FoundNext(RunPiece(body, lo, slot.items, lo == 0), next_time, slot.number, slot.seq + slot.items)
 
 
 def _run_with(view: RingView, facts: list[int], seq: int, near: int) -> tuple[Slot, bytes] | None:

@@ -8,7 +8,7 @@ from stampede_rt.ring.layout import NEWEST_SLOT, NEXT_SEQ, NO_ITEMS
 from stampede_rt.ring.ring_view import RingView, Slot
 
 
-class Latest(NamedTuple):
+class FoundNewest(NamedTuple):
     """The newest item: the last one of the run `body`, or a plain item of which `body` is the payload.
 
     `is_plain`: the run has this item only, without labels.
@@ -20,7 +20,7 @@ class Latest(NamedTuple):
     next_seq: int
 
 
-def latest(view: RingView, facts: list[int], after: tuple[int, int] | None = None) -> Latest | bool:
+def find_newest(view: RingView, facts: list[int], after: tuple[int, int] | None = None) -> FoundNewest | bool:
     """Return the newest item, if it is later than the position `after`; False if there is none, True to ask the host.
 
     The position is a time and a seq.
@@ -35,4 +35,4 @@ def latest(view: RingView, facts: list[int], after: tuple[int, int] | None = Non
     body = view.copy_payload(slot) if is_plain else view.copy(slot)
     if body is None or slot.items < 1 or number < view.oldest_slot(facts) or not view.is_whole(number):
         return True
-    return Latest(slot, body, is_plain, facts[NEXT_SEQ])
+    return FoundNewest(slot, body, is_plain, facts[NEXT_SEQ])
