@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, Position, Query, pieces, tally
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, item_blocks, pieces
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.draws import (
     CONSUMERS,
@@ -137,7 +137,7 @@ def play(numbers: list[int]) -> None:
     pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
     with (
-        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
     ):
         _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)

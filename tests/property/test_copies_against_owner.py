@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, SavedCursor, pieces, tally
+from stampede_rt_channel_host.core.channel import Offer, SavedCursor, item_blocks, pieces
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.fed_copies import FedCopy, Wanderer, held_by, refuses_behind
 from tests.property.random_source import RandomSource
@@ -58,7 +58,7 @@ def play(numbers: list[int]) -> None:
     story = Story(first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None)
     counts = story.pair.oracle.consumers is not None
     with (
-        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
     ):
         for number in numbers[1:]:

@@ -26,9 +26,9 @@ from stampede_rt_channel_host.core.channel import (
     Unfinished,
     WakeAt,
     first_of,
+    item_blocks,
     pieces,
     run_to_end,
-    tally,
 )
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel, polling
 
@@ -109,7 +109,7 @@ def told(answer: ReadAnswer) -> tuple[Any, ...]:
 @pytest.mark.parametrize("name", POLICIES)
 def test_an_answer_in_pieces_is_that_of_the_moment_when_it_was_begun(name: str) -> None:
     unfinished = 0
-    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(tally, "BLOCK_ITEMS", 4):
+    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(item_blocks, "BLOCK_ITEMS", 4):
         for seed in range(300):
             busy = Busy(POLICIES[name], seed)
             query = busy.query()

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import pieces, tally
+from stampede_rt_channel_host.core.channel import item_blocks, pieces
 from stampede_rt_channel_host.core.group import GroupDefinition
 from tests.property.channel_pair import INCARNATION
 from tests.property.groups.listeners import Listeners
@@ -247,7 +247,7 @@ def play(numbers: list[int]) -> None:
     definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
     policies = [first.pick(POLICIES) for _ in CHANNELS]
     with (
-        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
     ):
         world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)

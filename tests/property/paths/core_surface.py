@@ -20,7 +20,7 @@ from stampede_rt.values.timeline import (
     parse_interval,
     parse_match,
 )
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, Offer, Position, Query, tally
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, Offer, Position, Query, item_blocks
 from stampede_rt_channel_host.core.host_clock import HostTime
 from tests.oracle import Ack
 from tests.property.channel_pair import INCARNATION
@@ -205,7 +205,7 @@ class CoreSurface:
 def core_surface(items_per_block: int) -> Iterator[tuple[CoreSurface, CoreHost]]:
     """The core and its host. What is held is counted in blocks, as small as the few items of a story."""
     host = CoreHost()
-    with mock.patch.object(tally, "BLOCK_ITEMS", items_per_block):
+    with mock.patch.object(item_blocks, "BLOCK_ITEMS", items_per_block):
         yield CoreSurface(host), host
 
 

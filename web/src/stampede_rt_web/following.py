@@ -109,7 +109,7 @@ class FollowedChannel:
         self._refused = rejected
 
 
-class Followed:
+class FollowedChannels:
     """The channels that pages show, by name. At most TRACKS_MAX; the one that nobody reads for longest goes first."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ Key = tuple[bytes, int, int]  # the channel's id, its incarnation, and the item'
 Direction = Literal["next", "previous"]
 
 
-class Pictures:
+class PictureCache:
     """The pictures that pages will fetch, by item; at most PICTURES_BYTES_MAX. The oldest goes first."""
 
     def __init__(self) -> None:
@@ -41,11 +41,11 @@ class Pictures:
         return self._pictures.get(key)
 
 
-class ItemViews:
+class ItemPreviews:
     """Answers what a channel held at an instant. Several pages that ask for the newest item share one read."""
 
     def __init__(self) -> None:
-        self.pictures = Pictures()
+        self.pictures = PictureCache()
         self._newest: OrderedDict[tuple[str, str], tuple[int, dict[str, Any]]] = OrderedDict()
 
     async def at(self, reader: aio.Channel | aio.GroupChannel, group: str, instant: int | None) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from stampede_rt.cli.doctor import examine
 from stampede_rt.values.policy import parse_name
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt_web.drawing import WIDTH_MAX, Window, draw
-from stampede_rt_web.following import TRACKS_MAX, Followed
-from stampede_rt_web.items import Direction, ItemViews, step
+from stampede_rt_web.following import TRACKS_MAX, FollowedChannels
+from stampede_rt_web.items import Direction, ItemPreviews, step
 from stampede_rt_web.overview import Overview
 
 STATIC = Path(__file__).parent / "static"
@@ -41,9 +41,9 @@ class Site:
         self._connecting = asyncio.Lock()
         self._failed_at = 0.0
         self._failure = ""
-        self._followed = Followed()
+        self._followed = FollowedChannels()
         self._overview = Overview(channels_glob)
-        self._views = ItemViews()
+        self._previews = ItemPreviews()
         self._findings: dict[str, Any] = {}
         self._findings_due = 0
         self._examining = asyncio.Lock()
@@ -123,7 +123,7 @@ class Site:
 
     async def _item(self, rt: aio.Connection, name: str, group: str, instant: int | None) -> dict[str, Any]:
         try:
-            return await self._views.at(await self._reader(rt, name, group), group, instant)
+            return await self._previews.at(await self._reader(rt, name, group), group, instant)
         except StampedeError as error:
             return {"channel": name, "failure": error.message}
 
@@ -155,7 +155,7 @@ class Site:
         return _json(self._findings)
 
     async def _answer_picture(self, request: Request) -> Response:
-        found = self._views.pictures.get(request.path_params["key"])
+        found = self._previews.pictures.get(request.path_params["key"])
         if found is None:
             raise HTTPException(404, "This picture is not kept any more; ask for its item again.")
         return Response(found[1], media_type=found[0])

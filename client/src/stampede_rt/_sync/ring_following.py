@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.ring_reads import ASK_HOST, AskHost, columns_of, items_of, newest_item
 from stampede_rt.ring.facts import host_now
-from stampede_rt.ring.following import Next, following
-from stampede_rt.ring.latest import latest
 from stampede_rt.ring.layout import CHANGES_WORD
+from stampede_rt.ring.newest import find_newest
+from stampede_rt.ring.successors import FoundNext, find_next
 from stampede_rt.transports.ring_mapping import WAIT_S_MAX, RingMapping, boottime_nanos
 from stampede_rt.transports.ring_waiting_sync import RingWaits
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -57,7 +57,7 @@ class RingFollower:
         if facts is None or not self.mapping.is_open(boottime_nanos()):
             return False
         if self._newest_only:
-            return latest(self.mapping.view, facts, self._position) is not True
+            return find_newest(self.mapping.view, facts, self._position) is not True
         return self._next(facts) is not True
 
     def step(self) -> Sequence[Item] | AskHost:
@@ -81,7 +81,7 @@ class RingFollower:
         return self._cursor.from_unix_nano, min(self._cursor.from_seq, _SEQ_MAX) - 1
 
     def _take_newest(self, facts: list[int]) -> Sequence[Item] | AskHost:
-        found = latest(self.mapping.view, facts, self._position)
+        found = find_newest(self.mapping.view, facts, self._position)
         if found is True or not self.mapping.is_open(boottime_nanos()):
             return ASK_HOST
         if found is False:
@@ -103,6 +103,6 @@ class RingFollower:
         self._slot, self._cursor.next_seq = found.slot, found.end_seq
         return items
 
-    def _next(self, facts: list[int]) -> Next | bool:
+    def _next(self, facts: list[int]) -> FoundNext | bool:
         now = host_now(facts, boottime_nanos())
-        return following(self.mapping.view, facts, self._cursor.next_seq, self._slot, now, columns_of)
+        return find_next(self.mapping.view, facts, self._cursor.next_seq, self._slot, now, columns_of)

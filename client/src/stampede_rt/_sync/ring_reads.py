@@ -12,9 +12,9 @@ from google.protobuf.message import DecodeError
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.session import Session
 from stampede_rt.ring.facts import host_now
-from stampede_rt.ring.latest import Latest, latest
 from stampede_rt.ring.layout import CHANGES_WORD
-from stampede_rt.ring.selecting import Columns, Picked, RunPiece, select
+from stampede_rt.ring.newest import FoundNewest, find_newest
+from stampede_rt.ring.selecting import Columns, RingAnswer, RunPiece, select
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.ring_mapping import RingMapping, boottime_nanos
 from stampede_rt.v1 import item_pb2
@@ -53,7 +53,7 @@ def read_newest(
     while True:
         changes = mapping.view.words[CHANGES_WORD]
         facts = mapping.view.facts()
-        found = True if facts is None else latest(mapping.view, facts, position)
+        found = True if facts is None else find_newest(mapping.view, facts, position)
         if found is True or not mapping.is_open(boottime_nanos()):
             return ASK_HOST
         if found is not False:
@@ -66,7 +66,7 @@ def read_newest(
         session.check()
 
 
-def newest_item(state: ChannelState, mapping: RingMapping, found: Latest) -> Item:
+def newest_item(state: ChannelState, mapping: RingMapping, found: FoundNewest) -> Item:
     """Return the item. Raises StampedeError for a damaged run."""
     slot, body = found.slot, found.body
     if not found.is_plain:
@@ -76,7 +76,7 @@ def newest_item(state: ChannelState, mapping: RingMapping, found: Latest) -> Ite
     return Item._make(fields) if state.coding is None else state.coding.item(fields)
 
 
-def _plain_fields(found: Latest, content_type: str, incarnation: int) -> tuple[Any, ...]:
+def _plain_fields(found: FoundNewest, content_type: str, incarnation: int) -> tuple[Any, ...]:
     """Return the fields of an Item without labels."""
     time, duration = found.slot.first_time, found.slot.duration
     return (
@@ -107,7 +107,7 @@ def read_interval(session: Session, state: ChannelState, query: ReadQuery) -> It
     return _answer(state, mapping, query, picked)
 
 
-def _answer(state: ChannelState, mapping: RingMapping, query: ReadQuery, picked: Picked) -> Items:
+def _answer(state: ChannelState, mapping: RingMapping, query: ReadQuery, picked: RingAnswer) -> Items:
     return Items(
         items_of(state, mapping, picked.pieces, picked.next_time, backwards=query.newest_first),
         interval=picked.interval,

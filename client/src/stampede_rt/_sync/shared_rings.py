@@ -16,7 +16,7 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.transports import futexes
 from stampede_rt.transports.concurrency_sync import monotonic_s
-from stampede_rt.transports.ring_mapping import RingMapping, Unsuited
+from stampede_rt.transports.ring_mapping import ChannelNotShared, RingMapping
 from stampede_rt.transports.ring_waiting_sync import RingWaits
 from stampede_rt.transports.socket_routes import memory_not_shared
 
@@ -32,7 +32,7 @@ CHANNELS_MAX = 4096  # whose reads are counted
 
 
 @dataclass(slots=True)
-class _Channel:
+class _KnownChannel:
     """The ring of one channel, if there is one, and when to ask for one."""
 
     mapping: RingMapping | None = None
@@ -51,7 +51,7 @@ class SharedRings:
         self._may_use = transport in (Transport.BEST, Transport.SHARED) and futexes.is_supported()
         if self._is_forced and not self._may_use:
             raise InvalidArgument('transport="shared" needs Linux on x86-64 and CPython; leave it away')
-        self._channels: dict[bytes, _Channel] = {}
+        self._channels: dict[bytes, _KnownChannel] = {}
         self._is_closed = False
         self.waits = RingWaits()
 
@@ -65,7 +65,7 @@ class SharedRings:
             return None
         known = self._channels.get(state.info.channel_id)
         if known is None:
-            known = self._channels[state.info.channel_id] = _Channel()
+            known = self._channels[state.info.channel_id] = _KnownChannel()
             if len(self._channels) > CHANNELS_MAX:
                 self._forget(next(iter(self._channels)))
         mapping = known.mapping
@@ -80,7 +80,7 @@ class SharedRings:
             return None
         return self._open(state, known)
 
-    def _open(self, state: Any, known: _Channel) -> RingMapping | None:
+    def _open(self, state: Any, known: _KnownChannel) -> RingMapping | None:
         def open_at(binding: Binding, limit_s: float) -> RingMapping | None:
             endpoint = self._endpoints.to(binding.target)
             mapping = endpoint.share_memory(binding.subject_id, binding.epoch)
@@ -91,7 +91,7 @@ class SharedRings:
         known.is_opening, known.not_before_s = True, monotonic_s() + AGAIN_S
         try:
             mapping = self._perform(state, open_at, OPEN_S)
-        except Unsuited:
+        except ChannelNotShared:
             mapping, known.not_before_s = None, monotonic_s() + LONG_AGAIN_S
         except (Unavailable, Overloaded):
             if self._is_forced:
@@ -105,7 +105,7 @@ class SharedRings:
             self._keep(known, mapping)
         return known.mapping
 
-    def _keep(self, known: _Channel, mapping: RingMapping) -> None:
+    def _keep(self, known: _KnownChannel, mapping: RingMapping) -> None:
         known.mapping = mapping
         if self._is_closed or all(one is not known for one in self._channels.values()):  # forgotten while it opened
             self._give_up(known)
@@ -116,7 +116,7 @@ class SharedRings:
     def _forget(self, channel_id: bytes) -> None:
         self._give_up(self._channels.pop(channel_id))
 
-    def _give_up(self, known: _Channel) -> None:
+    def _give_up(self, known: _KnownChannel) -> None:
         mapping, known.mapping = known.mapping, None
         if mapping is not None:
             mapping.close()

@@ -4,11 +4,11 @@ import asyncio
 import os
 import socket
 
-from stampede_rt_runtime.sockets.hangups import Hangups
+from stampede_rt_runtime.sockets.hangups import HangupWatcher
 
 
 async def test_the_close_of_a_watched_socket_is_told_once_although_nobody_reads() -> None:
-    hangups = Hangups()
+    hangups = HangupWatcher()
     near, far = socket.socketpair()
     told = asyncio.Queue[str]()
     with near:
@@ -22,7 +22,7 @@ async def test_the_close_of_a_watched_socket_is_told_once_although_nobody_reads(
 
 
 async def test_a_socket_that_has_the_number_of_a_closed_one_stays_watched() -> None:
-    hangups = Hangups()
+    hangups = HangupWatcher()
     closed, closed_far = socket.socketpair()
     near, far = socket.socketpair()
     told = asyncio.Queue[str]()

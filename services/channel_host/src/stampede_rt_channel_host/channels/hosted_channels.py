@@ -32,7 +32,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 SUBSCRIPTIONS_MAX = 4096
 
 
-class CopyOf(NamedTuple):
+class NewCopy(NamedTuple):
     """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were."""
 
     state: CopyState
@@ -64,7 +64,7 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
         deliveries: SharedDeliveries | None = None,
-        copy: CopyOf | None = None,
+        copy: NewCopy | None = None,
     ) -> None:
         """Set up the channel of `record`. With `copy` it is a copy of that channel.
 
@@ -251,7 +251,7 @@ def _ignore(hosted: HostedChannel) -> None:
     """The callback of a channel that has left the host."""
 
 
-def _new_core(record: RecordedChannel, now: int, copy: CopyOf | None) -> ChannelCore:
+def _new_core(record: RecordedChannel, now: int, copy: NewCopy | None) -> ChannelCore:
     """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
     kind = ChannelCore if copy is None else FedChannel
     lost_before = now if record.epoch > 1 else None

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
-from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 
@@ -19,7 +19,7 @@ class HostedCopies:
     """
 
     def __init__(
-        self, channels: Mapping[bytes, HostedChannel], add: Callable[[RecordedChannel, CopyOf], HostedChannel],
+        self, channels: Mapping[bytes, HostedChannel], add: Callable[[RecordedChannel, NewCopy], HostedChannel],
         forget: Callable[[bytes, StampedeError], None],
     ) -> None:  # fmt: skip
         self._channels = channels
@@ -45,7 +45,7 @@ class HostedCopies:
         hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand)
         return hosted
 
-    def begin(self, record: RecordedChannel, begun: CopyOf) -> HostedChannel:
+    def begin(self, record: RecordedChannel, begun: NewCopy) -> HostedChannel:
         """Make an empty copy of the channel. Drops a copy that there is; its readers get MOVED.
 
         Raises Overloaded if the host has too many channels.

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
-from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
@@ -312,7 +312,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         return self._add(record)
 
-    def _add(self, record: RecordedChannel, begun: CopyOf | None = None) -> HostedChannel:
+    def _add(self, record: RecordedChannel, begun: NewCopy | None = None) -> HostedChannel:
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._creation_shares.check(record.created_by)

@@ -13,7 +13,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.channels.hosted_channels import CopyOf, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
@@ -125,7 +125,7 @@ class CopyFeed:
         record, held = recorded_channel(state.channel), self._held()
         if held is None or begins_anew or held.record.incarnation != record.incarnation:
             self._state.caught_up = False
-            self._store.copies.begin(record, CopyOf(self._state, lost_before))
+            self._store.copies.begin(record, NewCopy(self._state, lost_before))
         else:
             self._update(record)
 

@@ -20,7 +20,7 @@ class _Watched(NamedTuple):
     on_hangup: Callable[[], object]
 
 
-class Hangups:
+class HangupWatcher:
     """Watches sockets for the end of their connection. On a system without epoll it watches nothing.
 
     There the next sign of life tells that a peer has gone.

@@ -27,7 +27,7 @@ from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.sockets.accepting import Acceptor
 from stampede_rt_runtime.sockets.context import OK, Metadata, SocketContext, status_of
 from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
-from stampede_rt_runtime.sockets.hangups import Hangups
+from stampede_rt_runtime.sockets.hangups import HangupWatcher
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 from stampede_rt_runtime.sockets.tickets import SocketTickets
 from stampede_rt_runtime.sockets.unix_socket import listen_at_new_path
@@ -74,7 +74,7 @@ class SocketServer:
         for interceptor in reversed(interceptors):
             find = partial(interceptor.intercept_service, find)
         self._find: Callable[[_CallDetails], Awaitable[Any]] = find
-        self._hangups, self._buffers = Hangups(), FrameBuffers()
+        self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
         self._unopened: set[StreamSocket] = set()
         # By their credentials: a caller with a thousand openings delays those of others by one opening only.

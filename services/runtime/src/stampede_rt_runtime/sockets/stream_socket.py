@@ -19,7 +19,7 @@ from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, Frame, FrameKind, 
 from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers, FramePlace
-from stampede_rt_runtime.sockets.hangups import Hangups
+from stampede_rt_runtime.sockets.hangups import HangupWatcher
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
 STALL_SECONDS_MAX = 30.0  # for which a peer may take nothing of what the service writes
@@ -51,7 +51,7 @@ class SocketOwner(Protocol):
 class StreamSocket(asyncio.BufferedProtocol):
     """Reads and writes the frames of one stream."""
 
-    def __init__(self, owner: SocketOwner, limits: Limits, hangups: Hangups, buffers: FrameBuffers) -> None:
+    def __init__(self, owner: SocketOwner, limits: Limits, hangups: HangupWatcher, buffers: FrameBuffers) -> None:
         self.socket: Any = None
         self.is_opened = False
         self.is_over = False

@@ -9,9 +9,9 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore
+from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
 from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
 from stampede_rt_channel_host.core.channel.span_ends import SLICES_MAX
-from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import ITEMS, SliceCounter, backwards, count_slices, filled
 

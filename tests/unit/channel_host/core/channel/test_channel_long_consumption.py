@@ -10,8 +10,8 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, seq_set
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, RANGES_PER_LOOK_MAX, Consumers
+from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
 from stampede_rt_channel_host.core.channel.retention import AFTER_READS_NANOS, BACKLOG_ENTRIES_MAX, SLICES_CONSUMED_MAX
-from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import (
     ITEMS,

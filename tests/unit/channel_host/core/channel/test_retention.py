@@ -10,8 +10,8 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Match
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, times_of
 
 

@@ -40,6 +40,6 @@ class FedHoldings(Holdings):
         self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
 
     def _collect_below(self, key: ItemKey) -> None:
-        oldest: OldestItems = self.oldest_items(below(key), self._tally.whole_below(key))
+        oldest: OldestItems = self.oldest_items(below(key), self._blocks.whole_below(key))
         if oldest.items:
             self._leave(oldest, self.last_cause)

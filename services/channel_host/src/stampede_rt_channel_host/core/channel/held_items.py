@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
+from stampede_rt_channel_host.core.channel.item_blocks import ItemBlocks
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
-from stampede_rt_channel_host.core.channel.tally import Tally
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
@@ -40,9 +40,9 @@ class HeldItems:
     """
 
     __slots__ = (
-        "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open", "_newest_items_most",
-        "_newest_longest", "_on_floor_reset", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
-        "_stored_items", "_tally", "accepted", "accepted_bytes", "came_up_to", "collected", "collected_by",
+        "_blocks", "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open",
+        "_newest_items_most", "_newest_longest", "_on_floor_reset", "_on_gone", "_reported_to", "_snapshots",
+        "_stored_bytes", "_stored_items", "accepted", "accepted_bytes", "came_up_to", "collected", "collected_by",
         "collected_end", "floor", "floor_resets", "freed_entries", "index", "items", "last_cause", "late", "missed",
         "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes", "shared_batches",
     )  # fmt: skip
@@ -77,7 +77,7 @@ class HeldItems:
         self._newest_items_most = 0  # an upper bound of the number of items in the newest bucket
         self._newest_bytes_most = 0  # an upper bound of the charged bytes of the newest bucket
         self._snapshots: dict[IndexSnapshot, None] = {}  # the snapshots whose items must not be freed
-        self._tally = Tally()  # counts the held items, except those after its last block
+        self._blocks = ItemBlocks()  # counts the held items, except those after its last block
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
         self._stored_items = 0  # the items of these entries
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
@@ -201,8 +201,8 @@ class HeldItems:
         )
 
     def items_below(self, key: ItemKey) -> int:
-        """The number of held items below a key. Takes most of it from the tally, and walks over the other items."""
-        whole = self._tally.whole_below(key)
+        """The number of held items below a key. Takes most of it from the blocks, and walks over the other items."""
+        whole = self._blocks.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:

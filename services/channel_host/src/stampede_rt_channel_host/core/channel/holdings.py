@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import islice
 
-from stampede_rt_channel_host.core.channel import tally
+from stampede_rt_channel_host.core.channel import item_blocks
 from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
+from stampede_rt_channel_host.core.channel.item_blocks import NO_BLOCKS, WholeBlocks
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.oldest_items import (
     CountOldest,
@@ -21,7 +22,6 @@ from stampede_rt_channel_host.core.channel.oldest_items import (
 )
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
-from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, WholeBlocks
 
 REPORTED_SLICES_MAX = 64
 """The most collected slices that one call reports to the consumers. The next calls report the rest."""
@@ -57,8 +57,8 @@ class Holdings(HeldItems):
         if isinstance(run, ColumnRun):
             run.kept = len(run)
         self._kept_body_bytes += len(run.body)
-        if low < self._tally.end[0]:
-            self._split_block(self._tally.add_late(run.first_seq, run.times, run.lengths))
+        if low < self._blocks.end[0]:
+            self._split_block(self._blocks.add_late(run.first_seq, run.times, run.lengths))
         self._count_in(len(run), payload_bytes, low)
         self._count_newest(len(run), payload_bytes, high)
         if isinstance(run, OneRun):
@@ -85,8 +85,8 @@ class Holdings(HeldItems):
         self.index.insert_item(run, at)
         run.kept += 1
         self._stored_items += 1
-        if time < self._tally.end[0]:
-            self._split_block(self._tally.add_late(run.first_seq + at, (time,), (payload_bytes,)))
+        if time < self._blocks.end[0]:
+            self._split_block(self._blocks.add_late(run.first_seq + at, (time,), (payload_bytes,)))
         self._count_in(1, payload_bytes, time)
         self._count_newest(1, payload_bytes, time)
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
@@ -110,7 +110,7 @@ class Holdings(HeldItems):
         self.floor = self._reported_to = FIRST_KEY
 
     def _split_block(self, crowded: tuple[ItemKey, ItemKey] | None) -> None:
-        """Split a block of the tally that late items have made too large."""
+        """Split a block that late items have made too large."""
         if crowded is None:
             return
         low, high = crowded
@@ -118,18 +118,19 @@ class Holdings(HeldItems):
         for part in self.slices(low, high):
             items += part.items
             payload_bytes += part.payload_bytes
-            if items >= tally.BLOCK_ITEMS:
+            if items >= item_blocks.BLOCK_ITEMS:
                 at = part.last_time, part.end_seq
                 if at < high:
-                    self._tally.split(at, items, payload_bytes)
+                    self._blocks.split(at, items, payload_bytes)
                 return
 
     def _count_in(self, items: int, payload_bytes: int, low: int) -> None:
-        """Count new items, the earliest of them at `low`, in all sums. Close a block of the tally if it is full."""
+        """Count new items, the earliest of them at `low`, in all sums. Close a block if it is full."""
         self._following, self.shared_batches = (None, None), None
-        if self.items - self._tally.items >= tally.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
+        outside = self.items - self._blocks.items
+        if outside >= item_blocks.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
             end = self.newest, self.next_seq
-            self._tally.close(end, self.items - self._tally.items, self.payload_bytes - self._tally.payload_bytes)
+            self._blocks.close(end, outside, self.payload_bytes - self._blocks.payload_bytes)
         self.items += items
         self.payload_bytes += payload_bytes
         self.accepted += items
@@ -137,7 +138,7 @@ class Holdings(HeldItems):
         self._stored_bytes += payload_bytes + items * ITEM_OVERHEAD_BYTES
         if self.oldest is None or low < self.oldest:
             self.oldest = low
-        if self.items - self._tally.items >= 2 * tally.BLOCK_ITEMS:
+        if self.items - self._blocks.items >= 2 * item_blocks.BLOCK_ITEMS:
             self._close_block()
 
     def _count_newest(self, items: int, payload_bytes: int, high: int) -> None:
@@ -152,13 +153,13 @@ class Holdings(HeldItems):
         self._newest_bytes_most += payload_bytes + items * ITEM_OVERHEAD_BYTES
 
     def _close_block(self) -> None:
-        """Add a block to the tally, because very many items earlier than the newest one are in no block."""
+        """Add a block, because very many items earlier than the newest one are in no block."""
         items = payload_bytes = 0
-        for part in self.slices(self._tally.end):
+        for part in self.slices(self._blocks.end):
             items += part.items
             payload_bytes += part.payload_bytes
-            if items >= tally.BLOCK_ITEMS:
-                self._tally.close((part.last_time, part.end_seq), items, payload_bytes)
+            if items >= item_blocks.BLOCK_ITEMS:
+                self._blocks.close((part.last_time, part.end_seq), items, payload_bytes)
                 return
 
     def _meet(self, time: int, duration: int) -> None:
@@ -190,16 +191,16 @@ class Holdings(HeldItems):
 
     def oldest_before(self, time: int) -> OldestItems:
         """The held items before `time`."""
-        return self.oldest_items(before(time), self._tally.whole_below((time, 0)))
+        return self.oldest_items(before(time), self._blocks.whole_below((time, 0)))
 
     def oldest_by_count(self, count: int) -> OldestItems:
         """The oldest `count` items."""
-        whole = self._tally.whole_within(items=count)
+        whole = self._blocks.whole_within(items=count)
         return self.oldest_items(first_items(count - whole.items), whole)
 
     def oldest_by_bytes(self, charged_bytes: int) -> OldestItems:
         """The fewest oldest items that are together charged with at least `charged_bytes`."""
-        whole = self._tally.whole_within(charged_bytes=charged_bytes)
+        whole = self._blocks.whole_within(charged_bytes=charged_bytes)
         in_blocks = whole.payload_bytes + whole.items * ITEM_OVERHEAD_BYTES
         return self.oldest_items(first_bytes(charged_bytes - in_blocks), whole)
 
@@ -235,7 +236,7 @@ class Holdings(HeldItems):
         """Count the oldest items as collected."""
         self.items -= oldest.items
         self.payload_bytes -= oldest.payload_bytes
-        self._tally.take(oldest.items, oldest.payload_bytes)
+        self._blocks.take(oldest.items, oldest.payload_bytes)
         self.collected[cause] += oldest.items
         self.oldest = None if oldest.rest is None else oldest.rest.first_time
         if oldest.rest is None:

@@ -36,7 +36,7 @@ class WholeBlocks(NamedTuple):
 NO_BLOCKS = WholeBlocks(0, 0, FIRST_KEY)
 
 
-class Tally:
+class ItemBlocks:
     """Held items by blocks. A block begins at the end of the block before it, and ends at its own end, exclusive.
 
     `items` and `payload_bytes` are the sums over all blocks. The blocks hold all held items below `end`.
