@@ -182,7 +182,7 @@ async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: py
         handler = await _handler(call if kind == "stream" else responses)
     await handler(None, Stream())
     now += 10**9
-    assert caller.turn is not None
+    assert caller.loop_share is not None
     assert caller.loop_share.used_percent() == 30
 
 
@@ -190,8 +190,8 @@ async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monk
     caller = Account("one", DEFAULTS, loop_shares=loop_shares.LoopShares(lambda: 10**9, lambda delay_s, call: None))
     waiting = CallerWork(caller)
     monkeypatch.setattr(pacing, "current_work", lambda: waiting)
-    assert caller.turn is not None
-    caller.turn.stand(lambda: None)  # a step of another stream
+    assert caller.loop_share is not None
+    caller.loop_share.stand(lambda: None)  # a step of another stream
 
     async def responses(_request: Any, _context: Any) -> AsyncIterator[bytes]:
         yield b"one"
