@@ -31,6 +31,7 @@ from stampede_rt_bench.tables import Table
 from stampede_rt_local.cluster import LocalCluster
 
 PROCESSES = 4
+TRANSPORT = "socket"  # readers of shared memory cost the host nothing
 PERIOD_S = 1 / 30
 STALLS_AFTER = 30  # items that the stalled reader takes, so that the host sends ahead of it
 WARM_S = 2.0
@@ -131,7 +132,7 @@ class Child:
 def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds: float) -> Iterator[Sequence[str]]:
     """Take the rounds of one work, in a new channel. Yields the rows of the table."""
     host = Host(cluster)
-    with st.connect(cluster.address) as rt, ExitStack() as stack:
+    with st.connect(cluster.address, transport=TRANSPORT) as rt, ExitStack() as stack:
         name = f"fan/{time.monotonic_ns()}"
         channel = rt.channel(name, max_age="3s")
         each = readers // PROCESSES
@@ -177,7 +178,7 @@ def _child(role: str, address: str, channel: str, readers: int) -> Iterator[Chil
 
 async def _read(address: str, name: str, readers: int) -> None:
     """Be the readers of one process. Print the time of each put, and its age when each reader has it."""
-    async with await aio.connect(address) as rt:
+    async with await aio.connect(address, transport=TRANSPORT) as rt:
         channel = await rt.channel(name)
         subscriptions = [channel.subscribe() for _ in range(readers)]
         for subscription in subscriptions:
@@ -199,7 +200,7 @@ async def _ages(subscription: Any) -> list[Age]:
 
 async def _stall(address: str, name: str) -> None:
     """Be the reader that subscribes and stalls, or leaves, as the lines on standard input say."""
-    async with await aio.connect(address) as rt:
+    async with await aio.connect(address, transport=TRANSPORT) as rt:
         channel = await rt.channel(name)
         print("ready", flush=True)
         subscription: Any = None
@@ -251,7 +252,8 @@ def main() -> int:
         for work in WORKS:
             table.rows += measure(cluster, work, asked.readers, asked.rounds, asked.seconds)
     table.notes.append(
-        f"{asked.readers} readers, {asked.rounds} rounds of two parts of {asked.seconds:g} s; medians of the parts "
+        f"{asked.readers} readers over the transport {TRANSPORT!r}, {asked.rounds} rounds of two parts of "
+        f"{asked.seconds:g} s; medians of the parts "
         "(middle half). In the rows with the goal: the ratio of the two parts of each round. The goal is at most "
         f"{LONGER_MAX:.2f} times as old at p99, and at most {GROWN_BYTES_MAX // MIB} MiB more."
     )

@@ -72,6 +72,8 @@ def test_attacks_that_were_not_measured_are_named_and_the_others_are_in_the_tabl
     printed = capsys.readouterr()
     rows = re.findall(r"^\| `([a-z-]+)`: ", printed.out, re.MULTILINE)
     assert rows == [name for name in CASES if name != "resets"]
+    assert printed.out.startswith("| attack | before |")
+    assert "use the transport 'socket'" in printed.out, "readers of shared memory would go past the host"
     assert "resets was not measured: it was killed after 192 s" in printed.err
     assert f"{len(CASES)} of {len(CASES)}: {[*CASES][-1]}" in printed.err
     monkeypatch.setattr(sys, "argv", ["attacks", "malformed"])

@@ -2,7 +2,8 @@
 
 The host has a budget of 64 MiB for what it keeps, and its soft limit of open files is 1024. Two good clients put 100
 bytes and read them, each 10 ms: alone, then beside the attacker, which is a process of its own, then alone again. They
-have one client token, and the attacker has another.
+have one client token, and the attacker has another. They use sockets, as clients of one machine do: readers of shared
+memory would go past the host.
 
 There are two trials of each attack. In the first one the attacker takes only processor time that nobody else wants
 (SCHED_IDLE), because a hostile client runs on a machine of its own. The goal is for this trial. In the second one it
@@ -19,8 +20,9 @@ from dataclasses import dataclass
 
 from stampede_rt_bench.tables import Table
 from tests.benchmarks.attacks.catalogue import CASES
+from tests.benchmarks.attacks.ground import TRANSPORT
 from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
-from tests.benchmarks.attacks.trial import Found, run_trial
+from tests.benchmarks.attacks.trial import Found, Setup, run_trial
 
 COLUMNS = (
     "attack", "before", "RSS, MiB", "good calls, failed", "good put alone, p50 / p99, ms", "beside the attack",
@@ -28,6 +30,7 @@ COLUMNS = (
 )  # fmt: skip
 RUN_SECONDS_MAX = 180.0
 """The longest time of one trial beside four times the length of the attack. Then it is killed."""
+NOTE = f"The good clients, and attackers with the client library, use the transport {TRANSPORT!r}."
 LOG_BYTES_USUAL = 2000  # of a cluster under attack that says nothing of it
 
 
@@ -65,8 +68,8 @@ def measure(name: str, seconds: float, runs: int) -> Measured:
     """The run whose ratio is the median. Tells of each run on standard error. Raises Unfinished."""
     every, limit_s = [], RUN_SECONDS_MAX + 4 * seconds
     for _ in range(runs):
-        apart = in_own_process(run_trial, name, seconds, "", False, True, seconds=limit_s)
-        measured = Measured(apart, in_own_process(run_trial, name, seconds, seconds=limit_s))
+        apart = in_own_process(run_trial, name, seconds, Setup(apart=True), seconds=limit_s)
+        measured = Measured(apart, in_own_process(run_trial, name, seconds, Setup(), seconds=limit_s))
         print("  ".join(row(measured, name)), *apart.beside.failures[:1], sep="  ", file=sys.stderr, flush=True)
         every.append(measured)
     return sorted(every, key=lambda one: one.apart.p99_ratio)[len(every) // 2]
@@ -80,11 +83,15 @@ def main() -> int:
     parser.add_argument(
         "--runs", type=int, default=1, help="runs of each attack; the table has the median (default: 1)"
     )
-    parser.add_argument("--markdown", action="store_true", help="print the table of docs/security.md")
+    parser.add_argument(
+        "--markdown", action="store_true", help="print the table of docs/security.md, each row when it is measured"
+    )
     options = parser.parse_args()
     if unknown := set(options.names) - set(CASES):
         parser.error(f"there is no attack {', '.join(sorted(unknown))}; there are {', '.join(CASES)}")
-    table, unmeasured = Table(COLUMNS), []
+    table, unmeasured = Table(COLUMNS, notes=["", NOTE]), []
+    if options.markdown:
+        print(Table(COLUMNS).markdown(), flush=True)
     names = options.names or [*CASES]
     for number, name in enumerate(names, start=1):
         print(f"{number} of {len(names)}: {name}", file=sys.stderr, flush=True)
@@ -94,8 +101,10 @@ def main() -> int:
             print(f"{name} was not measured: {error}", file=sys.stderr, flush=True)
             unmeasured.append(name)
             continue
-        table.rows.append(row(found, f"`{name}`: {CASES[name].text}" if options.markdown else name))
-    print(table.markdown() if options.markdown else table.render())
+        if options.markdown:  # each row as it comes, so that nothing is lost if the command is stopped
+            print(Table(row(found, f"`{name}`: {CASES[name].text}")).markdown().partition("\n")[0], flush=True)
+        table.rows.append(row(found, name))
+    print("\n".join(table.notes) if options.markdown else table.render())
     if unmeasured:
         print(f"not measured: {', '.join(unmeasured)}", file=sys.stderr)
     return 1 if unmeasured else 0

@@ -4,7 +4,8 @@
 
 Each run has three trials. In `host` the flood and the good clients go to a host, as in the table of attacks. In `bare`
 both go to a server that only reads and echoes. In `elsewhere` the good clients go to a host, and the flood goes to that
-server: what is left is that both share the machine. The server has the options of a host's server.
+server: what is left is that both share the machine. The server has the options of a host's server. All good clients use
+gRPC, and the attacker takes only processor time that nobody else wants.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import asyncio
 import statistics
 import sys
+from dataclasses import replace
 from typing import Any
 
 import grpc
@@ -22,11 +24,12 @@ from stampede_rt_runtime import open_files
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.main import run_loop
 from tests.benchmarks.attacks.own_process import in_own_process
-from tests.benchmarks.attacks.trial import Found, run_trial
+from tests.benchmarks.attacks.trial import Found, Setup, run_trial
 from tests.support.processes import started
 
 FLOODS = ("unknown-fields", "repeated-fields", "resets", "health-watches", "many-streams", "single-calls")
 RUN_SECONDS_MAX = 180.0
+TRANSPORT = "grpc"  # of the good clients in all three trials
 _SERVE = "serve"
 
 
@@ -67,12 +70,14 @@ async def serve() -> None:
 def measure(name: str, seconds: float, kind: str) -> Found:
     """One trial, in a process of its own."""
     limit_s = RUN_SECONDS_MAX + 4 * seconds
+    apart = Setup(apart=True, transport=TRANSPORT)
     if kind == "host":
-        return in_own_process(run_trial, name, seconds, seconds=limit_s)
+        return in_own_process(run_trial, name, seconds, apart, seconds=limit_s)
     with started([sys.executable, "-m", "tests.benchmarks.attacks.bare", _SERVE]) as process:
         assert process.stdout is not None
         bare = f"127.0.0.1:{process.stdout.readline().strip()}"
-        return in_own_process(run_trial, name, seconds, bare, kind == "bare", seconds=limit_s)
+        setup = replace(apart, bare=bare, good_go_there=kind == "bare")
+        return in_own_process(run_trial, name, seconds, setup, seconds=limit_s)
 
 
 def row(name: str, kind: str, runs: list[Found]) -> list[str]:

@@ -17,6 +17,7 @@ from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 
 GOOD_CHANNEL = "good"
+TRANSPORT = "socket"  # of good clients and attackers: reads of shared memory would not reach the host
 NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker names its things so
 OPTIONS = [
     ("grpc.max_receive_message_length", -1),
@@ -52,7 +53,7 @@ class Ground:
 
     def connect(self) -> Any:
         """The client that everybody uses."""
-        return st.aio.connect(self.frontend, secret=self.secret)
+        return st.aio.connect(self.frontend, secret=self.secret, transport=TRANSPORT)
 
     def channel(self, target: str) -> grpc.aio.Channel:
         """A new connection to a port of the cluster."""

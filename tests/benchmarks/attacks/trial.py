@@ -27,7 +27,7 @@ from stampede_rt_local.process import ServiceProcess
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.competitor import SLOT_SECONDS
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, OPTIONS, Ground
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, OPTIONS, TRANSPORT, Ground
 
 MEMORY_BUDGET = "64MiB"
 FILES_SOFT = 1024
@@ -93,13 +93,28 @@ class Found:
         return 100 * statistics.fmean(self.attacker_slots or [0.0]) / SLOT_SECONDS
 
 
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """Who calls whom. `transport`: of the good clients.
+
+    `bare`: the address of a bare server that the attack floods instead of the host, and with `good_go_there` the good
+    clients call it, too; see `bare.py`. `apart`: the attacker gets only processor time that nobody else wants, as if it
+    ran on another machine. Otherwise the good clients are measured also beside a program that takes as much processor
+    time as the attacker took.
+    """
+
+    transport: str = TRANSPORT
+    bare: str = ""
+    good_go_there: bool = False
+    apart: bool = False
+
+
 class Field:
     """A cluster with one host and one supernode, whose host has a small budget of memory and few open files."""
 
-    def __init__(self, name: str, bare: str = "", *, good_go_there: bool = False) -> None:
-        """`bare`: the address of a bare server that the attack floods instead of the host; see `bare.py`."""
+    def __init__(self, name: str, setup: Setup) -> None:
         self.found = Found(name)
-        self.bare, self.good_go_there = bare, good_go_there
+        self.setup = setup
         self.cluster = LocalCluster(hosts=1, supernodes=1, on_line=self._hear)
         self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
 
@@ -115,7 +130,7 @@ class Field:
             supernode=self.cluster.supernodes[0].address,
             host=self.cluster.hosts[0].address,
             secret=self.token("attacker"),
-            flooded=self.bare,
+            flooded=self.setup.bare,
         )
 
     def token(self, name: str) -> str:
@@ -128,6 +143,11 @@ class Field:
             create: Any = AccessServiceStub(channel).CreateClientToken
             return str(create(request, metadata=bearer, timeout=CALL_SECONDS).token)
 
+    async def good(self) -> Any:
+        """Opens the connection of a good client."""
+        token = await asyncio.to_thread(self.token, "good")
+        return st.aio.connect(self.cluster.address, secret=token, transport=self.setup.transport)
+
     def memory_mib(self) -> float:
         """Resident now, of the watched process."""
         parts = self.cluster.hosts if CASES[self.found.name].watched == "host" else self.cluster.supernodes
@@ -136,12 +156,12 @@ class Field:
 
 
 @asynccontextmanager
-async def field_for(name: str, bare: str = "", *, good_go_there: bool = False) -> AsyncIterator[Field]:
+async def field_for(name: str, setup: Setup) -> AsyncIterator[Field]:
     """The cluster, ready."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # its processes inherit it
     try:
-        one = Field(name, bare, good_go_there=good_go_there)
+        one = Field(name, setup)
         await asyncio.to_thread(one.cluster.__enter__)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -151,30 +171,26 @@ async def field_for(name: str, bare: str = "", *, good_go_there: bool = False) -
         await asyncio.to_thread(one.cluster.__exit__, None, None, None)
 
 
-def run_trial(name: str, seconds: float, bare: str = "", good_go_there: bool = False, apart: bool = False) -> Found:
+def run_trial(name: str, seconds: float, setup: Setup) -> Found:
     """A trial in a loop of its own."""
-    return asyncio.run(trial(name, seconds, bare, good_go_there=good_go_there, apart=apart))
+    return asyncio.run(trial(name, seconds, setup))
 
 
-async def trial(
-    name: str, seconds: float, bare: str = "", *, good_go_there: bool = False, apart: bool = False
-) -> Found:
+async def trial(name: str, seconds: float, setup: Setup) -> Found:
     """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays.
 
-    Then alone again, so that other load of the machine counts in both. `apart`: the attacker gets only processor time
-    that nobody else wants, as if it ran on another machine. Otherwise the good clients are measured also beside a
-    program that takes as much processor time as the attacker took.
+    Then alone again, so that other load of the machine counts in both.
     """
-    async with field_for(name, bare, good_go_there=good_go_there) as one:
+    async with field_for(name, setup) as one:
         found = one.found
-        async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
+        async with await one.good() as rt:
             await rt.channel(GOOD_CHANNEL, max_age="10s")
             await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
             found.before_mib, found.log_bytes = one.memory_mib(), 0
-            await _good_clients(one, found.beside, _attacked(one, seconds, apart=apart))
+            await _good_clients(one, found.beside, _attacked(one, seconds))
             await _still(one)
             found.after_mib = one.memory_mib()
-            if not apart and found.attacker_slots:
+            if not setup.apart and found.attacker_slots:
                 await _good_clients(one, found.competing, _competing(one, seconds))
             await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
     if len(found.alone.puts_ms) < PUTS_ALONE_MIN:
@@ -182,9 +198,9 @@ async def trial(
     return found
 
 
-async def _attacked(one: Field, seconds: float, *, apart: bool) -> None:
+async def _attacked(one: Field, seconds: float) -> None:
     line = (await asyncio.to_thread(lambda: one.ground)).to_line()
-    words = ("tests.benchmarks.attacks.attacker", one.found.name, *(["apart"] if apart else []))
+    words = ("tests.benchmarks.attacks.attacker", one.found.name, *(["apart"] if one.setup.apart else []))
     async with _program(words, line, one.found.beside) as process:
         watching = asyncio.create_task(_watch(one, process.pid))
         try:
@@ -258,10 +274,10 @@ async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
 
 
 async def _good_client(one: Field, good: Good) -> None:
-    if one.good_go_there:
-        await _bare_client(one.bare, good)
+    if one.setup.good_go_there:
+        await _bare_client(one.setup.bare, good)
         return
-    async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
+    async with await one.good() as rt:
         channel = await rt.channel(GOOD_CHANNEL)
         await _put_and_read(channel, Good())  # not counted, because it opens the connection to the host
         asks = CASES[one.found.name].watched == "supernode"

@@ -11,7 +11,7 @@ from _pytest.mark.structures import ParameterSet
 
 from stampede_rt_channel_host.channels.request_room import CALLER_BYTES_MAX
 from stampede_rt_runtime.limits import Limits
-from tests.benchmarks.attacks.trial import Found, trial
+from tests.benchmarks.attacks.trial import Found, Setup, trial
 
 pytestmark = pytest.mark.timeout(120)
 SECONDS = 2.0
@@ -25,7 +25,7 @@ def rare(*names: str) -> list[ParameterSet]:
 
 
 async def attacked(name: str) -> Found:
-    found = await trial(name, SECONDS)
+    found = await trial(name, SECONDS, Setup())
     assert found.beside.calls > 0
     assert found.beside.failures == []
     assert found.leases_lost == 0

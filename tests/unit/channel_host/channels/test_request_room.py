@@ -105,3 +105,37 @@ async def test_large_requests_that_nobody_finishes_leave_room_for_those_in_which
             await some.begin(f"joined {number}", "good", JOINED_BYTES_MAX)
         assert len(some.under_way) == 3 + 32, "one caller gets half of the other half"
         assert some.room.used_bytes <= ROOM_BYTES
+
+
+class CountedBytes(int):
+    """The size of a request. Counts how often somebody asks whether a request fits."""
+
+    looks = 0
+
+    def __radd__(self, other: int) -> int:
+        type(self).looks += 1
+        return int(self) + other
+
+
+async def test_the_waiting_requests_of_a_caller_that_has_used_up_its_part_take_no_step_of_other_requests() -> None:
+    async with uploads() as some:
+        for number in range(1000):
+            await some.begin(f"hostile {number}", "hostile", CountedBytes(25))
+        CountedBytes.looks = 0
+        for number in range(100):
+            await some.begin(f"good {number}", "good", CountedBytes(25))
+            await some.end(f"good {number}")
+        assert CountedBytes.looks <= 100 * 6, "a few looks at each good request, and none at the 998 that wait"
+        assert some.under_way[-1] == "good 99"
+
+
+async def test_requests_whose_callers_go_while_they_wait_leave_nothing_behind() -> None:
+    async with uploads() as some:
+        await some.begin("first", "a", 50)
+        for number in range(100):
+            await some.begin(f"gone {number}", "a", 50)
+            await some.end(f"gone {number}")
+        [line] = some.room._lines.values()
+        assert not line.waiting
+        await some.end("first")
+        assert (some.room._lines, some.room._listed) == ({}, [])

@@ -14,6 +14,7 @@ from stampede_rt_channel_host.core.group import GroupDefinition
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 from stampede_rt_channel_host.groups.exchange import TimesExchange
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.link import INTEREST_MAX
 from stampede_rt_channel_host.groups.peers import PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
@@ -47,9 +48,9 @@ class Groups:
             identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_asked=lambda _: None
         )
 
-    def adopt(self, number: int, *members: tuple[int, bytes]) -> None:
+    def adopt(self, number: int, *members: tuple[int, bytes], maker: str = "") -> None:
         """The directory tells of the group: numbers of channels, and the hosts that own them."""
-        told = _told(number, *members)
+        told = _told(number, *members, maker=maker)
         held = self.table.groups.get(told.group.group_id)
         if held is None:
             begin = PieceScheduler().begin
@@ -70,7 +71,7 @@ class Groups:
         return {int.from_bytes(one) for one in self.exchange.peers.wanted_of(host_id)}
 
 
-def _told(number: int, *members: tuple[int, bytes]) -> ResolvedGroup:
+def _told(number: int, *members: tuple[int, bytes], maker: str) -> ResolvedGroup:
     records = {
         channel.to_bytes(16): RecordedChannel(
             channel_id=channel.to_bytes(16), name=f"c{channel}", host_id=host_id, epoch=1, incarnation=1,
@@ -79,7 +80,9 @@ def _told(number: int, *members: tuple[int, bytes]) -> ResolvedGroup:
         for channel, host_id in members
     }  # fmt: skip
     definition = GroupDefinition(members=frozenset(records), incarnation=1)
-    group = RecordedGroup(group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"")
+    group = RecordedGroup(
+        group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"", created_by=maker
+    )
     hosts = {host_id for _, host_id in members}
     return ResolvedGroup(
         group=group, channels=records, targets=dict.fromkeys(hosts, "h:1"), host_names=dict.fromkeys(hosts, "h")
@@ -116,3 +119,19 @@ async def test_a_group_that_is_learnt_makes_the_host_look_at_no_other_group(grou
         groups.adopt(number, (number, LEFT), (number + 1, RIGHT))
     assert groups.walked.walks == 0
     assert groups.wanted(LEFT) == {*range(100)}
+
+
+async def test_the_groups_of_one_caller_do_not_leave_out_the_channels_of_others(
+    groups: Groups, caplog: pytest.LogCaptureFixture
+) -> None:
+    for number in range(0, INTEREST_MAX + 2000, 64):
+        groups.adopt(number, *((channel, LEFT) for channel in range(number, number + 64)), maker="hostile")
+    good = 1_000_000  # an id after all others
+    groups.adopt(good, (good, LEFT), (good + 1, LEFT), maker="good")
+    assert {good, good + 1} <= groups.wanted(LEFT)
+    assert len(groups.wanted(LEFT)) == INTEREST_MAX
+    [told] = [one for one in caplog.records if getattr(one, "event", "") == "group_too_large"]
+    assert (told.__dict__["created_by"], told.__dict__["most"]) == ("hostile", INTEREST_MAX)
+    for number in range(0, INTEREST_MAX + 2000, 64):
+        groups.forget(number)
+    assert groups.wanted(LEFT) == {good, good + 1}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, deque
+import itertools
+from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
@@ -35,11 +37,22 @@ class RequestRooms:
         return await room.take(caller, wanted_bytes)
 
 
+class _Line:
+    """The requests of one caller: `used_bytes` of those that have room, and those that wait, by number, in order.
+
+    `is_listed`: the room looks at this line when there is room. Otherwise the caller has used up its part.
+    """
+
+    def __init__(self) -> None:
+        self.used_bytes = 0
+        self.waiting: OrderedDict[int, _WaitingRequest] = OrderedDict()
+        self.is_listed = False
+
+
 class _WaitingRequest(NamedTuple):
     """A request that waits for room. `admitted` is done when the request has its room."""
 
     admitted: asyncio.Future[None]
-    caller: str
     wanted_bytes: int
 
 
@@ -47,21 +60,24 @@ class RequestRoom:
     """Memory for requests that are not judged. One caller gets at most `caller_bytes_max`.
 
     Requests get room in the order in which they came. Only a request whose caller has used up its part waits longer,
-    while later requests of other callers get room.
+    while later requests of other callers get room. A step looks at one request for each request that it admits, and at
+    one more of each caller at most. It looks at no other request of a caller that has used up its part.
     """
 
     def __init__(self, bytes_max: int, caller_bytes_max: int) -> None:
         self.used_bytes = 0
         self._bytes_max, self._caller_bytes_max = bytes_max, caller_bytes_max
-        self._of_callers: Counter[str] = Counter()
-        self._waiting: deque[_WaitingRequest] = deque()
+        self._numbers = itertools.count()
+        self._lines: dict[str, _Line] = {}
+        self._listed: list[tuple[int, str]] = []  # a heap of the lines' first numbers; a number may be an older one
 
     async def take(self, caller: str, wanted_bytes: int) -> Callable[[], None]:
         """Wait until there is room for one request. Returns a function that gives the room back. Call it once."""
-        waiting = _WaitingRequest(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
-        self._waiting.append(waiting)
+        line, number = self._lines.setdefault(caller, _Line()), next(self._numbers)
+        waiting = line.waiting[number] = _WaitingRequest(asyncio.get_running_loop().create_future(), wanted_bytes)
+        self._list(caller, line)
         self._admit()
-        give_back = partial(self._give_back, waiting)
+        give_back = partial(self._give_back, caller, number, waiting)
         try:
             await waiting.admitted
         except asyncio.CancelledError:
@@ -69,28 +85,46 @@ class RequestRoom:
             raise
         return give_back
 
-    def _give_back(self, waiting: _WaitingRequest) -> None:
+    def _give_back(self, caller: str, number: int, waiting: _WaitingRequest) -> None:
+        line = self._lines.setdefault(caller, _Line())
+        line.waiting.pop(number, None)
         if waiting.admitted.done() and not waiting.admitted.cancelled():
-            self._count(waiting, -waiting.wanted_bytes)
+            self._count(line, -waiting.wanted_bytes)
         waiting.admitted.cancel()
+        self._list(caller, line)
         self._admit()
+
+    def _list(self, caller: str, line: _Line) -> None:
+        """Look at this line when there is room, unless nothing waits there."""
+        if line.waiting and not line.is_listed:
+            line.is_listed = True
+            heappush(self._listed, (next(iter(line.waiting)), caller))
+        elif not (line.waiting or line.is_listed or line.used_bytes):
+            del self._lines[caller]
+
+    def _unlist(self) -> None:
+        """Look no more at the first line, until `_list`."""
+        _, caller = heappop(self._listed)
+        self._lines[caller].is_listed = False
 
     def _admit(self) -> None:
         """Give room to the waiting requests, in their order, until the next one does not fit."""
-        left: deque[_WaitingRequest] = deque()
-        while self._waiting and self.used_bytes + self._waiting[0].wanted_bytes <= self._bytes_max:
-            waiting = self._waiting.popleft()
-            if waiting.admitted.cancelled():
-                continue
-            if self._of_callers[waiting.caller] + waiting.wanted_bytes > self._caller_bytes_max:
-                left.append(waiting)
-                continue
-            self._count(waiting, waiting.wanted_bytes)
-            waiting.admitted.set_result(None)
-        self._waiting = left + self._waiting
+        while self._listed:
+            number, caller = self._listed[0]
+            line = self._lines[caller]
+            waiting = line.waiting.get(number)
+            if waiting is not None and not waiting.admitted.cancelled():
+                if line.used_bytes + waiting.wanted_bytes > self._caller_bytes_max:
+                    self._unlist()
+                    continue
+                if self.used_bytes + waiting.wanted_bytes > self._bytes_max:
+                    return
+                self._count(line, waiting.wanted_bytes)
+                waiting.admitted.set_result(None)
+            line.waiting.pop(number, None)
+            self._unlist()
+            self._list(caller, line)
 
-    def _count(self, waiting: _WaitingRequest, more_bytes: int) -> None:
+    def _count(self, line: _Line, more_bytes: int) -> None:
         self.used_bytes += more_bytes
-        self._of_callers[waiting.caller] += more_bytes
-        if not self._of_callers[waiting.caller]:
-            del self._of_callers[waiting.caller]
+        line.used_bytes += more_bytes

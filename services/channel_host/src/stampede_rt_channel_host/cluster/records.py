@@ -113,7 +113,11 @@ def recorded_group(message: group_pb2.GroupRecord) -> RecordedGroup:
         spec_version=message.spec_version,
     )
     return RecordedGroup(
-        group_id=message.group_id, name=message.name, definition=definition, message=message.SerializeToString()
+        group_id=message.group_id,
+        name=message.name,
+        definition=definition,
+        message=message.SerializeToString(),
+        created_by=intern(message.created_by),
     )
 
 

@@ -78,12 +78,17 @@ class ResolvedQueue:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedGroup:
-    """One group, with its members and settings."""
+    """One group, with its members and settings.
+
+    `created_by` is the name of the caller that created the group. It is empty if the directory does not know the
+    caller.
+    """
 
     group_id: bytes
     name: str
     definition: GroupDefinition
     message: bytes = field(repr=False)
+    created_by: str = ""
 
     @property
     def incarnation(self) -> int:

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
-from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
+from stampede_rt_channel_host.groups.peers import ChangedMembers, Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # the most floors of groups that this host has still to look up
@@ -52,8 +52,7 @@ class TimesExchange:
         self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
         # The channels of other hosts about which this host wants to hear: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
-        # By host: for each channel about which this host wants to hear, the number of its groups.
-        self._wanted: dict[bytes, Counter[bytes]] = {}
+        self._makers: dict[bytes, str] = {}  # the caller that made each of these groups
         self._fully_heard: set[bytes] = set()  # hosts that have sent all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
@@ -66,20 +65,14 @@ class TimesExchange:
         """
         group = self._table.groups.get(group_id)
         former, members = self._members.pop(group_id, {}), _by_host(group, self._identity.host_id)
+        maker = self._makers.pop(group_id, "" if group is None else group.record.created_by)
         if group is not None and members:
-            self._members[group_id] = members
+            self._members[group_id], self._makers[group_id] = members, maker
             self._names |= group.host_names
         for host_id in former.keys() | members.keys():
-            wanted = self._wanted.setdefault(host_id, Counter())
-            wanted.update(members.get(host_id, ()))
-            for channel_id in former.get(host_id, ()):
-                wanted[channel_id] -= 1
-                if not wanted[channel_id]:
-                    del wanted[channel_id]
             target = group.targets.get(host_id) if group is not None else None
-            self.peers.share(host_id, target, wanted.keys(), group_id, shares=host_id in members)
-            if not wanted:
-                del self._wanted[host_id]
+            change = ChangedMembers(maker, group_id, former.get(host_id, ()), members.get(host_id, ()))
+            if not self.peers.share(host_id, target, change):
                 self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:

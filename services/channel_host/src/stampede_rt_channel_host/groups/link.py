@@ -9,7 +9,7 @@ messages.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Collection
 from typing import Any, Protocol
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable, VersionMismatch
@@ -83,7 +83,7 @@ class HostLink:
         self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
         self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
         self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
-        self._interest: list[bytes] | None = None  # the argument of `want`, until it is sent
+        self._interest: Collection[bytes] | None = None  # the argument of `want`, until it is sent
         self._news = asyncio.Event()
 
     async def run(self, peer: bytes | None = None) -> None:
@@ -106,9 +106,12 @@ class HostLink:
             await self._read_all()
             writing.cancel()
 
-    def want(self, channel_ids: Iterable[bytes]) -> None:
-        """Set the other host's channels of which this host wants to hear. Ignores all but INTEREST_MAX of them."""
-        self._interest = sorted(channel_ids)[:INTEREST_MAX]
+    def want(self, channel_ids: Collection[bytes]) -> None:
+        """Set the other host's channels of which this host wants to hear, at most INTEREST_MAX.
+
+        The link looks at `channel_ids` when it sends them, so later changes before that time count, too.
+        """
+        self._interest = channel_ids
         self._news.set()
 
     def report_times(self, channel_id: bytes) -> None:
@@ -198,7 +201,7 @@ class HostLink:
         times = [self._handler.times_of(one) for one in _taken(self._times)]
         floors = [self._handler.floor_of(one) for one in _taken(self._floors)]
         return pb.TimesUpdate(
-            interest=None if interest is None else pb.TimesInterest(channel_ids=interest),
+            interest=None if interest is None else pb.TimesInterest(channel_ids=sorted(interest)),
             times=[one for one in times if one is not None],
             floors=[floor_to_message(one) for one in floors if one is not None],
         )

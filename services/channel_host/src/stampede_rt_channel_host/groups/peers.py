@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
-from collections.abc import Callable, Collection
-from typing import Any
+from collections.abc import Callable, Collection, Set
+from typing import Any, NamedTuple
 
 import grpc
 
@@ -19,6 +19,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.core.group import WantedChannels
 from stampede_rt_channel_host.groups.link import INTEREST_MAX, HostLink, LinkHandler
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
@@ -37,11 +38,23 @@ class PeerHost:
     def __init__(self, host_id: bytes) -> None:
         self.host_id = host_id
         self.target = ""
-        self.wanted: frozenset[bytes] = frozenset()
+        self.wanted = WantedChannels(INTEREST_MAX)
         self.groups: set[bytes] = set()
         self.link: HostLink | None = None
         self.unlinked = asyncio.Event()  # set when the link has ended
         self.task: asyncio.Task[None] | None = None  # keeps the link; None: the hosts share no group
+
+
+class ChangedMembers(NamedTuple):
+    """The members of one group that one host owned until now (`former`), and those that it owns now (`members`).
+
+    `maker`: the caller that made the group.
+    """
+
+    maker: str
+    group_id: bytes
+    former: Collection[bytes]
+    members: Collection[bytes]
 
 
 class PeerHosts:
@@ -61,40 +74,44 @@ class PeerHosts:
         self._lease_held = lease_held
         self._peers: dict[bytes, PeerHost] = {}
 
-    def share(
-        self, host_id: bytes, target: str | None, wanted: Collection[bytes], group_id: bytes, *, shares: bool
-    ) -> None:
-        """Note whether the host `host_id` shares the group with this one now. Drops a host that shares no group.
+    def share(self, host_id: bytes, target: str | None, change: ChangedMembers) -> bool:
+        """Note the members of a group that the host `host_id` owns now.
 
-        `target`: the address of that host; None: unchanged. `wanted`: all channels about which this host wants to hear
-        from that host; empty: that host shares no group with this one.
+        `target`: the address of that host; None: unchanged. Drops a host that shares no group with this one any more,
+        and then returns False.
         """
         peer = self._peers.get(host_id)
-        if not wanted:
-            if peer is not None:
-                self._drop(peer)
-            return
         if peer is None:
             peer = self._peers[host_id] = PeerHost(host_id)
-        is_new = shares and group_id not in peer.groups
-        (peer.groups.add if shares else peer.groups.discard)(group_id)
+        changes, was_left_out = peer.wanted.changes, peer.wanted.left_out
+        peer.wanted.add(change.maker, change.members)
+        peer.wanted.remove(change.maker, change.former)
+        if not peer.wanted:
+            self._drop(peer)
+            return False
+        is_new = bool(change.members) and change.group_id not in peer.groups
+        (peer.groups.add if change.members else peer.groups.discard)(change.group_id)
         peer.target = peer.target if target is None else target
-        self._want(peer, frozenset(wanted))
+        if peer.link is not None and peer.wanted.changes != changes:
+            peer.link.want(peer.wanted.asked)
+        if peer.wanted.left_out and not was_left_out:
+            _warn_of_left_out(peer)
         if is_new and peer.link is not None:
-            peer.link.report_floor(group_id)
+            peer.link.report_floor(change.group_id)
         if peer.task is None:
             peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
             peer.task.add_done_callback(_check)
+        return True
 
     def is_linked(self, host_id: bytes) -> bool:
         """Whether a stream to the host is open."""
         peer = self._peers.get(host_id)
         return peer is not None and peer.link is not None
 
-    def wanted_of(self, host_id: bytes) -> frozenset[bytes]:
-        """The channels that this host wants to hear about from the host `host_id`."""
+    def wanted_of(self, host_id: bytes) -> Set[bytes]:
+        """The channels that this host wants to hear about from the host `host_id`, at most INTEREST_MAX."""
         peer = self._peers.get(host_id)
-        return peer.wanted if peer is not None else frozenset()
+        return peer.wanted.asked if peer is not None else frozenset()
 
     def report_times(self, channel_id: bytes) -> None:
         """Send the times of a channel of this host to the other hosts that want to hear about the channel."""
@@ -116,7 +133,7 @@ class PeerHosts:
         peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
         peer.link = link
         peer.unlinked.clear()
-        link.want(peer.wanted)
+        link.want(peer.wanted.asked)
         for group_id in sorted(peer.groups):
             link.report_floor(group_id)
 
@@ -153,26 +170,13 @@ class PeerHosts:
         would not open one.
         """
         peer.groups = set()
-        self._want(peer, frozenset())
+        if peer.link is not None:
+            peer.link.want(())
         if peer.task is not None:
             peer.task.cancel()
             peer.task = None
         if peer.link is None:
             del self._peers[peer.host_id]
-
-    def _want(self, peer: PeerHost, wanted: frozenset[bytes]) -> None:
-        if wanted != peer.wanted:
-            if len(wanted) > INTEREST_MAX:
-                extra = {
-                    "event": "group_too_large",
-                    "host": peer.host_id.hex(),
-                    "channels": len(wanted),
-                    "most": INTEREST_MAX,
-                }
-                logger.warning("groups have more channels of one host than one request can name", extra=extra)
-            peer.wanted = wanted
-            if peer.link is not None:
-                peer.link.want(wanted)
 
     def _unlink(self, link: HostLink) -> None:
         peer = self._peers.get(link.host_id)
@@ -242,6 +246,17 @@ def _check(task: asyncio.Task[None]) -> None:
             exc_info=failure,
             extra={"event": "host_link_defect", "task": task.get_name()},
         )
+
+
+def _warn_of_left_out(peer: PeerHost) -> None:
+    extra = {
+        "event": "group_too_large",
+        "host": peer.host_id.hex(),
+        "channels": len(peer.wanted.asked) + peer.wanted.left_out,
+        "most": INTEREST_MAX,
+        "created_by": peer.wanted.largest_maker,
+    }
+    logger.warning("groups have more channels of one host than one request can name", extra=extra)
 
 
 async def _unwrapped(work: Any) -> None:

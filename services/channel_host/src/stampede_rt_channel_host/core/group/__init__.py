@@ -36,6 +36,7 @@ from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleN
 from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
 from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, RemoteTrack, Track
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel, polling
+from stampede_rt_channel_host.core.group.wanted_channels import WantedChannels
 
 __all__ = [
     "MAX_LEAD_NANOS_DEFAULT",
@@ -64,5 +65,6 @@ __all__ = [
     "VisibleAll",
     "VisibleChannel",
     "VisibleNewest",
+    "WantedChannels",
     "polling",
 ]

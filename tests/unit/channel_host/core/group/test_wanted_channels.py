@@ -1,0 +1,95 @@
+"""The groups of one caller do not leave out the groups of others when two hosts exchange times."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt_channel_host.core.group.wanted_channels import WantedChannels
+
+
+def ids(*numbers: int) -> list[bytes]:
+    return [number.to_bytes(16) for number in numbers]
+
+
+def numbers(asked: Iterable[bytes]) -> set[int]:
+    return {int.from_bytes(one) for one in asked}
+
+
+def test_one_maker_may_fill_the_room_that_nobody_else_wants() -> None:
+    wanted = WantedChannels(4)
+    wanted.add("hostile", ids(1, 2, 3, 4, 5))
+    assert numbers(wanted.asked) == {1, 2, 3, 4}
+    assert wanted.left_out == 1
+
+
+def test_the_newest_channels_of_the_maker_with_most_make_room_for_those_of_others() -> None:
+    wanted = WantedChannels(4)
+    wanted.add("hostile", ids(1, 2, 3, 4, 5))
+    wanted.add("good", ids(11))
+    assert numbers(wanted.asked) == {1, 2, 3, 11}
+    wanted.add("good", ids(12, 13))
+    assert numbers(wanted.asked) == {1, 2, 11, 12}
+    assert wanted.largest_maker in ("hostile", "good")
+    assert wanted.left_out == 4
+
+
+def test_a_channel_that_was_left_out_comes_in_when_another_goes() -> None:
+    wanted = WantedChannels(2)
+    wanted.add("one", ids(1, 2, 3))
+    wanted.remove("one", ids(1))
+    assert numbers(wanted.asked) == {2, 3}
+    wanted.remove("one", ids(2, 3))
+    assert not wanted
+    assert not wanted.asked
+
+
+def test_a_channel_of_two_makers_counts_for_the_other_one_when_the_first_has_no_room_for_it() -> None:
+    wanted = WantedChannels(3)
+    wanted.add("hostile", ids(1, 2, 11))
+    wanted.add("good", ids(11))
+    wanted.add("third", ids(21))
+    assert numbers(wanted.asked) >= {11, 21}
+
+
+def test_the_maker_with_most_channels_is_known_when_all_others_have_gone() -> None:
+    wanted = WantedChannels(10)
+    wanted.add("a", ids(1, 2, 3))
+    wanted.add("b", ids(4))
+    wanted.remove("a", ids(1, 2, 3))
+    assert wanted.largest_maker == "b"
+
+
+STEPS = some.lists(some.tuples(some.integers(0, 3), some.integers(0, 11)), max_size=60)
+
+
+@given(STEPS)
+def test_all_room_is_used_and_no_maker_is_left_out_while_another_has_many_more(steps: list[tuple[int, int]]) -> None:
+    """A step adds a channel to a maker's group, or removes it if it is there."""
+    limit, wanted, held = 5, WantedChannels(5), Counter[tuple[int, int]]()
+    for maker, number in steps:
+        if held[maker, number]:
+            wanted.remove(f"{maker}", ids(number))
+            del held[maker, number]
+        else:
+            wanted.add(f"{maker}", ids(number))
+            held[maker, number] += 1
+        channels = {number for _, number in held}
+        assert numbers(wanted.asked) <= channels
+        assert len(wanted.asked) == min(limit, len(channels))
+        assert wanted.left_out == len(channels) - len(wanted.asked)
+        assert bool(wanted) == bool(channels)
+
+
+@given(STEPS)
+def test_a_maker_that_comes_last_gets_its_part_however_many_channels_others_have(steps: list[tuple[int, int]]) -> None:
+    wanted = WantedChannels(8)
+    for maker, number in steps:
+        wanted.add(f"{maker}", ids(number))
+    wanted.add("last", ids(100, 101, 102, 103))
+    asked = numbers(wanted.asked)
+    makers = len({maker for maker, _ in steps}) + 1
+    assert len(asked & {100, 101, 102, 103}) >= min(4, 8 // makers)
