@@ -37,6 +37,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     WakeAt,
 )
+from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES
 
 LIMIT_BYTES = 1 << 20
 
@@ -210,7 +211,7 @@ class MemoryChannel:
             return
 
     def _answer(self, answer: ReadAnswer, query: Query, payloads: bool) -> st.Items:
-        items = self._items(answer.slices, answer.next_time, payloads=payloads)
+        items = self._items(answer.slices, answer.next_time, answer.next_times, payloads=payloads)
         if query.newest_first:
             items.reverse()
         return st.Items(
@@ -223,8 +224,15 @@ class MemoryChannel:
             incarnation=answer.incarnation,
         )
 
-    def _items(self, slices: Any, next_time: int | None, *, payloads: bool) -> list[st.Item]:
-        delivered = [item_pb2.DeliveredRun(run=self._run(one, payloads)) for one in slices]
+    def _items(
+        self, slices: Any, next_time: int | None, next_times: Any = NO_NEXT_TIMES, *, payloads: bool
+    ) -> list[st.Item]:
+        delivered = [
+            item_pb2.DeliveredRun(
+                run=self._run(one, payloads), next_time_unix_nano=next_times.get((one.last_time, one.end_seq))
+            )
+            for one in slices
+        ]
         if delivered and next_time is not None:
             delivered[-1].next_time_unix_nano = next_time
         decoder = ItemDecoder(

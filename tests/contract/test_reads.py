@@ -95,6 +95,24 @@ async def test_where_items_overlap_a_later_item_does_not_cut_a_duration(surface:
     assert shown(await channel.get(base + 250 * MS, base + 260 * MS, limit=1, newest_first=True)) == ["talk"]
 
 
+async def test_where_items_overlap_an_item_left_out_of_an_answer_still_ends_a_span(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s", overlap="90ms")
+    base = st.now() - 2_000 * MS
+    await channel.put(b"open", time=base)
+    await channel.put(b"long", time=base + 100 * MS, duration="90ms")  # past the end of the interval
+    await channel.put(b"short", time=base + 110 * MS, duration="10ms")
+    for newest_first in (False, True):
+        found = await channel.get(base, base + 150 * MS, match="whole", newest_first=newest_first)
+        ends = {shown([item])[0]: item.end and item.end - base for item in found}
+        assert ends == {"open": 100 * MS, "short": 120 * MS}
+    long = await surface.channel(max_age="60s", overlap="90ms")
+    await long.put(b"scene", time=base, duration="200ms")
+    await long.put(b"brief", time=base + 50 * MS, duration="1ms")  # over before the interval
+    await long.put(b"later", time=base + 150 * MS)
+    found = await long.get(base + 70 * MS, base + 160 * MS)
+    assert [(shown([item])[0], item.end and item.end - base) for item in found] == [("scene", 90 * MS), ("later", None)]
+
+
 async def test_where_items_overlap_ages_count_from_the_longest_that_an_item_may_last(surface: Surface) -> None:
     channel = await surface.channel(max_age="1s", overlap="3600s")
     base = st.now() - 3_000 * MS

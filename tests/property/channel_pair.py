@@ -24,6 +24,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     WakeAt,
 )
+from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES
 from tests.oracle import (
     Item,
     OracleAnswer,
@@ -63,14 +64,21 @@ def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
     return reached or (wake.instant is not None and wake.instant <= clock)
 
 
-def ends_as_read(items: Sequence[Item], next_time: int | None, overlap: int) -> list[int | None]:
+def ends_as_read(
+    items: Sequence[Item],
+    next_time: int | None,
+    overlap: int,
+    next_times: Mapping[tuple[int, int], int] = NO_NEXT_TIMES,
+) -> list[int | None]:
     """The ends of the items' spans as a reader computes them, from durations and the next later items.
 
-    `next_time` is the time of the next item after the last one.
+    `next_time` is the time of the next item after the last one. `next_times`: see `ReadAnswer`.
     """
     ends: list[int | None] = []
-    for item in items:
+    for at, item in enumerate(items):
         bounds = [other.time for other in items if other.time > item.time][:1]
+        same_bucket = [other for other in items[at:] if other.time == item.time]
+        bounds = [next_times[key] for one in same_bucket if (key := (one.time, one.seq + 1)) in next_times] or bounds
         if not bounds and next_time is not None:
             bounds = [next_time]
         if item.duration is not None:
@@ -233,7 +241,7 @@ class ChannelPair:
     def _agree(self, answer: ReadAnswer, expected: OracleAnswer) -> None:
         items = items_of(answer.slices)
         assert facts(items) == facts(expected.items)
-        assert ends_as_read(items, answer.next_time, self.oracle.overlap) == expected.ends
+        assert ends_as_read(items, answer.next_time, self.oracle.overlap, answer.next_times) == expected.ends
         assert (answer.interval, answer.complete, answer.truncated, answer.more) == (
             expected.interval,
             expected.complete,

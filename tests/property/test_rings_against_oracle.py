@@ -33,7 +33,7 @@ from tests.property.test_channel_against_oracle import (
 )
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
-SUITED = tuple(one for one in SET_UPS if not (one.consumers or one.max_age_unconsumed_nanos or one.overlap_nanos))
+SUITED = tuple(one for one in SET_UPS if not (one.consumers or one.max_age_unconsumed_nanos))
 
 
 def put_in_order(rng: RandomSource, pair: RingPair) -> None:

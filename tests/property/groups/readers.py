@@ -80,7 +80,7 @@ class Readers:
         assert facts(items) == facts(expected.items)
         assert all(horizon.cut is not None and item.time < horizon.cut for item in items)
         assert answer.next_time is None or (horizon.cut is not None and answer.next_time < horizon.cut)
-        assert ends_as_read(items, answer.next_time, pair.oracle.overlap) == expected.ends
+        assert ends_as_read(items, answer.next_time, pair.oracle.overlap, answer.next_times) == expected.ends
         assert (answer.interval, answer.complete, answer.truncated, answer.more, answer.incarnation) == (
             within, expected.complete, expected.truncated, expected.more, pair.incarnation,
         )  # fmt: skip

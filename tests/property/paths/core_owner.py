@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import stampede_rt as st
 from stampede_rt.values.model import Policy
@@ -16,6 +16,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     WakeAt,
 )
+from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from tests.property.channel_pair import INCARNATION, ends_as_read, items_of
 from tests.property.paths.core_calls import Call, WaitingPut, ack_of
@@ -133,7 +134,7 @@ class CoreOwner:
         call.finish(self.channel.give_up(pending, self._now()))
 
     def _items(self, answer: ReadAnswer, query: Query, payloads: bool) -> st.Items:
-        items = self._decode(answer.slices, answer.next_time)
+        items = self._decode(answer.slices, answer.next_time, answer.next_times)
         if not payloads:
             items = [one._replace(payload=None) for one in items]
         return st.Items(
@@ -146,11 +147,14 @@ class CoreOwner:
             incarnation=answer.incarnation,
         )
 
-    def _decode(self, slices: Sequence[Slice], next_time: int | None) -> list[st.Item]:
+    def _decode(
+        self, slices: Sequence[Slice], next_time: int | None, next_times: Mapping[tuple[int, int], int] = NO_NEXT_TIMES
+    ) -> list[st.Item]:
         items = items_of(slices)
+        ends = ends_as_read(items, next_time, self.policy.overlap_nanos or 0, next_times)
         return [
             st.Item(one.time, end, one.duration, one.seq, self._payloads[one.seq], {}, "", one.length, INCARNATION)
-            for one, end in zip(items, ends_as_read(items, next_time, self.policy.overlap_nanos or 0), strict=True)
+            for one, end in zip(items, ends, strict=True)
         ]
 
     # --- subscriptions

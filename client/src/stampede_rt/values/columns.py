@@ -18,7 +18,8 @@ class DecodedRun:
     """The columns of one run. Each has an entry for each item.
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` are those of all items.
-    `payloads` has the payloads one after the other; None: the items have none, or all of them are made.
+    `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
+    the time of the bucket behind the run; None: it is the next run, or the run has the newest bucket.
     """
 
     times: Sequence[int]
@@ -29,6 +30,7 @@ class DecodedRun:
     content_type: str
     incarnation: int
     payloads: bytes | None
+    next_time: int | None = None
 
     @property
     def seqs(self) -> range:
@@ -46,18 +48,16 @@ class ItemColumns(Sequence[Item]):
         self,
         runs: Sequence[DecodedRun],
         *,
-        next_time: int | None,
         overlap: int,
         make: Callable[[Iterable[Any]], Item] | None = None,
         backwards: bool = False,
     ) -> None:
-        """`next_time`: the time of the bucket behind the runs. `make` makes an item of its fields; None: a plain Item.
+        """`make` makes an item of its fields; None: a plain Item.
 
         `overlap`: for this time a later item does not end the span of an item with a duration, in nanoseconds.
         `backwards`: the items come in reverse order.
         """
         self._runs = runs
-        self._next_time = next_time
         self._overlap = overlap
         self._make = make
         self._backwards = backwards
@@ -149,12 +149,23 @@ class ItemColumns(Sequence[Item]):
 
     def _all_ends(self) -> list[int | None]:
         if self._ends is None:
-            times = [time for run in self._runs for time in run.times]
-            durations = None
-            if any(run.durations for run in self._runs):
-                durations = [entry for run in self._runs for entry in _entries(run, "duration")]
-            self._ends = span_ends(times, durations, self._next_time, self._overlap)
+            ends: list[int | None] = []
+            begin = 0
+            for at, run in enumerate(self._runs, 1):
+                if run.next_time is not None or at == len(self._runs):
+                    ends += _ends_of(self._runs[begin:at], self._overlap)
+                    begin = at
+            self._ends = ends
         return self._ends
+
+
+def _ends_of(runs: Sequence[DecodedRun], overlap: int) -> list[int | None]:
+    """The ends of the spans of runs of which only the last one may have a `next_time`."""
+    times = [time for run in runs for time in run.times]
+    durations = None
+    if any(run.durations for run in runs):
+        durations = [entry for run in runs for entry in _entries(run, "duration")]
+    return span_ends(times, durations, runs[-1].next_time, overlap)
 
 
 def _entries(run: DecodedRun, name: str) -> Sequence[int]:

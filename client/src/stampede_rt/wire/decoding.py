@@ -42,13 +42,10 @@ class ItemDecoder:
             return []
         for one in delivered:
             check_delivered(one.run, payloads=self._payloads)
-        last = delivered[-1]
-        next_time = last.next_time_unix_nano if last.HasField("next_time_unix_nano") else None
-        if len(delivered) == 1 and len(last.run.payload_length_bytes) == 1:
-            return [self._single(last.run, next_time)]
+        if len(delivered) == 1 and len(delivered[0].run.payload_length_bytes) == 1:
+            return [self._single(delivered[0].run, _next_time(delivered[0]))]
         return ItemColumns(
-            [self._columns(one.run) for one in delivered],
-            next_time=next_time,
+            [self._columns(one.run, _next_time(one)) for one in delivered],
             overlap=self._overlap,
             make=self._make,
             backwards=backwards,
@@ -62,7 +59,7 @@ class ItemDecoder:
         ItemCount().add(one.run for one in delivered)
         return [item for one in delivered for item in self.decode((one,))]
 
-    def _columns(self, run: item_pb2.ItemRun) -> DecodedRun:
+    def _columns(self, run: item_pb2.ItemRun, next_time: int | None) -> DecodedRun:
         return DecodedRun(
             times=array("q", run.time_unix_nano),
             durations=array("q", run.duration_nanos) if run.duration_nanos else None,
@@ -72,6 +69,7 @@ class ItemDecoder:
             content_type=run.content_type or self._content_type,
             incarnation=self._incarnation,
             payloads=run.payloads if self._payloads else None,
+            next_time=next_time,
         )
 
     def _single(self, run: item_pb2.ItemRun, next_time: int | None) -> Item:
@@ -89,3 +87,7 @@ class ItemDecoder:
             self._incarnation,
         )
         return self._make(fields) if self._make else Item._make(fields)
+
+
+def _next_time(one: item_pb2.DeliveredRun) -> int | None:
+    return one.next_time_unix_nano if one.HasField("next_time_unix_nano") else None

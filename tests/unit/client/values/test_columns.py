@@ -49,7 +49,8 @@ class Counting:
 
 
 def columns(runs: Sequence[DecodedRun], **rest: Any) -> ItemColumns:
-    return ItemColumns(runs, next_time=rest.pop("next_time", None), overlap=rest.pop("overlap", 0), **rest)
+    runs[-1].next_time = rest.pop("next_time", None)
+    return ItemColumns(runs, overlap=rest.pop("overlap", 0), **rest)
 
 
 def expected(runs: Sequence[DecodedRun], next_time: int | None, overlap: int) -> list[Item]:
@@ -96,6 +97,13 @@ def test_columns_hold_what_a_list_of_the_items_holds(
     for outside in (len(whole), -len(whole) - 1):
         with pytest.raises(IndexError):
             found[outside]
+
+
+def test_a_run_that_is_not_followed_by_the_next_bucket_says_where_its_spans_end() -> None:
+    first, second = decoded([(1, -1, b""), (2, -1, b""), (2, 30, b"")]), decoded([(9, -1, b"")], 7)
+    first.next_time = 5
+    assert [item.end for item in columns([first, second], next_time=12)] == [2, 5, 5, 12]
+    assert [item.end for item in columns([first, second], overlap=9)] == [2, 5, 11, None]
 
 
 def test_an_item_is_made_when_it_is_touched_and_only_then() -> None:

@@ -71,7 +71,8 @@ def get_responses(
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
             yield EncodedMessage(b"".join(parts), payload_bytes, False, items)
             parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
-        _add_run(parts, _GET_RUNS, body, None if following else next_time)
+        behind = answer.next_times.get((part.last_time, part.end_seq)) if following else next_time
+        _add_run(parts, _GET_RUNS, body, behind)
         runs += 1
         items += part.items
         size += len(body)

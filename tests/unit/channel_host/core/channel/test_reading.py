@@ -27,6 +27,7 @@ from stampede_rt_channel_host.core.channel import (
     ReachTracker,
     ReadAnswer,
     WakeAt,
+    pieces,
 )
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, seqs_of, times_of
 
@@ -88,6 +89,20 @@ def test_the_next_time_behind_an_answer_ends_its_last_bucket() -> None:
     assert get(channel, 10, 20).next_time == 30
     assert get(channel, 10, 30).next_time is None
     assert get(channel, 20, 25, limit=1).next_time == 30
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+@pytest.mark.parametrize("steps", [1, 1000])
+def test_with_overlap_an_answer_tells_where_it_leaves_out_the_next_bucket(
+    monkeypatch: pytest.MonkeyPatch, newest_first: bool, steps: int
+) -> None:
+    monkeypatch.setattr(pieces, "STEPS_PER_PIECE", steps)
+    channel = a_channel(max_items=9, overlap_nanos=9)
+    for time, duration in ((0, 1), (5, -1), (15, 9), (16, 1), (17, 1), (30, -1)):
+        put(channel, time, durations=[duration])
+    answer = get(channel, 0, 20, match=Match.WHOLE, newest_first=newest_first)
+    assert times_of(answer.slices) == [0, 5, 16, 17]
+    assert (answer.next_times, answer.next_time) == ({(5, 3): 15}, 30)
 
 
 def test_a_bucket_gives_its_highest_seq_newest_first_and_its_lowest_otherwise() -> None:

@@ -95,6 +95,7 @@ class Reading:
             more=found.more,
             reason=reason,
             incarnation=self._incarnation,
+            next_times=found.next_times,
         )
 
     def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:

@@ -10,7 +10,7 @@ begins at most one `overlap` before the bound. The span of an earlier item canno
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from stampede_rt.values.timeline import Match, ResolvedInterval
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
-from stampede_rt_channel_host.core.channel.values import Position, Query
+from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES, Position, Query
 
 Fits = Callable[[int, int], bool]
 """A test of an item's time and duration."""
@@ -79,15 +79,16 @@ class Selected(NamedTuple):
     """The matching slices, in ascending order.
 
     `more`: the limit cut off further items. `next_time` is the time of the bucket after the last item, or None if the
-    last item is in the newest bucket.
+    last item is in the newest bucket. `next_times`: see `ReadAnswer`.
     """
 
     slices: Sequence[Slice]
     more: bool
     next_time: int | None
+    next_times: Mapping[ItemKey, int]
 
 
-NOTHING = Selected((), False, None)
+NOTHING = Selected((), False, None, NO_NEXT_TIMES)
 
 
 def select(
@@ -101,7 +102,11 @@ def select(
         return NOTHING
     stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
     snapshot = held.snapshot()
-    taking = _Taking(snapshot, query.limit, down=query.newest_first)
+
+    def next_time(time: int) -> int | None:
+        return snapshot.next_time(time, held.end) if snapshot.is_held else held.next_time(time)
+
+    taking = _Taking(snapshot, query.limit, next_time, down=query.newest_first)
     try:
         for stretch in reversed(stretches) if query.newest_first else stretches:
             while (rest := taking.take(stretch)) is not None:
@@ -113,9 +118,7 @@ def select(
         slices = taking.finish()
         if not slices:
             return NOTHING
-        last_time = slices[-1].last_time
-        next_time = snapshot.next_time(last_time, held.end) if snapshot.is_held else held.next_time(last_time)
-        return Selected(slices, taking.more, next_time)
+        return Selected(slices, taking.more, next_time(slices[-1].last_time), taking.next_times)
     except Abandoned:
         snapshot.close()
         yield from emptying(taking.finish())
@@ -127,13 +130,18 @@ def select(
 class _Taking:
     """Takes slices from stretches, in one direction, until the limit is reached."""
 
-    def __init__(self, snapshot: IndexSnapshot, limit: int | None, *, down: bool) -> None:
+    def __init__(
+        self, snapshot: IndexSnapshot, limit: int | None, next_time: Callable[[int], int | None], *, down: bool
+    ) -> None:
         self._snapshot = snapshot
         self._left = limit
+        self._next_time = next_time
         self._down = down
+        self._left_out = False  # since the slice taken last, the test has left an item out
         self._parts: deque[list[Slice]] = deque()  # the slices that earlier pieces took
         self._slices: list[Slice] = []
         self.more = False
+        self.next_times: dict[ItemKey, int] = {}
 
     def take(self, stretch: _Stretch) -> _Stretch | None:
         """Take slices from a stretch, as many as one piece of work allows.
@@ -147,7 +155,7 @@ class _Taking:
         for part in self._walk(stretch):
             steps += 1
             if all_shown or self._snapshot.shows(part):
-                if fits is None and self._left is None:
+                if fits is None and self._left is None and not self._left_out:
                     self._slices.append(part)
                 elif not self._take_fitting(part, fits):
                     return None
@@ -170,17 +178,44 @@ class _Taking:
 
     def _take_fitting(self, part: Slice, fits: Fits | None) -> bool:
         """Take the fitting items of a slice. Returns False if the limit cut items off."""
-        found: Iterable[Slice] = (part,) if fits is None else _fitting(part, fits)
-        for one in reversed(list(found)) if self._down else found:
+        found = [part] if fits is None else [*_fitting(part, fits)]
+        at, end = (part.hi, part.lo) if self._down else (part.lo, part.hi)
+        for one in reversed(found) if self._down else found:
+            first, last = (one.hi, one.lo) if self._down else (one.lo, one.hi)
+            self._left_out |= first != at
+            at = last
             if self._left is not None and one.items > self._left:
                 self.more = True
                 if self._left:
                     lo, hi = (one.hi - self._left, one.hi) if self._down else (one.lo, one.lo + self._left)
-                    self._slices.append(Slice(one.run, lo, hi))
+                    self._append(Slice(one.run, lo, hi))
                 return False
-            self._slices.append(one)
+            self._append(one)
             self._left = None if self._left is None else self._left - one.items
+        self._left_out |= at != end
         return True
+
+    def _append(self, one: Slice) -> None:
+        if self._left_out:
+            self._note_next_time(one)
+            self._left_out = False
+        self._slices.append(one)
+
+    def _note_next_time(self, one: Slice) -> None:
+        """With overlap, an item that the test leaves out may end the span of an item before it."""
+        taken = self._slices[-1] if self._slices else self._taken_before()
+        if taken is None:
+            return
+        before, after = (one, taken) if self._down else (taken, one)
+        next_time = self._next_time(before.last_time)
+        if next_time is not None and next_time < after.first_time:
+            self.next_times[before.last_time, before.end_seq] = next_time
+
+    def _taken_before(self) -> Slice | None:
+        """The slice that an earlier piece took last."""
+        if not self._parts:
+            return None
+        return self._parts[0][0] if self._down else self._parts[-1][-1]
 
     def _close_part(self) -> None:
         """Move the slices taken so far to `_parts`."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
@@ -139,6 +140,9 @@ class Query:
             raise InvalidArgument(f"limit is {self.limit}; it is at least 1, or left out for all items")
 
 
+NO_NEXT_TIMES: Mapping[ItemKey, int] = MappingProxyType({})
+
+
 class ReadAnswer(NamedTuple):
     """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
 
@@ -146,7 +150,9 @@ class ReadAnswer(NamedTuple):
     reader needs `next_time` to compute the ends of the last spans. `interval` is None if the channel could not resolve
     a meta-time. `complete`: no more items can come into the interval. `truncated`: at the beginning of the interval, or
     of the part that `after` and `newer_than` leave, items may be missing that were collected or lost. `more`: the limit
-    cut items off. `reason` (with its `detail`) says why the answer is empty or partial.
+    cut items off. `reason` (with its `detail`) says why the answer is empty or partial. `next_times`, with overlap: if
+    the answer leaves items out between two slices, the time of the bucket after the first of these. The key is the time
+    of that slice's last item, and its `end_seq`.
     """
 
     slices: Sequence[Slice]  # large answers are `SlicesInParts`
@@ -157,6 +163,7 @@ class ReadAnswer(NamedTuple):
     more: bool
     reason: Reason | None
     incarnation: int
+    next_times: Mapping[ItemKey, int] = NO_NEXT_TIMES
 
 
 class WakeAt(NamedTuple):
