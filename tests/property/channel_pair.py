@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.channel import (
     Offer,
     Pending,
     Position,
+    PutOutcome,
     Query,
     Reach,
     ReachTracker,
@@ -126,8 +127,8 @@ class ChannelPair:
         self.oracle = OracleChannel(self.policy, self.lost_before)
         self.tracker = ReachTracker(self.core)
 
-    def put(self, offer: Offer) -> None:
-        """Put an offer into both. Keeps the items that have to wait for `retry_put`."""
+    def put(self, offer: Offer) -> tuple[PutOutcome, Sequence[Item | Refused]]:
+        """Put an offer into both. Keeps the items that have to wait for `retry_put`. Returns what both say."""
         sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
 
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
@@ -154,6 +155,13 @@ class ChannelPair:
             assert sealed == [(outcome.run.first_seq, kept, stamp)]
         if outcome.waiting is not None:
             self.waiting.append(offer.rest(outcome.waiting, self.clock))
+        return outcome, taken.verdicts
+
+    def move_to(self, core: ChannelCore) -> None:
+        """Another owner has the channel from now on. The readers come with their cursors."""
+        self.core, self.tracker = core, ReachTracker(core)
+        for which in range(len(self.all_subscriptions)):
+            self.resume(which)
 
     def retry_put(self, which: int) -> None:
         if self.waiting:

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
 )
 from stampede_rt_channel_host.core.channel.run import Run, make_run
+from stampede_rt_channel_host.core.dedup import RetryWindow
 from tests.oracle import Item
 from tests.property.channel_pair import INCARNATION, ChannelPair, facts, items_of
 
@@ -39,6 +40,7 @@ class FedCopy:
 
     pair: ChannelPair
     upstream: FedCopy | None = None
+    window: RetryWindow | None = None  # of the owner, if the copy may become the owner
     source: ChannelCore = field(init=False)
     channel: FedChannel = field(init=False)
     feed: ChannelFeed | None = None
@@ -54,7 +56,13 @@ class FedCopy:
 
     def _drop_items(self) -> None:
         lost_before = self.pair.core.lost_before
-        self.channel = FedChannel(self.pair.core.policy, incarnation=INCARNATION, name="pair", lost_before=lost_before)
+        self.channel = FedChannel(
+            self.pair.core.policy,
+            incarnation=INCARNATION,
+            name="pair",
+            lost_before=lost_before,
+            knows_owner=self.window is not None,
+        )
 
     def cut(self) -> None:
         """The stream breaks."""
@@ -70,7 +78,7 @@ class FedCopy:
             self.source = self._present_source()
         if self.feed is None:
             try:
-                self.feed = ChannelFeed(self.source, self.channel.place, clock)
+                self.feed = ChannelFeed(self.source, self.channel.place, clock, self.window)
             except Unavailable:
                 assert self.source is not self.pair.core, "an owner is never behind"
                 return False
@@ -94,6 +102,7 @@ class FedCopy:
             collection=part.collection,
             advance=part.advance,
             now=self.pair.clock,
+            owner=part.owner,
         )
 
     def repeat(self) -> None:

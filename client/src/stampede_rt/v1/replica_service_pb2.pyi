@@ -1,6 +1,8 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import channel_service_pb2 as _channel_service_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
 from stampede_rt.v1 import item_pb2 as _item_pb2
+from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -38,28 +40,34 @@ class FeedRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TARGET_FIELD_NUMBER: _ClassVar[int]
     PLACE_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FACTS_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
     target: str
     place: FeedPlace
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ...) -> None: ...
+    owner_facts: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
-    __slots__ = ("incarnation", "next_seq", "floor_resets")
+    __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     FLOOR_RESETS_FIELD_NUMBER: _ClassVar[int]
+    OWNER_UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    OWNER_EPOCH_FIELD_NUMBER: _ClassVar[int]
     incarnation: int
     next_seq: int
     floor_resets: int
-    def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., floor_resets: _Optional[int] = ...) -> None: ...
+    owner_until_unix_nano: int
+    owner_epoch: int
+    def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., floor_resets: _Optional[int] = ..., owner_until_unix_nano: _Optional[int] = ..., owner_epoch: _Optional[int] = ...) -> None: ...
 
 class FeedResponse(_message.Message):
     __slots__ = ("opened", "state", "runs")
@@ -88,7 +96,7 @@ class FeedKey(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class FeedState(_message.Message):
-    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors")
+    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner")
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     CLEARED_FIELD_NUMBER: _ClassVar[int]
@@ -99,6 +107,7 @@ class FeedState(_message.Message):
     STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     FLOORS_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
     first_seq: int
     next_seq: int
     cleared: FeedKey
@@ -109,7 +118,84 @@ class FeedState(_message.Message):
     staleness_nanos: int
     source_next_seq: int
     floors: _containers.RepeatedCompositeFieldContainer[_group_pb2.CutFloor]
-    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ...) -> None: ...
+    owner: OwnerFacts
+    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ...) -> None: ...
+
+class OwnerFacts(_message.Message):
+    __slots__ = ("producers", "consumers", "counters", "late", "until_unix_nano")
+    PRODUCERS_FIELD_NUMBER: _ClassVar[int]
+    CONSUMERS_FIELD_NUMBER: _ClassVar[int]
+    COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    LATE_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    producers: _containers.RepeatedCompositeFieldContainer[FedProducer]
+    consumers: FedConsumers
+    counters: _channel_pb2.ChannelCounters
+    late: int
+    until_unix_nano: int
+    def __init__(self, producers: _Optional[_Iterable[_Union[FedProducer, _Mapping]]] = ..., consumers: _Optional[_Union[FedConsumers, _Mapping]] = ..., counters: _Optional[_Union[_channel_pb2.ChannelCounters, _Mapping]] = ..., late: _Optional[int] = ..., until_unix_nano: _Optional[int] = ...) -> None: ...
+
+class FedProducer(_message.Message):
+    __slots__ = ("producer_id", "owner", "runs")
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    producer_id: int
+    owner: str
+    runs: _containers.RepeatedCompositeFieldContainer[FedRun]
+    def __init__(self, producer_id: _Optional[int] = ..., owner: _Optional[str] = ..., runs: _Optional[_Iterable[_Union[FedRun, _Mapping]]] = ...) -> None: ...
+
+class FedRun(_message.Message):
+    __slots__ = ("first_number", "items", "judged_items", "parts", "rejections", "judged_ago_nanos")
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
+    JUDGED_ITEMS_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    REJECTIONS_FIELD_NUMBER: _ClassVar[int]
+    JUDGED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    first_number: int
+    items: int
+    judged_items: int
+    parts: _containers.RepeatedCompositeFieldContainer[FedRunPart]
+    rejections: _containers.RepeatedCompositeFieldContainer[_channel_service_pb2.PutRejection]
+    judged_ago_nanos: int
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., judged_items: _Optional[int] = ..., parts: _Optional[_Iterable[_Union[FedRunPart, _Mapping]]] = ..., rejections: _Optional[_Iterable[_Union[_channel_service_pb2.PutRejection, _Mapping]]] = ..., judged_ago_nanos: _Optional[int] = ...) -> None: ...
+
+class FedRunPart(_message.Message):
+    __slots__ = ("index", "first_seq", "items", "stamped_unix_nano")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    first_seq: int
+    items: int
+    stamped_unix_nano: int
+    def __init__(self, index: _Optional[int] = ..., first_seq: _Optional[int] = ..., items: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ...) -> None: ...
+
+class FedConsumers(_message.Message):
+    __slots__ = ("begins", "places", "ends")
+    BEGINS_FIELD_NUMBER: _ClassVar[int]
+    PLACES_FIELD_NUMBER: _ClassVar[int]
+    ENDS_FIELD_NUMBER: _ClassVar[int]
+    begins: bool
+    places: _containers.RepeatedCompositeFieldContainer[FedConsumer]
+    ends: bool
+    def __init__(self, begins: bool = ..., places: _Optional[_Iterable[_Union[FedConsumer, _Mapping]]] = ..., ends: bool = ...) -> None: ...
+
+class FedConsumer(_message.Message):
+    __slots__ = ("consumer_id", "lease_nanos", "consumed_below_seq", "consumed", "owner")
+    CONSUMER_ID_FIELD_NUMBER: _ClassVar[int]
+    LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_BELOW_SEQ_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
+    consumer_id: int
+    lease_nanos: int
+    consumed_below_seq: int
+    consumed: _containers.RepeatedCompositeFieldContainer[_subject_pb2.SeqRange]
+    owner: str
+    def __init__(self, consumer_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., consumed_below_seq: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., owner: _Optional[str] = ...) -> None: ...
 
 class FeedCollection(_message.Message):
     __slots__ = ("floor", "floor_resets", "last_cause", "newest_collected_unix_nano", "collected_end_unix_nano", "collected_by", "newest_consumed_unix_nano", "came_up_to_unix_nano")

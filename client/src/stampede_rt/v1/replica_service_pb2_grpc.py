@@ -56,7 +56,8 @@ class ReplicaServiceServicer(object):
         item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
         meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
         stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
-        (the source is itself a copy, and has less than the caller), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED,
+        (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
+        SHUTTING_DOWN, PERMISSION_DENIED,
         INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

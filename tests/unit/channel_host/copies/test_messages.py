@@ -24,22 +24,26 @@ EMPTY = Collection(FIRST_KEY, 0, "age", None, None, "age", None, None)
 
 @pytest.mark.parametrize("collection", [FULL, EMPTY])
 def test_what_retention_has_taken_comes_back_as_it_was(collection: Collection) -> None:
-    state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6))
+    state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6), 0)
     clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
     assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped
     assert (cleared_of(state), advance_of(state), state.first_seq, state.next_seq) == ((1, 2), 6, 2, 8)
 
 
 def test_what_has_not_changed_is_left_out() -> None:
-    state = state_to(FeedPart(2, None, (), 2, None, None))
+    state = state_to(FeedPart(2, None, (), 2, None, None), 0)
     assert (cleared_of(state), collection_of(state), advance_of(state)) == (None, None, None)
 
 
 def test_a_place_comes_back_as_it_was_and_needs_a_seq() -> None:
-    place = FeedPlace(11, 12, 13)
-    assert place_of(place_to(place)) == place
+    place = FeedPlace(11, 12, 13, 14)
+    assert place_of(place_to(place, 3), 3) == place
     with pytest.raises(InvalidArgument, match="no next_seq"):
-        place_of(pb.FeedPlace(incarnation=11))
+        place_of(pb.FeedPlace(incarnation=11), 3)
+
+
+def test_the_clock_of_a_former_owner_is_of_no_use_to_the_next_one() -> None:
+    assert place_of(place_to(FeedPlace(11, 12, 13, 14), 3), 4) == FeedPlace(11, 12, 13)
 
 
 def test_a_run_is_stored_with_the_bytes_that_came() -> None:

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopy
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.cluster.records import channel_message
-from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
+from stampede_rt_channel_host.core.channel import ConsumerStanding, Counters, Pieces
 
 
 def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
@@ -68,7 +68,13 @@ def _fed_status(copy: FedCopy) -> channel_pb2.FedCopyStatus:
 
 
 def _counters(hosted: HostedChannel, now: int) -> channel_pb2.ChannelCounters:
-    counted = hosted.channel.counters(now)
+    message = counters_to(hosted.channel.counters(now))
+    message.delivered_bytes = hosted.delivered_bytes
+    return message
+
+
+def counters_to(counted: Counters) -> channel_pb2.ChannelCounters:
+    """The counters as a message, without the delivered bytes, which the core does not know."""
     collected, rejected = counted.collected, counted.rejected
     return channel_pb2.ChannelCounters(
         accepted=counted.accepted,
@@ -85,5 +91,4 @@ def _counters(hosted: HostedChannel, now: int) -> channel_pb2.ChannelCounters:
         rejected_overloaded=rejected["OVERLOADED"],
         accepted_bytes=counted.accepted_bytes,
         held_bytes=counted.held_bytes,
-        delivered_bytes=hosted.delivered_bytes,
     )

@@ -33,10 +33,14 @@ SUBSCRIPTIONS_MAX = 4096
 
 
 class NewCopy(NamedTuple):
-    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were."""
+    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were.
+
+    `knows_owner`: it is fed with what only the owner knows, too, so that it can become the owner.
+    """
 
     state: CopyState
     lost_before: int | None
+    knows_owner: bool = False
 
 
 _orders = itertools.count()
@@ -253,12 +257,15 @@ def _ignore(hosted: HostedChannel) -> None:
 
 def _new_core(record: RecordedChannel, now: int, copy: NewCopy | None) -> ChannelCore:
     """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
-    kind = ChannelCore if copy is None else FedChannel
-    lost_before = now if record.epoch > 1 else None
-    return kind(
+    incarnation, name = record.incarnation, record.name
+    if copy is None:
+        lost_before = now if record.epoch > 1 else None
+        return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
+    return FedChannel(
         record.policy,
-        incarnation=record.incarnation,
-        name=record.name,
-        lost_before=lost_before if copy is None else copy.lost_before,
+        incarnation=incarnation,
+        name=name,
+        lost_before=copy.lost_before,
         cut=slice_run,
+        knows_owner=copy.knows_owner,
     )

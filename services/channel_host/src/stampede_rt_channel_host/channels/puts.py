@@ -50,7 +50,7 @@ class ChannelPuts:
         self._on_touched = on_touched
         self._may_serve = may_serve
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
-        self._retries = RetryWindow()
+        self.retries = RetryWindow()
         self._waiting_bytes = 0
         self._waiting_runs: list[IncomingRun] = []  # not a deque: an empty one takes 600 bytes
         self._timer: asyncio.TimerHandle | None = None
@@ -62,15 +62,15 @@ class ChannelPuts:
     @property
     def footprint_bytes(self) -> int:
         """The memory of the waiting runs and of the retry window, in bytes."""
-        return self._waiting_bytes + self._retries.footprint_bytes
+        return self._waiting_bytes + self.retries.footprint_bytes
 
     def expire(self, now: int) -> None:
         """Forget the producers that have put nothing for a long time (see `RetryWindow.expire`)."""
-        self._retries.expire(now)
+        self.retries.expire(now)
 
     def next_expiry(self) -> int | None:
         """The time at which `expire` has work again; None: never."""
-        return self._retries.next_expiry()
+        return self.retries.next_expiry()
 
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         """Judge a run. Returns its ack, or None if the run has to wait for room.
@@ -218,7 +218,7 @@ class ChannelPuts:
 
         Returns False if only the first items were judged before. The run then continues after these items.
         """
-        known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
+        known = self.retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
         if known is None:
             return False
         run.resume(known, now)
@@ -254,7 +254,7 @@ class ChannelPuts:
 
     def _remember(self, run: IncomingRun, now: int) -> RunOutcome:
         judged = run.progress.outcome(now)
-        self._retries.record(run.producer_id, run.first_number, judged, run.owner)
+        self.retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 
     def _arm(self, retry_at: int | None, now: int) -> None:

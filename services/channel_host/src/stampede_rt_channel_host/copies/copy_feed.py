@@ -18,6 +18,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, place_to, run_of
+from stampede_rt_channel_host.copies.owner_messages import owner_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -35,15 +36,18 @@ class CopyFeed:
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
-        bytes_per_second: int = 0,
+        bytes_per_second: int = 0, *, owner_facts: bool = False,
     ) -> None:  # fmt: skip
-        """`bytes_per_second`: the most that the copy takes; 0: without a limit."""
+        """`bytes_per_second`: the most that the copy takes; 0: without a limit. `owner_facts`: what only the owner
+        knows comes, too, so that the copy can become the owner (`FedChannel.as_owner`).
+        """
         self._store = store
         self._record = record
         self._state = state
         self._host_id = host_id
         self._target = target
         self._bytes_per_second = bytes_per_second
+        self._owner_facts = owner_facts
         self._granted = WINDOW_BYTES
         self._news = asyncio.Event()
         self._lost_before: int | None = None
@@ -72,12 +76,15 @@ class CopyFeed:
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         held = self._held()
+        if held is not None and self._owner_facts and _core(held).owner_facts is None:
+            held = None  # a proxy until now, which does not know the owner's facts
         return pb.FeedOpen(
             channel_id=self._record.channel_id,
             epoch=source.epoch,
             host_id=self._host_id,
             target=self._target,
-            place=None if held is None else place_to(_core(held).place),
+            place=None if held is None else place_to(_core(held).place, held.epoch),
+            owner_facts=self._owner_facts,
         )
 
     def _held(self) -> HostedChannel | None:
@@ -123,9 +130,10 @@ class CopyFeed:
     def _begin(self, state: pb.FeedState, *, begins_anew: bool, lost_before: int | None) -> None:
         """Take over the channel as the source knows it. Begin an empty copy if the present one is of no use."""
         record, held = recorded_channel(state.channel), self._held()
-        if held is None or begins_anew or held.record.incarnation != record.incarnation:
+        is_other = held is None or begins_anew or held.record.incarnation != record.incarnation
+        if held is None or is_other or (self._owner_facts and _core(held).owner_facts is None):
             self._state.caught_up = False
-            self._store.copies.begin(record, NewCopy(self._state, lost_before))
+            self._store.copies.begin(record, NewCopy(self._state, lost_before, self._owner_facts))
         else:
             self._update(record)
 
@@ -137,17 +145,19 @@ class CopyFeed:
     async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes]) -> None:
         """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last."""
         charge_bytes, cleared, first_seq, rest = 0, cleared_of(state), state.first_seq, [*bodies]
+        owner = owner_of(state.owner, self._store.now()) if state.HasField("owner") else None
         while len(rest) > RUNS_PER_TURN:
             some, rest = [run_of(body) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]
             end_seq = some[-1].first_seq + len(some[-1])
-            charge_bytes += self._store_runs(some, first_seq=first_seq, cleared=cleared, next_seq=end_seq)
-            cleared, first_seq = None, end_seq
+            charge_bytes += self._store_runs(some, first_seq=first_seq, cleared=cleared, next_seq=end_seq, owner=owner)
+            cleared, first_seq, owner = None, end_seq, None
             await asyncio.sleep(0)
         charge_bytes += self._store_runs(
             [run_of(body) for body in rest],
             first_seq=first_seq,
             cleared=cleared,
             next_seq=state.next_seq,
+            owner=owner,
             collection=collection_of(state),
             advance=advance_of(state),
         )

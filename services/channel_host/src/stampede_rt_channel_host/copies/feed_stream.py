@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
@@ -22,7 +23,7 @@ from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.copies.messages import place_of, state_to
-from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
+from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
@@ -50,6 +51,7 @@ class FeedStream:
         self._heard_nanos = 0  # the copy's clock, as its last request had it
         self._sent_heard_nanos = -1
         self._sent_record = b""
+        self._lag = LagWatch()
 
     def wake(self) -> None:
         """The channel has changed."""
@@ -73,8 +75,11 @@ class FeedStream:
             hosted.fed = FedCopies()
         if len([*hosted.fed]) >= FEEDS_MAX:
             raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
-        place = place_of(opening.place) if opening.HasField("place") else None
-        feed = ChannelFeed(hosted.channel, place, self._store.now())
+        if opening.owner_facts and hosted.copy is not None:
+            raise refusals.copy_cannot(hosted.record.name, "does not know what only the owner knows")
+        place = place_of(opening.place, hosted.epoch) if opening.HasField("place") else None
+        window = hosted.puts.retries if opening.owner_facts else None
+        feed = ChannelFeed(hosted.channel, place, self._store.now(), window)
         copy = FedCopy(opening.host_id, opening.target, lambda: hosted.channel.next_seq - feed.next_seq)
         hosted.fed.add(copy)
         hosted.group_observers[self] = None
@@ -113,12 +118,23 @@ class FeedStream:
                 await self._work.turn()
             self._news.clear()
             part = feed.take(self._store.now(), max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
+            self._check_lag(hosted, feed)
             if part is not None:
                 await self._send(hosted, part)
             elif self._owes_sign(hosted):
                 await self._write(self._response(hosted, self._bare(feed)))
             else:
                 await self._news.wait()
+
+    def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+        """End a feed that a host waits for, if it would never be level. A proxy shows its readers its age instead."""
+        behind = hosted.channel.next_seq - feed.next_seq
+        if feed.owner is not None and self._lag.stays_behind(behind, self._store.now()):
+            raise Overloaded(
+                f"the copy of channel {hosted.record.name} cannot catch up: it is {behind} items behind, no fewer than "
+                f"{CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
+                metadata={"channel": hosted.record.name},
+            )
 
     async def _send(self, hosted: HostedChannel, part: FeedPart) -> None:
         about = self._response(hosted, part)
@@ -137,7 +153,7 @@ class FeedStream:
 
     def _response(self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None) -> bytes:
         """The encoded message, without the part's items."""
-        state = state_to(part)
+        state = state_to(part, self._store.now())
         state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
         state.source_next_seq = hosted.channel.next_seq
         if hosted.copy is not None:

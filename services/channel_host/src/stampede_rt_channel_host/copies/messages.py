@@ -5,6 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.copies.owner_messages import owner_to
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Collection, FeedPart, FeedPlace, ItemKey, Run, make_run
 
 _CAUSES = {
@@ -16,26 +17,38 @@ _CAUSES = {
 _FROM_CAUSES: dict[int, str] = {number: cause for cause, number in _CAUSES.items()}
 
 
-def place_to(place: FeedPlace) -> pb.FeedPlace:
-    """The place of a copy, as a message."""
-    return pb.FeedPlace(incarnation=place.incarnation, next_seq=place.next_seq, floor_resets=place.floor_resets)
+def place_to(place: FeedPlace, epoch: int) -> pb.FeedPlace:
+    """The place of a copy, as a message. `epoch`: the owner's, as the copy knows it."""
+    return pb.FeedPlace(
+        incarnation=place.incarnation,
+        next_seq=place.next_seq,
+        floor_resets=place.floor_resets,
+        owner_until_unix_nano=place.owner_until,
+        owner_epoch=epoch,
+    )
 
 
-def place_of(message: pb.FeedPlace) -> FeedPlace:
-    """The place of a copy, from a message. Raises InvalidArgument for a place without a seq."""
+def place_of(message: pb.FeedPlace, epoch: int) -> FeedPlace:
+    """The place of a copy, from a message to the source at `epoch`. Raises InvalidArgument for a place without a seq.
+
+    What the copy has of another owner's clock is of no use.
+    """
     if not message.next_seq:
         raise InvalidArgument("the feed's place has no next_seq; leave the place out for a copy that holds nothing")
-    return FeedPlace(message.incarnation, message.next_seq, message.floor_resets)
+    knows = message.HasField("owner_until_unix_nano") and message.owner_epoch == epoch
+    until = message.owner_until_unix_nano if knows else None
+    return FeedPlace(message.incarnation, message.next_seq, message.floor_resets, until)
 
 
-def state_to(part: FeedPart) -> pb.FeedState:
-    """The facts of a part, without its items and without the facts about the source itself."""
+def state_to(part: FeedPart, now: int) -> pb.FeedState:
+    """The facts of a part, without its items and without the facts about the source itself. `now`: its clock."""
     return pb.FeedState(
         first_seq=part.first_seq,
         next_seq=part.next_seq,
         cleared=None if part.cleared is None else _key_to(part.cleared),
         collection=None if part.collection is None else _collection_to(part.collection),
         advance_unix_nano=part.advance,
+        owner=None if part.owner is None else owner_to(part.owner, now),
     )
 
 

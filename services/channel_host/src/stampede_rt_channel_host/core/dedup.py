@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart, up_to_seq
 
 RUNS_MAX = 1024  # far more than the runs that a producer has in flight
 KEPT_NANOS = 600_000_000_000  # how long the window keeps an outcome
@@ -33,22 +33,26 @@ _NO_STAMP = -(2**63)  # the host gave the items no time
 _SLACK_RUNS = 256  # up to so many forgotten runs stay in the array; then one step removes them
 
 
+_NOTHING = RunOutcome(0, 0, (), (), 0)
+
+
 class KeptRun(NamedTuple):
-    """A run as the window knows it, for the host that takes the channel or queue over."""
+    """A run as the window knows it, for the host that takes the channel or queue over. `owner`: as in `record`."""
 
     producer_id: int
     first_number: int
     outcome: RunOutcome
+    owner: str = ""
 
 
-class _Producer:
+class KnownProducer:
     """One producer's latest runs, in the order in which they were recorded. `end` is above all their numbers.
 
     `odd` holds the outcomes that do not fit in the array, by first number. `latest` is the time of the last record.
-    `owner` is the name of the caller that put last.
+    `owner` is the name of the caller that put last. `recorded` counts the records.
     """
 
-    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd", "owner")
+    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd", "owner", "recorded")
 
     def __init__(self) -> None:
         self._columns = array("q")
@@ -58,15 +62,18 @@ class _Producer:
         self.end = 0
         self.latest = 0
         self.owner = ""
+        self.recorded = 0
 
     def __len__(self) -> int:
         return len(self._columns) // _FIELDS - self._begin
 
     @property
     def footprint_bytes(self) -> int:
+        """Its memory, in bytes."""
         return PRODUCER_BYTES + len(self._columns) // _FIELDS * RUN_BYTES + self._odd_bytes
 
     def add(self, first_number: int, outcome: RunOutcome) -> None:
+        """Add a record."""
         if self.odd:
             self._forget_odd(first_number)
         part = outcome.parts[0]
@@ -78,6 +85,7 @@ class _Producer:
         self._columns.extend((_signed(first_number), outcome.items, part.first_seq, stamp, outcome.time))
         self.end = max(self.end, first_number + outcome.items)
         self.latest = outcome.time
+        self.recorded += 1
 
     def runs(self) -> Iterator[tuple[int, RunOutcome]]:
         """First numbers and outcomes, the latest first. A run that was judged in two steps may come twice, both times
@@ -126,6 +134,25 @@ class _Producer:
         """The time of the earliest record. There must be one."""
         return self._columns[self._begin * _FIELDS + 4]
 
+    def keep_up_to(self, next_seq: int) -> None:
+        """See `RetryWindow.keep_up_to`."""
+        cut = 0, _NOTHING
+        while len(self):
+            first_number, outcome = next(self.runs(), (0, _NOTHING))
+            if 0 < outcome.end_seq <= next_seq:
+                break
+            cut = (first_number, up_to_seq(outcome, next_seq)) if outcome.parts else cut
+            self.drop_newest()
+        if cut[1].parts:
+            self.add(*cut)
+
+    def drop_newest(self) -> None:
+        """Forget the latest record."""
+        first, first_seq = self._columns[-_FIELDS] % 2**64, self._columns[-_FIELDS + 2]
+        if not first_seq:
+            self._forget_odd(first)
+        del self._columns[-_FIELDS:]
+
     def _forget_odd(self, first_number: int) -> None:
         """Forget the outcome in `odd` of the run that begins with this number, if there is one."""
         known = self.odd.pop(first_number, None)
@@ -148,35 +175,59 @@ class RetryWindow:
     id 0 is never recognised. `now` is the host's clock in nanoseconds and never goes back.
     """
 
-    __slots__ = ("_bytes_max", "_producers", "_producers_max", "footprint_bytes")
+    __slots__ = ("_bytes_max", "_producers_max", "footprint_bytes", "producers", "recorded")
 
     def __init__(self, *, producers_max: int = PRODUCERS_MAX, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._producers_max = producers_max
         self._bytes_max = bytes_max
-        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # by id, the longest silent one first
+        self.producers: OrderedDict[int, KnownProducer] = OrderedDict()  # by id, the longest silent one first
         self.footprint_bytes = 0
+        self.recorded = 0  # counts the records
 
     def __len__(self) -> int:
         """The number of known producers."""
-        return len(self._producers)
+        return len(self.producers)
+
+    def adopt(self, run: KeptRun) -> None:
+        """Record a run that the window of the channel's owner has, unless this window has it already."""
+        numbers = run.producer_id, run.first_number, run.outcome.items
+        try:
+            known = self.find(*numbers, run.outcome.time)
+        except InvalidArgument:  # the owner had lost the run that this window still has
+            self._forget(run.producer_id)
+            known = None
+        if known is None or known[:-1] != run.outcome[:-1]:
+            self.record(run.producer_id, run.first_number, run.outcome, run.owner)
+
+    def keep_up_to(self, next_seq: int) -> None:
+        """Forget what the window knows of items with the seq `next_seq` or a later one, because they are lost.
+
+        If a run has earlier items, too, it counts as judged up to them, so that a retry continues there.
+        """
+        for producer_id, producer in [*self.producers.items()]:
+            before = producer.footprint_bytes
+            producer.keep_up_to(next_seq)
+            self.footprint_bytes += producer.footprint_bytes - before
+            if not len(producer):
+                self._forget(producer_id)
 
     def kept(self, now: int) -> Iterator[KeptRun]:
         """Every run not older than KEPT_NANOS, for `record` at another host.
 
         Each producer's runs come in the order in which they were recorded.
         """
-        for producer_id, producer in self._producers.items():
+        for producer_id, producer in self.producers.items():
             latest = dict(reversed(list(producer.runs())))
             for first_number, outcome in latest.items():
                 if outcome.time > now - KEPT_NANOS:
-                    yield KeptRun(producer_id, first_number, outcome)
+                    yield KeptRun(producer_id, first_number, outcome, producer.owner)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> RunOutcome | None:
         """The former outcome of a repeated run, or None if the window does not know the run.
 
         Raises InvalidArgument if some of the run's numbers belong to another known run.
         """
-        producer = self._producers.get(producer_id)
+        producer = self.producers.get(producer_id)
         if producer is None or first_number >= producer.end:
             return None
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
@@ -189,12 +240,13 @@ class RetryWindow:
         """
         if not producer_id or not outcome.parts:
             return
-        producer = self._producers.get(producer_id)
+        producer = self.producers.get(producer_id)
         if producer is None:
-            producer = self._producers[producer_id] = _Producer()
+            producer = self.producers[producer_id] = KnownProducer()
             self.footprint_bytes += producer.footprint_bytes
-        self._producers.move_to_end(producer_id)
+        self.producers.move_to_end(producer_id)
         producer.owner = owner
+        self.recorded += 1
         before = producer.footprint_bytes
         producer.add(first_number, outcome)
         while len(producer) > RUNS_MAX or producer.oldest_time() <= outcome.time - KEPT_NANOS:
@@ -206,27 +258,27 @@ class RetryWindow:
 
     def expire(self, now: int) -> None:
         """Forget producers that have put nothing for ten minutes. Above the bounds, forget more (see the class)."""
-        while self._producers:
-            producer_id, producer = next(iter(self._producers.items()))
+        while self.producers:
+            producer_id, producer = next(iter(self.producers.items()))
             if producer.latest > now - KEPT_NANOS:
                 break
             self._forget(producer_id)
-        if len(self._producers) > self._producers_max:
+        if len(self.producers) > self._producers_max:
             spare = self._producers_max // SHED_PARTS  # a look at all producers makes room for many new ones
-            while len(self._producers) > self._producers_max - spare and self._shed(lambda producer: 1, spare + 1):
+            while len(self.producers) > self._producers_max - spare and self._shed(lambda producer: 1, spare + 1):
                 pass
         while self.footprint_bytes > self._bytes_max and self._shed(
             lambda producer: producer.footprint_bytes, self._bytes_max // SHED_PARTS
         ):
             pass
 
-    def _shed(self, size: Callable[[_Producer], int], least: int) -> bool:
+    def _shed(self, size: Callable[[KnownProducer], int], least: int) -> bool:
         """Forget the longest silent producers of the largest caller, until the sum of their `size` is `least`.
 
         The largest caller is the one whose producers have the largest sum of `size`. The producer that put last stays.
         Returns whether a producer was forgotten.
         """
-        others = list(self._producers.items())[:-1]
+        others = list(self.producers.items())[:-1]
         sizes: Counter[str] = Counter()
         for _, producer in others:
             sizes[producer.owner] += size(producer)
@@ -241,11 +293,11 @@ class RetryWindow:
         return freed > 0
 
     def _forget(self, producer_id: int) -> None:
-        self.footprint_bytes -= self._producers.pop(producer_id).footprint_bytes
+        self.footprint_bytes -= self.producers.pop(producer_id).footprint_bytes
 
     def next_expiry(self) -> int | None:
         """The time at which `expire` next forgets a producer if nothing is put, or None if the window is empty."""
-        longest_silent = next(iter(self._producers.values()), None)
+        longest_silent = next(iter(self.producers.values()), None)
         return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
 
 

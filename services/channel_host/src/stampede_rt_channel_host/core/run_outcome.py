@@ -7,6 +7,7 @@ the judgement continues after the judged items.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 from stampede_rt.errors import StampedeError
@@ -54,9 +55,28 @@ class RunOutcome(NamedTuple):
         return self.parts[0].first_seq if self.parts else None
 
     @property
+    def end_seq(self) -> int:
+        """The seq after the last accepted item's; 0 if no item was accepted."""
+        return self.parts[-1].first_seq + self.parts[-1].items if self.parts else 0
+
+    @property
     def stamped_time(self) -> int | None:
         """The time that the host gave the first accepted items, or None if the host gave them no time."""
         return self.parts[0].stamped_time if self.parts else None
+
+
+def up_to_seq(outcome: RunOutcome, next_seq: int) -> RunOutcome:
+    """The outcome as if it were judged only up to the first accepted item with the seq `next_seq` or a later one."""
+    parts = [
+        one._replace(items=min(one.items, next_seq - one.first_seq))
+        for one in outcome.parts
+        if one.first_seq < next_seq
+    ]
+    refused = {one.position for one in outcome.refusals}
+    accepted = (at for at in range(outcome.judged_items) if at not in refused)
+    lost = next(islice(accepted, sum(one.items for one in parts), None), outcome.judged_items)
+    refusals = tuple(one for one in outcome.refusals if one.position < lost)
+    return outcome._replace(judged_items=lost, parts=tuple(parts), refusals=refusals)
 
 
 class RunProgress:

@@ -15,7 +15,7 @@ duties:
 - Consumption: the caller calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to
   another owner.
 - Copies: the source's host calls `ChannelFeed(channel, place, now)` and then `take`. The copy's host makes a
-  `FedChannel`, and passes each part to `apply`.
+  `FedChannel`, and passes each part to `apply`. If it may become the owner (`as_owner`), its feed has the retry window.
 - Housekeeping: the caller calls `collect(now)` at `next_deadline(now)`, and repeats the call while it returns True.
 - Long work: for reads and for the beginning of subscriptions there are methods that work in pieces (`reading`,
   `polling`, `giving_up`, `subscribing_all`). Others may use the channel between two pieces. The result is as of the
@@ -38,10 +38,18 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
 )
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, Consumed
 from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
-from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collection, FeedPart, FeedPlace
+from stampede_rt_channel_host.core.channel.feeding import (
+    CATCH_UP_NANOS,
+    ChannelFeed,
+    Collection,
+    FeedPart,
+    FeedPlace,
+    LagWatch,
+)
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.owner_facts import FedPlaces, OwnerFacts, OwnerPart
 from stampede_rt_channel_host.core.channel.pieces import (
     Pieces,
     Unfinished,
@@ -86,6 +94,7 @@ __all__ = [
     "ABSENT",
     "AFTER_ALL",
     "BEFORE_ALL",
+    "CATCH_UP_NANOS",
     "COLLECTED_FOR",
     "CONSUMED_RANGE_BYTES",
     "CONSUMER_BYTES",
@@ -108,14 +117,18 @@ __all__ = [
     "Counters",
     "DeliveredSlice",
     "FedChannel",
+    "FedPlaces",
     "FeedPart",
     "FeedPlace",
     "Gap",
     "HoldingsSnapshot",
     "ItemKey",
+    "LagWatch",
     "Needs",
     "NewestCursor",
     "Offer",
+    "OwnerFacts",
+    "OwnerPart",
     "Pending",
     "Pieces",
     "Position",

@@ -7,7 +7,7 @@ applies retention, and then judges the next item. If it is certain that one step
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeError, TooOld
 from stampede_rt.values.timeline import MAX_INSTANT, format_duration
@@ -123,6 +123,10 @@ class Acceptance:
     def count_rejected(self, reason: str, items: int) -> None:
         """Count items that the channel, or its caller, refused for `reason`."""
         self._rejected[reason] = self._rejected.get(reason, 0) + items
+
+    def inherit_rejected(self, rejected: Mapping[str, int]) -> None:
+        """Continue the counts of another owner."""
+        self._rejected = {reason: items for reason, items in rejected.items() if items}
 
     @property
     def rejected(self) -> dict[str, int]:

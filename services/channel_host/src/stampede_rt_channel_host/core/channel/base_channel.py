@@ -34,8 +34,11 @@ class BaseChannel:
         name: str = "",
         lost_before: int | None = None,
         cut: Cut | None = None,
+        held: Holdings | None = None,
     ) -> None:
-        """Make an empty channel. Raises InvalidArgument if the policy is not possible (see `ChannelLimits.of`).
+        """Make an empty channel, or one that takes over the items `held`.
+
+        Raises InvalidArgument if the policy is not possible (see `ChannelLimits.of`).
 
         `lost_before` is the instant at which this incarnation began, if an earlier incarnation was lost with its host.
         Readers of earlier times get the reason LOST. `cut` copies the body of some items out of a run's body. Without
@@ -44,7 +47,7 @@ class BaseChannel:
         self._policy = policy
         self._incarnation = incarnation
         self.lost_before = lost_before
-        self._held = self._empty_holdings(cut)
+        self._held = Holdings(cut) if held is None else held
         self._retention = Retention(ChannelLimits.of(policy), self._held)
         self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
@@ -53,10 +56,6 @@ class BaseChannel:
         self._puts_since_aging = 0  # puts since `_age_and_free` last applied the age limit
         self._aged_at: int | None = None  # the clock to which `_age_and_free` last applied the age limit
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
-
-    @staticmethod
-    def _empty_holdings(cut: Cut | None) -> Holdings:
-        return Holdings(cut)
 
     def collect(self, now: int, entries_max: int = 64) -> bool:
         """Free about `entries_max` index entries of outdated items. Returns True if more work is left.

@@ -10,6 +10,7 @@ from stampede_rt_channel_host.core.channel.base_channel import BaseChannel
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS, ConsumerPlace, ConsumerStanding
 from stampede_rt_channel_host.core.channel.consumption import Consumed, check_consumption
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
+from stampede_rt_channel_host.core.channel.values import Counters
 
 
 class ConsumedChannel(BaseChannel):
@@ -91,6 +92,25 @@ class ConsumedChannel(BaseChannel):
         clock = self._age_and_free(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
+
+    def inherit(
+        self, clock: int, advance: int | None, counters: Counters | None, places: Iterable[ConsumerPlace]
+    ) -> None:
+        """Take over what another owner knew, before any other call. `clock`: the latest `now` that the items know.
+
+        Applies no limit before the places are known, because consumers keep items beyond max_age.
+        """
+        self._tick(clock)
+        self._acceptance.advance = self._reading.advance = advance
+        self._reading.consumed_up_to = self._held.newest_consumed
+        if counters is not None:
+            self._held.inherit_counts(counters)
+            self._acceptance.inherit_rejected(counters.rejected)
+        consumers = self._retention.consumers
+        if consumers is not None:
+            while self._retention.report_collected(pieces.STEPS_PER_PIECE):
+                pass
+            consumers.restore(places, clock)
 
     def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
         """Take over the places that `consumer_places` gave at another host.

@@ -34,13 +34,14 @@ class ConsumerPlace(NamedTuple):
 
     `consumer_id` is 0 if the place was never taken. `lease_nanos` is the rest of the lease, or 0 if it has ended. The
     consumer has consumed all seqs below `consumed_below`, and the seqs in the ranges `consumed` (first seq and end,
-    exclusive). The ranges may lack seqs of collected items.
+    exclusive). The ranges may lack seqs of collected items. `owner` is the name of the caller that took the place.
     """
 
     consumer_id: int
     lease_nanos: int
     consumed_below: int
     consumed: Sequence[tuple[int, int]]
+    owner: str = ""
 
 
 class ConsumerStanding(NamedTuple):

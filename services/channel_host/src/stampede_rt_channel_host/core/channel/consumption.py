@@ -58,11 +58,12 @@ class Consumers:
     """The consumers of one channel. `table` has their places. Call `table.expire` before other methods.
 
     `clock` is the host's clock, which never goes back. The channel calls `note_collected` for every seq whose item it
-    has collected. Before that call such a seq counts as not consumed. `looked_at` counts looks at a place.
+    has collected. Before that call such a seq counts as not consumed. `looked_at` counts looks at a place, and
+    `changes` the changes of places, without those that time makes.
     """
 
     def __init__(self, places: int) -> None:
-        self.looked_at = 0
+        self.looked_at = self.changes = 0
         self.table = PlaceTable(places)
         self._collected = CountedSeqs()
         self._holder: Place | None = None  # the place that kept the oldest item when a call last found such a place
@@ -107,6 +108,7 @@ class Consumers:
         restart_seq = next_seq if newest_seq is None else newest_seq
         place, done = table.take(consumer_id, self._collected.below, restart_seq)
         table.set_owner(place, owner)
+        self.changes += 1
         items, ranges = 0, _ranges(seqs)
         for first, end in ranges:
             for low, high in self._collected.touching(first, end):
@@ -185,7 +187,7 @@ class Consumers:
             for known in self._collected.touching(1, next_seq) if place.done is not None else ():
                 done.add(*known)
             lease = 0 if place.done is None else place.until - clock
-            shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges))
+            shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges, place.owner))
         return shown
 
     def standings(self, clock: int, next_seq: int) -> Pieces[list[ConsumerStanding]]:
@@ -219,12 +221,15 @@ class Consumers:
         A place with consumer id 0 stays untaken.
         """
         table = self.table
+        self.changes += 1
         for former in table.in_order():
             table.drop(former)
         for one in places:
             if one.consumer_id and one.lease_nanos > 0:
                 done = SeqSet(one.consumed_below, one.consumed)
-                self._move_up(table.enter_live(one.consumer_id, done, clock + one.lease_nanos), done)
+                place = table.enter_live(one.consumer_id, done, clock + one.lease_nanos)
+                table.set_owner(place, one.owner)
+                self._move_up(place, done)
             elif one.consumer_id:
                 table.enter_ended(one.consumer_id, clock - 1)
         table.trim()

@@ -11,10 +11,11 @@ from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
 from stampede_rt_channel_host.core.channel.feeding import Collection, FeedPlace
 from stampede_rt_channel_host.core.channel.held_items import Cut
-from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.owner_facts import OwnerFacts, OwnerPart
 from stampede_rt_channel_host.core.channel.run import Run
+from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
 class FedChannel(ChannelCore):
@@ -28,24 +29,45 @@ class FedChannel(ChannelCore):
 
     def __init__(
         self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None,
-        cut: Cut | None = None,
+        cut: Cut | None = None, knows_owner: bool = False,
     ) -> None:  # fmt: skip
-        """As `ChannelCore`."""
-        super().__init__(_without_places(policy), incarnation=incarnation, name=name, lost_before=lost_before, cut=cut)
+        """As `ChannelCore`. `knows_owner`: the copy holds what only the owner knows, and can become the owner."""
+        held = FedHoldings(cut)
+        super().__init__(
+            _without_places(policy), incarnation=incarnation, name=name, lost_before=lost_before, held=held
+        )
+        self.owner_facts = OwnerFacts() if knows_owner else None
         self.configure(policy, 0)
-
-    @staticmethod
-    def _empty_holdings(cut: Cut | None) -> Holdings:
-        return FedHoldings(cut)
 
     @property
     def place(self) -> FeedPlace:
         """The place from which another feed continues."""
-        return FeedPlace(self._incarnation, self.next_seq, self._held.floor_resets)
+        until = None if self.owner_facts is None else self.owner_facts.until
+        return FeedPlace(self._incarnation, self.next_seq, self._held.floor_resets, until)
+
+    @property
+    def footprint_bytes(self) -> int:
+        """The memory of the items and of the owner's retry window."""
+        window = 0 if self.owner_facts is None else self.owner_facts.window.footprint_bytes
+        return super().footprint_bytes + window
+
+    def as_owner(self, now: int) -> tuple[ChannelCore, RetryWindow]:
+        """The channel and its retry window, of which this copy was made, up to the lag of this copy.
+
+        From then on the items belong to that channel: this copy must not be used any more.
+        """
+        facts = self.owner_facts
+        assert facts is not None, "the caller has asked the feed for the owner's facts"
+        core = ChannelCore(
+            self._policy, incarnation=self._incarnation, name=self.name, lost_before=self.lost_before, held=self._held
+        )
+        core.inherit(self._tick(now), self.advanced_to, facts.counters, facts.places(now))
+        facts.window.keep_up_to(core.next_seq)
+        return core, facts.window
 
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,
-        collection: Collection | None, advance: int | None, now: int,
+        collection: Collection | None, advance: int | None, now: int, owner: OwnerPart | None = None,
     ) -> None:  # fmt: skip
         """Apply the next part of the feed (see `FeedPart`). Ignores items that the copy has had before.
 
@@ -56,6 +78,8 @@ class FedChannel(ChannelCore):
         if next_seq < self.next_seq:
             return
         self._tick(now)
+        if owner is not None and self.owner_facts is not None:
+            self.owner_facts.apply(owner, now)
         if cleared is not None and first_seq == self.next_seq:
             self._held.clear_below(cleared)
         for run in runs:

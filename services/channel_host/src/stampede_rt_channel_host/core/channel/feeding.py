@@ -14,19 +14,23 @@ from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.owner_facts import OwnerFactsFeed, OwnerPart
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice
+from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
 class FeedPlace(NamedTuple):
     """The place of a copy: it holds the state of the source up to the seq `next_seq`, exclusive.
 
-    `floor_resets`: how often the source had set its floor back (see `HeldItems.floor_resets`).
+    `floor_resets`: how often the source had set its floor back (see `HeldItems.floor_resets`). `owner_until`: the copy
+    has all runs of the owner's retry window before this time of the owner's clock; None: it has none.
     """
 
     incarnation: int
     next_seq: int
     floor_resets: int
+    owner_until: int | None = None
 
 
 class Collection(NamedTuple):
@@ -52,7 +56,7 @@ class FeedPart(NamedTuple):
     before this part, because the source has set its floor back since the part before. None: it has not. `slices`: the
     next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before it that the copy has not
     got are missing: the source no longer holds their items. `collection` and `advance` are None if they have not
-    changed since the part before.
+    changed since the part before. `owner`: what only the owner knows, if the copy has asked for it.
     """
 
     first_seq: int
@@ -61,13 +65,40 @@ class FeedPart(NamedTuple):
     next_seq: int
     collection: Collection | None
     advance: int | None
+    owner: OwnerPart | None = None
+
+
+CATCH_UP_NANOS = 10_000_000_000
+"""A copy stays behind if its lag has not shrunk after so long."""
+
+
+class LagWatch:
+    """Notices that a copy stays behind its source. `now` in nanoseconds, of a clock that never goes back."""
+
+    def __init__(self) -> None:
+        self._began: tuple[int, int] | None = None  # when the copy was last seen to be behind, and by how many items
+
+    def stays_behind(self, items: int, now: int) -> bool:
+        """Whether the copy, which is `items` behind at `now`, has not come nearer for CATCH_UP_NANOS."""
+        if not items or self._began is None:
+            self._began = (now, items) if items else None
+            return False
+        since, before = self._began
+        if now - since < CATCH_UP_NANOS:
+            return False
+        self._began = now, items
+        return items >= before
 
 
 class ChannelFeed:
     """The source's side of one feed. Call `close` at its end."""
 
-    def __init__(self, source: ChannelCore, place: FeedPlace | None, now: int) -> None:
+    def __init__(
+        self, source: ChannelCore, place: FeedPlace | None, now: int, window: RetryWindow | None = None
+    ) -> None:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
+
+        With `window`, the retry window of the channel's owner, the feed has what only the owner knows, too.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
@@ -81,6 +112,8 @@ class ChannelFeed:
         self._cleared: ItemKey | None = None
         self._sent: tuple[Collection | None, int | None] = None, None
         held.tell_resets(self._note_reset)
+        since = None if self.begins_anew or place is None else place.owner_until
+        self.owner = None if window is None else OwnerFactsFeed(source, window, since)
 
     @property
     def next_seq(self) -> int:
@@ -93,12 +126,14 @@ class ChannelFeed:
         With a limit of 0 the part has no items. The sizes are counted as in `ChannelCore.since`.
         """
         before = self.next_seq
-        batch = self._source.since(self._cursor, now, limit_bytes)
+        owner = None if self.owner is None else self.owner.take(now)
+        has_runs = self.owner is None or self.owner.is_level  # else the copy must not get the items of unknown runs
+        batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held, _ = self._source.look(now)
         collection, advance = collection_of(held), self._source.advanced_to
         cleared, self._cleared = self._cleared, None
         known_collection, known_advance = self._sent
-        if self.next_seq == before and (known_collection, known_advance) == (collection, advance):
+        if self.next_seq == before and owner is None and (known_collection, known_advance) == (collection, advance):
             return None
         self._sent = collection, advance
         return FeedPart(
@@ -108,6 +143,7 @@ class ChannelFeed:
             self.next_seq,
             None if collection == known_collection else collection,
             None if advance == known_advance else advance,
+            owner,
         )
 
     def close(self) -> None:

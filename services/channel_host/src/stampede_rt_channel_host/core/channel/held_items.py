@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY,
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
+from stampede_rt_channel_host.core.channel.values import Counters
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
@@ -93,6 +94,13 @@ class HeldItems:
     def next_seq(self) -> int:
         """The seq of the next accepted item."""
         return self.accepted + self.missed + 1
+
+    def inherit_counts(self, counters: Counters) -> None:
+        """Continue the counts of another owner. What it has counted and this host did not get counts as collected."""
+        self.accepted, self.missed = self.next_seq - 1, 0
+        more = self.accepted - self.items - sum(counters.collected.values())
+        self.collected = {**counters.collected, self.last_cause: max(0, counters.collected[self.last_cause] + more)}
+        self.accepted_bytes, self.late = max(self.accepted_bytes, counters.accepted_bytes), counters.late
 
     @property
     def charged_bytes(self) -> int:

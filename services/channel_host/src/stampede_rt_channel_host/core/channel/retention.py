@@ -75,6 +75,7 @@ class Retention:
             self._held.tell(self.consumers.note_collected)
         else:
             self.consumers.table.resize(places)
+            self.consumers.changes += 1
 
     def report_collected(self, slices_max: int) -> bool:
         """Tell the consumers of about `slices_max` collected slices. Returns True if more are left."""

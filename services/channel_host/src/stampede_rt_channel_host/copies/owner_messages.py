@@ -1,0 +1,129 @@
+"""Converts what only a channel's owner knows to and from protobuf (`OwnerFacts` in `replica_service.proto`).
+
+Times become durations on the wire, because the clocks of two hosts differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.status import from_error_message, to_error_message
+from stampede_rt.v1 import channel_pb2, channel_service_pb2, subject_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.channel_status import counters_to
+from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, OwnerPart
+from stampede_rt_channel_host.core.dedup import KeptRun
+from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
+
+_COLLECTED = {"age": "age", "count": "count", "bytes": "bytes", "consumption": "consumption"}
+_REJECTED = {
+    "TOO_OLD": "too_old",
+    "IN_FUTURE": "in_future",
+    "ITEM_TOO_LARGE": "too_large",
+    "CHANNEL_FULL": "full",
+    "MALFORMED_RUN": "malformed",
+    "OVERLOADED": "overloaded",
+}
+
+
+def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
+    """A part, as a message. `now`: the owner's clock."""
+    return pb.OwnerFacts(
+        producers=[_producer_to([*runs], now) for _, runs in groupby(part.runs, lambda run: run.producer_id)],
+        consumers=None if part.places is None else _places_to(part.places),
+        counters=counters_to(part.counters),
+        late=part.counters.late,
+        until_unix_nano=part.until,
+    )
+
+
+def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
+    """A part, from a message. `now`: the clock of the copy's host. Raises InvalidArgument for nonsense."""
+    return OwnerPart(
+        tuple(run for producer in message.producers for run in _runs_of(producer, now)),
+        _places_of(message.consumers) if message.HasField("consumers") else None,
+        _counters_of(message.counters, message.late),
+        message.until_unix_nano if message.HasField("until_unix_nano") else None,
+    )
+
+
+def _producer_to(runs: list[KeptRun], now: int) -> pb.FedProducer:
+    return pb.FedProducer(
+        producer_id=runs[0].producer_id,
+        owner=runs[0].owner,
+        runs=[_run_to(one.first_number, one.outcome, now) for one in runs],
+    )
+
+
+def _run_to(first_number: int, outcome: RunOutcome, now: int) -> pb.FedRun:
+    return pb.FedRun(
+        first_number=first_number,
+        items=outcome.items,
+        judged_items=outcome.judged_items,
+        parts=[
+            pb.FedRunPart(index=at, first_seq=seq, items=items, stamped_unix_nano=stamp)
+            for at, seq, items, stamp in outcome.parts
+        ],
+        rejections=[
+            channel_service_pb2.PutRejection(index=one.position, error=to_error_message(one.error))
+            for one in outcome.refusals
+        ],
+        judged_ago_nanos=max(0, now - outcome.time),
+    )
+
+
+def _runs_of(producer: pb.FedProducer, now: int) -> Iterator[KeptRun]:
+    for run in producer.runs:
+        parts = tuple(map(_part_of, run.parts))
+        accepted = sum(one.items for one in parts)
+        if not producer.producer_id or not parts or accepted + len(run.rejections) != run.judged_items:
+            raise InvalidArgument("the feed has a run without a judgement; install the same release on both hosts")
+        refusals = tuple(ItemRefusal(one.index, from_error_message(one.error)) for one in run.rejections)
+        outcome = RunOutcome(run.items, run.judged_items, parts, refusals, now - run.judged_ago_nanos)
+        yield KeptRun(producer.producer_id, run.first_number, outcome, producer.owner)
+
+
+def _part_of(message: pb.FedRunPart) -> RunPart:
+    stamp = message.stamped_unix_nano if message.HasField("stamped_unix_nano") else None
+    return RunPart(message.index, message.first_seq, message.items, stamp)
+
+
+def _places_to(part: FedPlaces) -> pb.FedConsumers:
+    return pb.FedConsumers(begins=part.begins, places=map(_place_to, part.places), ends=part.ends)
+
+
+def _place_to(place: ConsumerPlace) -> pb.FedConsumer:
+    return pb.FedConsumer(
+        consumer_id=place.consumer_id,
+        lease_nanos=max(0, place.lease_nanos),
+        consumed_below_seq=place.consumed_below,
+        consumed=[subject_pb2.SeqRange(first_seq=first, items=end - first) for first, end in place.consumed],
+        owner=place.owner,
+    )
+
+
+def _places_of(message: pb.FedConsumers) -> FedPlaces:
+    return FedPlaces(message.begins, tuple(map(_place_of, message.places)), message.ends)
+
+
+def _place_of(message: pb.FedConsumer) -> ConsumerPlace:
+    consumed = tuple((one.first_seq, one.first_seq + one.items) for one in message.consumed)
+    return ConsumerPlace(message.consumer_id, message.lease_nanos, message.consumed_below_seq, consumed, message.owner)
+
+
+def _counters_of(message: channel_pb2.ChannelCounters, late: int) -> Counters:
+    return Counters(
+        accepted=message.accepted,
+        held=message.held,
+        collected=_of_names(message, "collected_by_", _COLLECTED),
+        rejected=_of_names(message, "rejected_", _REJECTED),
+        accepted_bytes=message.accepted_bytes,
+        held_bytes=message.held_bytes,
+        late=late,
+    )
+
+
+def _of_names(message: channel_pb2.ChannelCounters, prefix: str, names: Mapping[str, str]) -> dict[str, int]:
+    return {cause: getattr(message, prefix + name) for cause, name in names.items()}

@@ -1,0 +1,169 @@
+"""What only the owner of a channel knows, in its feed: the runs of producers, and the places of consumers. Pure.
+
+A copy that may become the owner holds these facts, too (`OwnerFacts`). A proxy does not need them.
+
+The feed keeps this order: a copy never has an item whose run it does not know. So a producer that repeats a run at the
+next owner gets its former answer. A copy may know runs of items that it has not got yet. It forgets them when it
+becomes the owner, and then accepts these items anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.channel.channel import ChannelCore
+from stampede_rt_channel_host.core.channel.consumer_places import ConsumerPlace, Place
+from stampede_rt_channel_host.core.channel.consumption import Consumers
+from stampede_rt_channel_host.core.channel.values import Counters
+from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
+from stampede_rt_channel_host.core.window_feed import WindowFeed
+
+RUNS_PER_PART = 1024  # about 60 KiB; a part has more if one producer has more
+RANGES_PER_PART = 4096  # of consumed seqs: about 40 KiB
+ROUND_NANOS = 200_000_000  # the places go out anew at most five times a second
+
+
+class FedPlaces(NamedTuple):
+    """A part of the consumer places.
+
+    `begins`: the places of earlier parts are outdated. `ends`: these are the last ones. If a place has the consumer id
+    of the last place before it, its ranges continue.
+    """
+
+    begins: bool
+    places: tuple[ConsumerPlace, ...]
+    ends: bool
+
+
+class OwnerPart(NamedTuple):
+    """The owner's facts in one part of a feed.
+
+    `runs`: what producers have put, the earliest first. `places`: None if the places have not changed. `until`: with
+    this part the copy has all runs that the owner judged before this time of its clock; None: more runs follow.
+    """
+
+    runs: tuple[KeptRun, ...]
+    places: FedPlaces | None
+    counters: Counters
+    until: int | None
+
+
+class OwnerFactsFeed:
+    """The source's side. `since`: the copy has all runs before this time (`OwnerPart.until`); None: it has none."""
+
+    def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None) -> None:
+        self._source = source
+        self._window = WindowFeed(window, since)
+        self._sent: tuple[Consumers | None, int] = None, 0  # the consumers, and their changes, of the last round
+        self._round: Iterator[ConsumerPlace] | None = None
+        self._next_round = -(2**63)
+        self._clock = 0
+        self._sent_counters: Counters | None = None
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the copy has all runs, so that it may get all items."""
+        return self._window.is_level
+
+    def is_complete(self, now: int) -> bool:
+        """Whether the copy has everything. If the channel has changed places since, begins a round at once."""
+        self._next_round = min(self._next_round, now)
+        has_places = self._round is None and self._places_now() == self._sent
+        return has_places and self._window.is_level and self._source.latest_counters() == self._sent_counters
+
+    def take(self, now: int) -> OwnerPart | None:
+        """The next part, or None if nothing has changed."""
+        self._clock = now
+        was_level = self._window.is_level
+        runs = tuple(self._window.take(RUNS_PER_PART))
+        places = self._take_places(now)
+        counters = self._source.latest_counters()
+        if was_level and places is None and counters == self._sent_counters:
+            return None
+        self._sent_counters = counters
+        return OwnerPart(runs, places, counters, now if self._window.is_level else None)
+
+    def _places_now(self) -> tuple[Consumers | None, int]:
+        _, retention = self._source.look(self._clock)
+        consumers = retention.consumers
+        return consumers, 0 if consumers is None else consumers.changes
+
+    def _take_places(self, now: int) -> FedPlaces | None:
+        begins = self._round is None
+        if self._round is None:
+            present = self._places_now()
+            if present == self._sent or now < self._next_round:
+                return None
+            self._sent, self._next_round = present, now + ROUND_NANOS
+            self._round = self._walk(present[0])
+        found: list[ConsumerPlace] = []
+        ranges = 0
+        while (place := next(self._round, None)) is not None:
+            found.append(place)
+            ranges += 1 + len(place.consumed)
+            if ranges >= RANGES_PER_PART:
+                return FedPlaces(begins, tuple(found), ends=False)
+        self._round = None
+        return FedPlaces(begins, tuple(found), ends=True)
+
+    def _walk(self, consumers: Consumers | None) -> Iterator[ConsumerPlace]:
+        """The places, each in pieces of at most RANGES_PER_PART ranges. Others change the places meanwhile."""
+        for place in [] if consumers is None else consumers.table.in_order():
+            if place.done is None:
+                yield ConsumerPlace(place.consumer_id, 0, 1, (), place.owner)
+                continue
+            below, ranges = place.done.below, _ranges(place, 0)
+            while True:
+                lease = max(0, place.until - self._clock)
+                yield ConsumerPlace(place.consumer_id, lease, below, ranges, place.owner)
+                if not ranges or not (ranges := _ranges(place, ranges[-1][1])):
+                    break
+
+
+def _ranges(place: Place, seq: int) -> tuple[tuple[int, int], ...]:
+    """At most RANGES_PER_PART ranges of the place's consumed seqs, from `seq` on."""
+    found: list[tuple[int, int]] = []
+    while len(found) < RANGES_PER_PART and place.done is not None and (one := place.done.first_range(seq)) is not None:
+        found.append(one)
+        seq = one[1]
+    return tuple(found)
+
+
+class OwnerFacts:
+    """The copy's side: the facts as of the last parts of the feed. `window` becomes the window of the new owner."""
+
+    def __init__(self) -> None:
+        self.window = RetryWindow()
+        self.until: int | None = None
+        self.counters: Counters | None = None
+        self._places: tuple[ConsumerPlace, ...] = ()
+        self._arrived = 0
+        self._arriving: list[ConsumerPlace] = []
+
+    def apply(self, part: OwnerPart, now: int) -> None:
+        """Take over a part. Safe to repeat for the last part."""
+        for run in part.runs:
+            self.window.adopt(run)
+        self.counters = part.counters
+        if part.until is not None:
+            self.until = part.until
+        if part.places is not None:
+            self._take_places(part.places, now)
+
+    def places(self, now: int) -> list[ConsumerPlace]:
+        """The consumer places, with what is left of their leases at `now`."""
+        passed = max(0, now - self._arrived)
+        return [one._replace(lease_nanos=max(0, one.lease_nanos - passed)) for one in self._places]
+
+    def _take_places(self, part: FedPlaces, now: int) -> None:
+        if part.begins:
+            self._arriving = []
+        for place in part.places:
+            last = self._arriving[-1] if self._arriving else None
+            if last is not None and last.consumer_id == place.consumer_id:
+                self._arriving[-1] = last._replace(consumed=(*last.consumed, *place.consumed))
+            else:
+                self._arriving.append(place)
+        if part.ends:
+            self._places, self._arrived, self._arriving = tuple(self._arriving), now, []

@@ -1,0 +1,63 @@
+"""The feed of a retry window: what it has recorded, for the window of a copy. Pure."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from stampede_rt_channel_host.core.dedup import KeptRun, KnownProducer, RetryWindow
+
+
+class WindowFeed:
+    """Takes from a window what it has recorded since the last take, so that another window can follow it.
+
+    `since`: the other window has all records before this time of the host's clock; None: it has none.
+    """
+
+    def __init__(self, window: RetryWindow, since: int | None) -> None:
+        self._window = window
+        self._since = -(2**63) if since is None else since
+        self._recorded = -1  # the window's records at the last take that left none
+        self._left_at = self._since  # the time of that take's latest record
+        self._sent: dict[int, tuple[KnownProducer, int]] = {}  # by producer id: its records as of the last take
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the takes have had all records."""
+        return self._recorded == self._window.recorded
+
+    def take(self, runs_max: int) -> list[KeptRun]:
+        """The next runs, the earliest first: about `runs_max`, or all runs of one producer."""
+        if self.is_level:
+            return []
+        found: list[KeptRun] = []
+        for producer_id, producer in self._changed():
+            if len(found) >= runs_max:
+                return found
+            found += self._of(producer_id, producer)
+        self._recorded = self._window.recorded
+        latest = next(reversed(self._window.producers.values()), None)
+        self._left_at = self._left_at if latest is None else latest.latest
+        self._sent = {at: one for at, one in self._sent.items() if self._window.producers.get(at) is one[0]}
+        return found
+
+    def _changed(self) -> list[tuple[int, KnownProducer]]:
+        """The producers with new records, the longest silent one first."""
+        changed = []
+        for producer_id, producer in reversed(self._window.producers.items()):
+            if producer.latest < self._left_at:
+                break
+            sent = self._sent.get(producer_id)
+            if sent is None or sent != (producer, producer.recorded):
+                changed.append((producer_id, producer))
+        return changed[::-1]
+
+    def _of(self, producer_id: int, producer: KnownProducer) -> list[KeptRun]:
+        former, count = self._sent.get(producer_id, (None, 0))
+        new = producer.recorded - (count if former is producer else 0)
+        self._sent[producer_id] = producer, producer.recorded
+        latest = dict(reversed([*islice(producer.runs(), new)]))
+        return [
+            KeptRun(producer_id, first_number, outcome, producer.owner)
+            for first_number, outcome in latest.items()
+            if outcome.time >= self._since
+        ]

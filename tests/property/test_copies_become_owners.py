@@ -1,0 +1,170 @@
+"""A copy that was fed with what only the owner knows becomes the owner, and nobody notices.
+
+The story goes on at the new owner: its items, consumers, counts and answers to repeated runs are those of the oracle.
+`STAMPEDE_PROPERTY_EXAMPLES` sets the number of stories.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import Offer, item_blocks, owner_facts, pieces
+from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
+from tests.oracle import Item, OracleRetries, Refused
+from tests.oracle.runs import RunOutcome as OracleOutcome
+from tests.property.channel_pair import ChannelPair
+from tests.property.draws import an_offer
+from tests.property.fed_copies import FedCopy
+from tests.property.random_source import RandomSource
+from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, consume
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "600"))
+
+
+@dataclass
+class Producers:
+    """Two producers that number their items, and sometimes repeat one of their last runs."""
+
+    next_numbers: dict[int, int] = field(default_factory=lambda: {1: 1, 2: 1})
+    runs: list[tuple[int, int, Offer]] = field(default_factory=list)
+
+    def run(self, rng: RandomSource, pair: ChannelPair) -> tuple[int, int, Offer]:
+        if self.runs and rng.one_in(2):
+            return rng.pick(self.runs[-6:])
+        producer_id, offer = 1 + rng.below(2), an_offer(rng, pair)
+        number = self.next_numbers[producer_id]
+        self.next_numbers[producer_id] += len(offer.lengths)
+        self.runs.append((producer_id, number, offer))
+        return self.runs[-1]
+
+
+class Story:
+    """A channel by core and oracle with its retry window, and two copies that may become the owner."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.pair = ChannelPair(policy, FIRST_CLOCK)
+        self.window, self.retries = RetryWindow(), OracleRetries()
+        self.producers = Producers()
+        self.copies = self._new_copies()
+        self.moves = 0
+
+    def _new_copies(self) -> list[FedCopy]:
+        return [FedCopy(self.pair, window=self.window), FedCopy(self.pair, window=self.window)]
+
+    def step(self, rng: RandomSource) -> None:
+        copy, kind = rng.pick(self.copies), rng.below(8)
+        if kind == 0:
+            copy.cut()
+        elif kind == 1:
+            copy.repeat()
+        elif kind == 2:
+            self.move(copy)
+        elif kind <= 5:
+            self.produce(rng)
+        else:
+            copy.take(rng.pick((0, 1, 150, 10**6)))
+
+    def produce(self, rng: RandomSource) -> None:
+        """Put a run, or repeat one, as the host and as the oracle does."""
+        producer_id, number, offer = self.producers.run(rng, self.pair)
+        clock, items = self.pair.clock, len(offer.lengths)
+        expected = self.retries.find(producer_id, number, items, clock)
+        if isinstance(expected, Refused):
+            with pytest.raises(InvalidArgument):
+                self.window.find(producer_id, number, items, clock)
+            return
+        known = self.window.find(producer_id, number, items, clock)
+        assert (known is None) == (expected is None)
+        judged = 0
+        if known is not None and expected is not None:
+            check_known(known, expected)
+            judged = known.judged_items
+        if judged < items:
+            offer = offer if not judged else offer.rest(judged, clock)
+            self._judge(producer_id, number, items, offer, known, [] if expected is None else [*expected.verdicts])
+
+    def _judge(
+        self, producer_id: int, number: int, items: int, offer: Offer, known: RunOutcome | None,
+        verdicts: list[Item | Refused],
+    ) -> None:  # fmt: skip
+        progress = RunProgress(items)
+        if known is not None:
+            progress.resume(known)
+        outcome, more = self.pair.put(offer)
+        offered, accepted = progress.judged_items, [at for at, one in enumerate(more) if isinstance(one, Item)]
+        if outcome.run is not None:
+            progress.accept(offered + accepted[0], outcome.run.first_seq, len(accepted), outcome.stamped_time)
+        for one in outcome.rejections:
+            progress.refuse(offered + one.index, one.error)
+        progress.judged_items += len(more)
+        if outcome.waiting is not None:
+            self.pair.waiting.pop()  # the producer does not wait
+        self.window.record(producer_id, number, progress.outcome(self.pair.clock))
+        self.retries.record(producer_id, number, items, [*verdicts, *more], self.pair.clock)
+
+    def move(self, copy: FedCopy) -> None:
+        """The copy gets everything, and becomes the owner."""
+        clock = self.pair.clock
+        self.pair.oracle.age(clock)
+        self.pair.core.collect(clock)  # so that both have settled the time
+        copy.catch_up()
+        while copy.feed is not None and copy.feed.owner is not None and not copy.feed.owner.is_complete(clock):
+            copy.take(10**6)
+        core, self.window = copy.channel.as_owner(clock)
+        self.pair.move_to(core)
+        if self.pair.oracle.consumers is not None:
+            self.pair.oracle.consumers.carry(clock)
+        self.copies = self._new_copies()
+        self.moves += 1
+
+
+def check_known(known: RunOutcome, expected: OracleOutcome) -> None:
+    """The former answer to a repeated run."""
+    accepted = [(at, one.seq) for at, one in enumerate(expected.verdicts) if isinstance(one, Item)]
+    refused = [(at, one.reason) for at, one in enumerate(expected.verdicts) if isinstance(one, Refused)]
+    assert known.judged_items == len(expected.verdicts)
+    assert [(one.position, one.error.reason) for one in known.refusals] == refused
+    seqs = [seq for part in known.parts for seq in range(part.first_seq, part.first_seq + part.items)]
+    assert seqs == [seq for _, seq in accepted]
+
+
+def play(numbers: list[int]) -> int:
+    first = RandomSource(numbers[0])
+    story = Story(first.pick(SET_UPS))
+    counts = story.pair.oracle.consumers is not None
+    with (
+        mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
+        mock.patch.object(owner_facts, "RUNS_PER_PART", first.pick((1, 2, 1024))),
+        mock.patch.object(owner_facts, "RANGES_PER_PART", first.pick((1, 2, 4096))),
+        mock.patch.object(owner_facts, "ROUND_NANOS", first.pick((0, 5))),
+    ):
+        for number in numbers[1:]:
+            rng = RandomSource(number)
+            if rng.one_in(2):
+                story.step(rng)
+            else:
+                step = consume if counts and rng.one_in(3) else rng.pick(STEPS)
+                note(step.__name__)
+                step(rng, story.pair)
+            story.pair.poll_all()
+            story.pair.check()
+        story.pair.deliver(10**6)
+        story.pair.check()
+    return story.moves
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
+def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done_in_every_story(numbers: list[int]) -> None:
+    play(numbers)
