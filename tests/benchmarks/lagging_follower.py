@@ -78,7 +78,7 @@ async def narrow_cluster(folder: Path, bytes_per_second: float) -> AsyncIterator
     reached = {**addresses, "s3": f"127.0.0.1:{ports[3]}"}
     members = ",".join(f"{name}={address}" for name, address in reached.items())
     relay = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "tests.robustness.relay", reached["s3"], addresses["s3"]),
+        *(sys.executable, "-m", "tests.robustness.real_cluster.relay", reached["s3"], addresses["s3"]),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )

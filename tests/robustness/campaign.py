@@ -15,19 +15,31 @@ from pathlib import Path
 import grpc
 
 from stampede_rt.errors import StampedeError
-from tests.robustness import faults, hostile_callers, hostility, membership, noise, strangers
-from tests.robustness import hosts as host_faults
-from tests.robustness.callers import Caller, HostActor
-from tests.robustness.cluster import Cluster, running_cluster
+from tests.robustness.faults import (
+    disks_and_clocks,
+    host_faults,
+    hostile_callers,
+    kills_and_cuts,
+    membership,
+    noise,
+    strangers,
+)
+from tests.robustness.faults.scene import Fault, Outcome, Scene
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
 from tests.robustness.histories.ownership_model import Judged, judge_items
-from tests.robustness.placed_process import FaultHadNoEffect
-from tests.robustness.probe import ChannelWrites, Probe, Write, register_probe_host, with_background
-from tests.robustness.scene import Fault, Outcome, Scene
-from tests.robustness.traffic import Traffic
+from tests.robustness.real_cluster.callers import Caller, HostActor
+from tests.robustness.real_cluster.cluster import Cluster, running_cluster
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
+from tests.robustness.real_cluster.probe import ChannelWrites, Probe, Write, register_probe_host, with_background
+from tests.robustness.real_cluster.traffic import Traffic
 
-OPEN_FAULTS: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS, **membership.FAULTS, **noise.FAULTS}
+OPEN_FAULTS: dict[str, Fault] = {
+    **kills_and_cuts.FAULTS,
+    **disks_and_clocks.FAULTS,
+    **membership.FAULTS,
+    **noise.FAULTS,
+}
 SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
 # For clusters that compact their logs as rarely as in production: no partition of a campaign outlasts such a log.
 RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}

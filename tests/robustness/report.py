@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tests.robustness.campaign import Findings
-from tests.robustness.scene import Outcome
+from tests.robustness.faults.scene import Outcome
 
 TITLE = "# A run of "
 NOTES_MAX = 4  # for each kind of fault

@@ -10,11 +10,11 @@ import pytest
 
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import HOSTS, Findings, in_rounds, longest_gap, run_campaign
+from tests.robustness.faults.scene import Outcome
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Resolve, Seen, Update, violations
 from tests.robustness.histories.operations import Operation
 from tests.robustness.histories.ownership_model import Judged
 from tests.robustness.report import Run, Simulated, broken_promises, limits_broken, write_report
-from tests.robustness.scene import Outcome
 
 WHY_NOT = unavailable_because()
 needs_namespaces = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")

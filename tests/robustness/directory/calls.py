@@ -8,8 +8,8 @@ from typing import Any
 from stampede_rt.v1 import channel_pb2, queue_pb2
 from stampede_rt.v1 import directory_service_pb2 as channels_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
-from tests.robustness.callers import FINAL_REASONS, seen_in
 from tests.robustness.histories.channel_model import Delete, Open, Refusal, Resolve, Seen, Update
+from tests.robustness.real_cluster.callers import FINAL_REASONS, seen_in
 
 Call = Open | Resolve | Update | Delete
 QUEUES = "queue/"

@@ -54,7 +54,7 @@ NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 
 
 class Caller:
-    """One sequential caller in simulated time, see `tests.robustness.callers.Caller`."""
+    """One sequential caller in simulated time, see `tests.robustness.real_cluster.callers.Caller`."""
 
     def __init__(self, number: int, storm: DirectoryStorm) -> None:
         self._storm, self._world = storm, storm.world

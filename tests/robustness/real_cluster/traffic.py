@@ -9,9 +9,9 @@ import time
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_runtime.identity import Role
-from tests.robustness.cluster import Cluster
 from tests.robustness.histories.operations import Recorder
 from tests.robustness.histories.ownership_model import Accepted, Found, Listed, Newest, Put, ReadAll
+from tests.robustness.real_cluster.cluster import Cluster
 
 CLIENT = "traffic"
 NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 3, 10.0

@@ -10,10 +10,10 @@ import pytest
 from stampede_rt_local.namespaces import unavailable_because
 from stampede_rt_runtime.identity import Role
 from tests.robustness.__main__ import write_page
-from tests.robustness.certificates import Certificates
-from tests.robustness.network import Network
-from tests.robustness.noise import giant_frame
-from tests.robustness.relay import Weather
+from tests.robustness.faults.noise import giant_frame
+from tests.robustness.real_cluster.certificates import Certificates
+from tests.robustness.real_cluster.network import Network
+from tests.robustness.real_cluster.relay import Weather
 from tests.robustness.report import TITLE
 from tests.support.service_process import shift_wall_clock
 

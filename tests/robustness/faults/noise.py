@@ -25,8 +25,8 @@ from stampede_rt.v1 import (
     raft_service_pb2,
 )
 from stampede_rt_runtime.identity import Role
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
 SETTINGS = bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))

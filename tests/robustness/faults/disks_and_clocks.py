@@ -12,9 +12,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
-from tests.robustness.supernode import Supernode
+from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
+from tests.robustness.real_cluster.supernode import Supernode
 
 HOUR, DAY = 3600.0, 86400.0
 CLOCK_TOLERANCE_SECONDS = 5.0

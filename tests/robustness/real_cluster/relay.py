@@ -1,4 +1,4 @@
-"""A TCP relay that makes a network bad: `python -m tests.robustness.relay LISTEN_HOST:PORT TO_HOST:PORT`.
+"""A TCP relay that makes a network bad: `python -m tests.robustness.real_cluster.relay LISTEN_HOST:PORT TO_HOST:PORT`.
 
 Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share [bytes_per_s]`, each answered with a line that
 counts what the weather before it did: chunks, of those stalled, milliseconds waited in all, connections cut. Every

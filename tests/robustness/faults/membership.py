@@ -11,11 +11,11 @@ from contextlib import asynccontextmanager
 import grpc
 
 from stampede_rt.v1 import directory_service_pb2 as pb
-from tests.robustness.cluster import serves
-from tests.robustness.faults import cut
-from tests.robustness.placed_process import FaultHadNoEffect
-from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
-from tests.robustness.supernode import Supernode
+from tests.robustness.faults.kills_and_cuts import cut
+from tests.robustness.faults.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.cluster import serves
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
+from tests.robustness.real_cluster.supernode import Supernode
 
 REMOVED_SECONDS = 10.0
 PAUSE_SECONDS = 0.5

@@ -13,8 +13,8 @@ import grpc
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.identity import Role
-from tests.robustness.cluster import Cluster, request_id
-from tests.robustness.supernode import Supernode
+from tests.robustness.real_cluster.cluster import Cluster, request_id
+from tests.robustness.real_cluster.supernode import Supernode
 
 PROBE_HOST = "robust-probe"
 PROBE_NAMES = 50

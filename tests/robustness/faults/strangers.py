@@ -13,10 +13,10 @@ from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.identity import Role
-from tests.robustness.certificates import Certificates
-from tests.robustness.noise import tls_context
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.faults.noise import tls_context
+from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.certificates import Certificates
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
 
 SEEN_SECONDS = 15.0
 KIND_REFUSED = "callers with a foreign, an expired and no certificate"

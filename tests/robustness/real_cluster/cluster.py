@@ -17,10 +17,10 @@ from stampede_rt.security.tls import TlsFiles
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_runtime.identity import Role
-from tests.robustness.certificates import Certificates
-from tests.robustness.network import Network
-from tests.robustness.placed_process import READY_SECONDS, PlacedProcess
-from tests.robustness.supernode import PORT, Supernode
+from tests.robustness.real_cluster.certificates import Certificates
+from tests.robustness.real_cluster.network import Network
+from tests.robustness.real_cluster.placed_process import READY_SECONDS, PlacedProcess
+from tests.robustness.real_cluster.supernode import PORT, Supernode
 from tests.support.supernode.processes import clean_environment
 
 SUPERNODES, SPARE_NAMESPACES = 3, 1

@@ -15,15 +15,15 @@ from contextlib import asynccontextmanager
 import grpc
 
 from stampede_rt_local.namespaces import NetworkNamespace
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import (
+from tests.robustness.faults.scene import (
     FROZEN_LEADER_SECONDS_MAX,
     PATIENCE_SECONDS,
     RECOVERY_SECONDS_MAX,
     Fault,
     Scene,
 )
-from tests.robustness.supernode import Supernode
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
+from tests.robustness.real_cluster.supernode import Supernode
 
 KILLED, STOPPED = "ended by signal 9", "in kernel state T"
 

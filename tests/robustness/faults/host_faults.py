@@ -19,12 +19,12 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
-from tests.robustness.cluster import Host
-from tests.robustness.faults import KILLED, STOPPED, cut
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
-from tests.robustness.supernode import LEASE_TTL_SECONDS
-from tests.robustness.traffic import CLIENT, Traffic
+from tests.robustness.faults.kills_and_cuts import KILLED, STOPPED, cut
+from tests.robustness.faults.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.cluster import Host
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
+from tests.robustness.real_cluster.supernode import LEASE_TTL_SECONDS
+from tests.robustness.real_cluster.traffic import CLIENT, Traffic
 from tests.support.channel_host.rig import run_of
 
 STALE_PUTS = 10

@@ -25,9 +25,9 @@ from stampede_rt_runtime.quotas.messages import KINDS, quota_from
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.ground import GOOD_CHANNEL, NAME_VARIABLE, Ground
-from tests.robustness.cluster import request_id
-from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
-from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.real_cluster.cluster import request_id
+from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.support.supernode.processes import clean_environment
 
 ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS = 4.0, 120.0, 10.0

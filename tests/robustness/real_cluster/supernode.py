@@ -22,7 +22,7 @@ from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
-from tests.robustness.placed_process import PlacedProcess
+from tests.robustness.real_cluster.placed_process import PlacedProcess
 from tests.support.service_process import SNAPSHOT_EVERY
 
 PORT, INNER_PORT = 7590, 7591
@@ -123,7 +123,7 @@ class Supernode(PlacedProcess):
                 return int(store.execute("SELECT min(log_index) FROM entry").fetchone()[0])
 
     async def _start_relay(self) -> None:
-        command = [sys.executable, "-m", "tests.robustness.relay", self.address, f"localhost:{INNER_PORT}"]
+        command = [sys.executable, "-m", "tests.robustness.real_cluster.relay", self.address, f"localhost:{INNER_PORT}"]
         self._relay = await asyncio.create_subprocess_exec(
             *self.namespace.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )

@@ -15,9 +15,9 @@ from stampede_rt.v1 import channel_pb2, directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_runtime.identity import Role
-from tests.robustness.cluster import Cluster, request_id
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
 from tests.robustness.histories.operations import Recorder
+from tests.robustness.real_cluster.cluster import Cluster, request_id
 
 ATTEMPT_SECONDS, CALL_SECONDS = 1.5, 8.0
 FINAL_REASONS = frozenset(("CHANNEL_NOT_FOUND", "WRONG_EPOCH"))

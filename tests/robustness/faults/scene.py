@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.robustness.cluster import Cluster
-from tests.robustness.probe import Probe
-from tests.robustness.supernode import Supernode
-from tests.robustness.traffic import Traffic
+from tests.robustness.real_cluster.cluster import Cluster
+from tests.robustness.real_cluster.probe import Probe
+from tests.robustness.real_cluster.supernode import Supernode
+from tests.robustness.real_cluster.traffic import Traffic
 
 RECOVERY_SECONDS_MAX, FROZEN_LEADER_SECONDS_MAX = 5.0, 4.0
 PATIENCE_SECONDS = 40.0
