@@ -24,12 +24,12 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.tables import Table
-from stampede_rt_channel_host.channels.get_release import SourceSnapshot
+from stampede_rt_channel_host.channels.gets.get_release import SourceSnapshot
+from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
-from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Position, Query, ReachTracker, WakeAt
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel

@@ -26,7 +26,7 @@ from stampede_rt.wire.runs import encode_run
 from stampede_rt_bench.clusters import SECRET_VARIABLE, running
 from stampede_rt_bench.tables import Table
 from stampede_rt_channel_host import app
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
 from stampede_rt_channel_host.host import ChannelHost

@@ -10,8 +10,8 @@ import grpc
 import pytest
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels import subscription
-from stampede_rt_channel_host.channels.credit import CREDIT_MAX, Credit
+from stampede_rt_channel_host.channels.subscriptions import subscription
+from stampede_rt_channel_host.channels.subscriptions.credit import CREDIT_MAX, Credit
 from tests.support.channel_host.rig import Opened, Rig, S, payloads_of, run_of, running_host
 
 

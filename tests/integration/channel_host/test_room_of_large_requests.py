@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_runtime.quotas.working import CallerWork
 from tests.support.channel_host.queue_rig import running_queue_host
 from tests.support.channel_host.rig import run_of, running_host

@@ -11,7 +11,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels import subscription
+from stampede_rt_channel_host.channels.subscriptions import subscription
 from tests.support.channel_host.rig import Opened, Rig, S, instant, payloads_of, run_of, running_host
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from stampede_rt.v1 import channel_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
-from stampede_rt_channel_host.channels import subscription
+from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.groups import writing
 from tests.support.channel_host.group_rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 from _pytest.mark.structures import ParameterSet
 
-from stampede_rt_channel_host.channels.request_room import CALLER_BYTES_MAX
+from stampede_rt_channel_host.channels.limits.request_room import CALLER_BYTES_MAX
 from stampede_rt_runtime.limits import Limits
 from tests.benchmarks.attacks.trial import Found, Setup, trial
 

@@ -9,7 +9,7 @@ from stampede_rt.cluster.registration_epoch import RegistrationEpoch
 from stampede_rt.errors import LeaseExpired, StaleRegistration, StampedeError
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.host_lease import HostLease

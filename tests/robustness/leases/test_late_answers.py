@@ -12,7 +12,7 @@ import pytest
 
 from stampede_rt.errors import StaleBinding
 from stampede_rt.v1 import channel_pb2
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import policy_change, recorded_channel

@@ -16,15 +16,15 @@ from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels import store as channel_store
-from stampede_rt_channel_host.channels import subscription
+from stampede_rt_channel_host.channels.gets.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
 from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE
 from stampede_rt_channel_host.channels.store import CHANNELS_COMPARED_PER_PIECE, CHANNELS_ENDED_PER_PIECE, ChannelStore
-from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
+from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.records import RecordedChannel

@@ -14,9 +14,9 @@ from stampede_rt.wire.runs import encode_run
 from stampede_rt_bench.measuring import NANOS_PER_US, Spread, quiet
 from stampede_rt_channel_host.channels.frames import SharedDeliveries, get_responses
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Query

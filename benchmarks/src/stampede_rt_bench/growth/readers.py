@@ -14,9 +14,9 @@ from stampede_rt.values.model import Policy
 from stampede_rt_bench.growth.own_channels import OwnChannels, cpu_us, get, put, run_of
 from stampede_rt_bench.measuring import NANOS_PER_US, PAYLOAD_BYTES, Spread, quiet
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.subscription import Subscription
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
+from stampede_rt_channel_host.channels.subscriptions.subscription import Subscription
 
 CREDIT_BYTES = 2**62
 

@@ -16,7 +16,7 @@ from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
 from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.access_watch import AccessWatch

@@ -11,7 +11,8 @@ from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
-from stampede_rt_channel_host.channels import put_requests, requests
+from stampede_rt_channel_host.channels import requests
+from stampede_rt_channel_host.channels.puts import put_requests
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message, floor_to_message
 from stampede_rt_channel_host.cluster.records import recorded_group
 from stampede_rt_channel_host.groups.messages import times_from_message

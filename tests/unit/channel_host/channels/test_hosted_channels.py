@@ -12,8 +12,8 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import CONSUMPTION_SHARE, MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import CONSUMPTION_SHARE, MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import CONSUMED_RANGE_BYTES, LEASE_NANOS
 from tests.support.clock import ManualClock

@@ -14,8 +14,8 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels import sweep
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import RECLAIMS_MAX, MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import RECLAIMS_MAX, MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import run_to_end

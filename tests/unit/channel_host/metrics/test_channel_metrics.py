@@ -10,9 +10,9 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.memory import MemoryBudget
-from stampede_rt_channel_host.channels.reader_drops import Readers
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.totals import ChannelTotals
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import run_to_end

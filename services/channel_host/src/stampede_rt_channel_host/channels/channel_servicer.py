@@ -16,13 +16,13 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.copy_state import Freshness
-from stampede_rt_channel_host.channels.get_stream import GetStream
+from stampede_rt_channel_host.channels.gets.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
-from stampede_rt_channel_host.channels.put_stream import PutStream
+from stampede_rt_channel_host.channels.puts.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of, parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
-from stampede_rt_channel_host.channels.subscription import Subscription
+from stampede_rt_channel_host.channels.subscriptions.subscription import Subscription
 from stampede_rt_runtime.access.control import check_access, check_known, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary

@@ -12,11 +12,11 @@ from stampede_rt_channel_host.channels.channel_ring import ChannelRing
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
-from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
+from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
-from stampede_rt_channel_host.channels.puts import ChannelPuts
+from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
-from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,

@@ -14,7 +14,7 @@ from stampede_rt.transports import futexes
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_ring import ChannelRing
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.ring_writer import ClockReading, ring_size
 from stampede_rt_runtime.access.control import is_denied
 from stampede_rt_runtime.rpc import Context

@@ -19,17 +19,17 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
-from stampede_rt_channel_host.channels.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies
-from stampede_rt_channel_host.channels.id_owners import IdOwners
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
+from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.rings import Rings
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.totals import ChannelTotals

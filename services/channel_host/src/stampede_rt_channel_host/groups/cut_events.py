@@ -13,11 +13,11 @@ from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import reason_to_message
-from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
 from stampede_rt_channel_host.groups.frames import cut_part
 from stampede_rt_channel_host.groups.hosted_group import NOTHING_VISIBLE, HostedGroup, other_incarnation

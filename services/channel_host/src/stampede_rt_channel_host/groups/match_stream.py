@@ -7,12 +7,12 @@ import asyncio
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
-from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.reader_drops import ReaderDrops
 from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, Track
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, other_incarnation

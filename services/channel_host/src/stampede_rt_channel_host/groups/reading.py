@@ -14,11 +14,11 @@ from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness
+from stampede_rt_channel_host.channels.gets.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
-from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import (
     Pieces,
     Query,

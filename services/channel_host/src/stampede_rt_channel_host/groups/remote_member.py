@@ -12,7 +12,7 @@ from stampede_rt.errors import IncarnationLost, StampedeError
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
 from stampede_rt.values.timeline import MAX_INSTANT
-from stampede_rt_channel_host.channels.credit import CREDIT_MAX
+from stampede_rt_channel_host.channels.subscriptions.credit import CREDIT_MAX
 from stampede_rt_channel_host.core.group import ChannelTimes, RemoteTrack
 from stampede_rt_channel_host.groups.peers import Dial
 

@@ -9,11 +9,11 @@ import asyncio
 from collections.abc import Callable
 
 from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels.gets.waiting_get import Outcome
+from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
-from stampede_rt_channel_host.channels.waiting_get import Outcome
-from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import (
     BEFORE_ALL,
     ChannelSnapshot,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
+from stampede_rt_channel_host.channels.subscriptions.subscription import WRITE_SECONDS_MAX
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from heapq import heappush, heappushpop
 
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.reader_drops import Readers
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.totals import ChannelTotals, counts_of
 from stampede_rt_channel_host.core.channel import COLLECTED_FOR, REASONS, Pieces
 from stampede_rt_channel_host.metrics import catalog

@@ -17,10 +17,10 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
-from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.read_ahead import ReadAhead
+from stampede_rt_channel_host.channels.puts.acks import refused
+from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead
+from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import (

@@ -12,12 +12,12 @@ from stampede_rt.errors import InvalidArgument, MalformedRun, PermissionDenied
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2, raw_run_pb2
 from stampede_rt.wire.runs import origin_field, parse_run, seal_run, select_items
-from stampede_rt_channel_host.channels.acks import ack_of, refused
-from stampede_rt_channel_host.channels.long_requests import read_long
-from stampede_rt_channel_host.channels.memory import own_bytes
-from stampede_rt_channel_host.channels.read_ahead import left_nanos
+from stampede_rt_channel_host.channels.limits.memory import own_bytes
+from stampede_rt_channel_host.channels.puts.acks import ack_of, refused
+from stampede_rt_channel_host.channels.puts.long_requests import read_long
+from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
+from stampede_rt_channel_host.channels.puts.whole_requests import check_without_piece
 from stampede_rt_channel_host.channels.requests import parse
-from stampede_rt_channel_host.channels.whole_requests import check_without_piece
 from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_runtime.identity import Identity, Role
 

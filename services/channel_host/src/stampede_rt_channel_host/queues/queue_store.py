@@ -15,9 +15,9 @@ from itertools import islice
 from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
-from stampede_rt_channel_host.channels.creation_shares import CreationShares
-from stampede_rt_channel_host.channels.id_owners import IdOwners
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
+from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import queue_pb2
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState

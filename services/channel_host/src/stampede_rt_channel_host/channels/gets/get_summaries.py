@@ -1,0 +1,39 @@
+"""What a host says of the answer of a get beside the items."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.reads import reason_to_message, resolved_to_message
+from stampede_rt_channel_host.channels.gets.outbox import COUNTED_BYTES_MAX
+from stampede_rt_channel_host.core.channel import (
+    ITEM_OVERHEAD_BYTES,
+    ReadAnswer,
+)
+
+
+def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
+    """The facts about an answer, without its items.
+
+    `cut`: the cut of the group; None for a read without a group, or if the group has no cut yet.
+    """
+    return pb.GetSummary(
+        interval=resolved_to_message(answer.interval) if answer.interval else None,
+        complete=answer.complete,
+        truncated=answer.truncated,
+        more=answer.more,
+        reason=reason_to_message(answer.reason),
+        detail=answer.reason.detail if answer.reason else "",
+        incarnation=answer.incarnation,
+        cut_unix_nano=cut,
+        host_time_unix_nano=now,
+    )
+
+
+def kept_bytes_of(answer: ReadAnswer) -> int:
+    """The bytes that the stored runs of an answer occupy in memory, at most COUNTED_BYTES_MAX."""
+    kept_bytes = 0
+    for part in answer.slices:
+        kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES
+        if kept_bytes > COUNTED_BYTES_MAX:
+            return COUNTED_BYTES_MAX
+    return kept_bytes

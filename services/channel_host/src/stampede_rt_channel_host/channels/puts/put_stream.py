@@ -1,0 +1,245 @@
+"""Serves one stream of puts: judges and acks runs in order.
+
+Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
+put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a single put
+in the turn of the event loop in which its bytes come (decision 0164).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.request_pieces import PIECE_TAG
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.acks import refused
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.long_requests import SHORT_BYTES
+from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
+from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
+from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead, left_nanos
+from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_runtime.access.control import current_account, current_work, own_name, request_rights
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.rpc import Context, answer_at_once
+
+# The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
+# the message stays below its size limit.
+ACKS_QUEUED_MAX = 256
+REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
+_FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
+
+
+class _ReceivedRequest(NamedTuple):
+    """The runs of one request that the host has not yet judged, and the monotonic time at which the request came.
+
+    `too_much`: the request is larger than allowed. The host then refuses all its runs. `is_single`: it names its
+    channel and has one run, as the requests of a caller that waits for each ack.
+    """
+
+    puts: deque[Put]
+    received_s: float
+    too_much: bool
+    is_single: bool
+
+    def keep(self) -> int:
+        """Copy each run, so that the request is no longer kept in memory. Returns the sum of the runs' bytes."""
+        for _ in range(len(self.puts)):
+            self.puts.append(self.puts.popleft().kept())
+        return sum(len(put.run) for put in self.puts)
+
+
+class PutStream:
+    """Serves one stream. A run that waits for room blocks the later runs.
+
+    The waiting time of each run counts from the arrival of its request. If this time has passed when the run's turn
+    comes, the host accepts or refuses the run without a further wait.
+    """
+
+    def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._channel_id = b""
+        self._epoch = 0
+        self._producer_id = 0
+        self._acks: list[pb.PutAck] = []
+        self._closed = False
+        self._is_writing = False
+        self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
+        self._room = asyncio.Event()  # the writer has taken the acks
+        self._account = current_account()
+        self._owner = own_name()
+        self._rights = request_rights(_lose)
+        self._work = current_work()
+        self._whole = WholeRequests(context.read, store.memory.requests, self._account)
+        self._requests = ReadAhead(self._whole, store.memory, self._account)
+
+    async def run(self) -> None:
+        """Serve until the caller has closed its side and every run is acked.
+
+        Raises InvalidArgument for an invalid request.
+        """
+        answer_at_once(self._context, self._take_at_once)
+        writer = self._stream.spawn(self._write_acks())
+        try:
+            while (received := self._read_request(*await self._requests.next())) is not None:
+                await self._take(received)
+            self._closed = True
+            self._news.set()
+            await writer
+        finally:
+            writer.cancel()
+            self._requests.close()
+
+    def _read_request(self, raw: Any, received_s: float) -> _ReceivedRequest | None:
+        """Decode a request; None at the end of the stream."""
+        if raw is EOF:
+            return None
+        request = read_request(raw)
+        if request.channel_id:
+            self._channel_id, self._epoch = request.channel_id, request.epoch
+            self._producer_id = request.producer_id
+        too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
+        is_single = bool(request.channel_id) and len(request.puts) == 1
+        return _ReceivedRequest(request.puts, received_s, too_much, is_single)
+
+    def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
+        """Judge the only run of a request, which surely need not wait, and write its ack.
+
+        Returns False for any other message.
+        """
+        is_idle = not (self._acks or self._is_writing or self._whole.is_joining or self._requests.is_ahead)
+        if not is_idle or len(raw) > SHORT_BYTES or raw[:1] == PIECE_TAG:
+            return False
+        try:
+            request = read_request(raw)
+            names = bool(request.channel_id)
+            channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
+            if len(request.puts) != 1 or self._store.find(channel_id, epoch).puts.may_wait:
+                return False
+        except StampedeError:  # the loop that reads the requests comes to the same error
+            return False
+        if names:
+            self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
+        ack = self._judge(request.puts[0], time.monotonic())
+        assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
+        write(pb.PutResponse(acks=[ack]).SerializeToString())
+        return True
+
+    async def _take(self, received: _ReceivedRequest) -> None:
+        if self._work.must_wait:
+            await self._work.turn()
+        self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
+        self._work.spend_read()
+        while received.puts:
+            if received.too_much:
+                ack = _refuse_size(received.puts.popleft(), self._store.now())
+            else:
+                ack = await self._put(received)
+            while len(self._acks) >= ACKS_QUEUED_MAX:
+                self._news.set()
+                self._room.clear()
+                await self._room.wait()
+            self._acks.append(ack)  # after the await, during which the writer may replace the list
+        if received.is_single and not self._is_writing:
+            await self._write()
+            return
+        self._news.set()
+        await asyncio.sleep(0)  # let the writer send this ack before the next read begins
+
+    async def _put(self, received: _ReceivedRequest) -> pb.PutAck:
+        """The ack of the first run. Waits while the run waits for room."""
+        judged = self._judge(received.puts.popleft(), received.received_s)
+        return judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
+
+    def _judge(self, put: Put, received_s: float) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
+        """The ack of a run, or the run and its channel if the run has to wait for room."""
+        now = self._store.now()
+        run: IncomingRun | None = None
+        try:
+            check_number(self._producer_id, put.first_number)
+            if not self._channel_id:
+                raise InvalidArgument(
+                    "the put names no channel; set channel_id and epoch in the stream's first request"
+                )
+            hosted = self._store.find(self._channel_id, self._epoch)
+            self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
+            try:
+                run = self._read(put, received_s)
+            except StampedeError as error:
+                hosted.puts.count_unread(len(put.run), error, now)
+                raise
+            return hosted.puts.put(run, now) or (run, hosted)
+        except StampedeError as error:
+            return refused(put.first_number, run.items if run else 0, error, now)
+
+    async def _wait(self, run: IncomingRun, hosted: HostedChannel, received: _ReceivedRequest) -> pb.PutAck:
+        """Wait for the ack of a run that waits for room.
+
+        Meanwhile the host keeps the bytes of this run and of the later runs of its request, but not the request itself,
+        and counts them as memory.
+        """
+        self._news.set()  # let the writer send the earlier acks meanwhile
+        run.keep()
+        puts, waiting = hosted.puts, (hosted.puts, run)
+        self._rights.hold(waiting, AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
+        try:
+            with self._account.waiting(run.charged_bytes), self._requests.keeping(received.keep()):
+                return await run.wait(puts.give_up)
+        except Overloaded as error:
+            return puts.refuse(run, error)
+        finally:
+            self._rights.release(waiting)
+            puts.withdraw(run)
+
+    def _read(self, put: Put, received_s: float) -> IncomingRun:
+        wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, received_s)
+        return IncomingRun(
+            put.run,
+            producer_id=self._producer_id,
+            first_number=put.first_number,
+            wait_nanos=wait_nanos,
+            owner=self._owner,
+        )
+
+    async def _write_acks(self) -> None:
+        """Write acks. All acks that came during the last write go out in one message."""
+        while not (self._closed and not self._acks):
+            if not self._acks or self._is_writing:
+                self._news.clear()
+                await self._news.wait()
+                continue
+            await self._write()
+
+    async def _write(self) -> None:
+        """Write all acks that have come. Only one write may be under way."""
+        acks, self._acks = self._acks, []
+        self._is_writing = True
+        try:
+            await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
+        finally:
+            self._is_writing = False
+        self._room.set()
+
+
+def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:
+    """Refuse a run that waits, because the caller has lost a right."""
+    puts, run = waiting
+    puts.refuse(run, error)
+
+
+def _refuse_size(put: Put, now: int) -> pb.PutAck:
+    error = InvalidArgument(
+        f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer runs in one request"
+    )
+    return refused(put.first_number, 0, error, now)

@@ -1,0 +1,1 @@
+"""The subscriptions to channels: their streams, and the credit of their readers."""

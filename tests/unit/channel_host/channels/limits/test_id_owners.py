@@ -1,0 +1,110 @@
+"""Who consumes and takes under which number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+import pytest
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_channel_host.channels.limits import id_owners as module
+from stampede_rt_channel_host.channels.limits.id_owners import OWNED_IDS_OF_ONE_MAX, IdOwners
+
+QUEUE, OTHER = b"q" * 16, b"o" * 16
+
+
+def allowed() -> None:
+    """The caller may act at the thing."""
+
+
+def denied() -> None:
+    raise PermissionDenied("no rule")
+
+
+def use(owners: IdOwners, thing: bytes, number: int, what: str, check: Callable[[], None] = allowed) -> None:
+    with owners.using(thing, number, what, check):
+        pass
+
+
+@pytest.fixture
+def caller(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The name of the caller; empty: one whom rules do not judge."""
+    names = ["alice"]
+    monkeypatch.setattr(module, "owner_name", lambda: names[-1])
+    return names
+
+
+def test_a_number_belongs_to_the_caller_that_used_it_first(caller: list[str]) -> None:
+    owners = IdOwners()
+    use(owners, QUEUE, 7, "taker")
+    use(owners, QUEUE, 7, "taker")
+    caller.append("thief")
+    use(owners, OTHER, 7, "taker")
+    with pytest.raises(PermissionDenied, match="taker 0x7 belongs to alice, and thief may not act for it"):
+        use(owners, QUEUE, 7, "taker")
+    caller.append("")
+    use(owners, QUEUE, 7, "taker")
+
+
+def test_what_members_use_is_nobody_elses(caller: list[str]) -> None:
+    owners = IdOwners()
+    caller.append("")
+    use(owners, QUEUE, 7, "consumer")
+    caller.append("thief")
+    with pytest.raises(PermissionDenied, match="belongs to a member or an operator"):
+        use(owners, QUEUE, 7, "consumer")
+
+
+def test_a_caller_of_many_numbers_makes_its_own_be_forgotten_and_no_others(caller: list[str]) -> None:
+    owners = IdOwners()
+    use(owners, QUEUE, 7, "taker")
+    caller.append("thief")
+    for number in range(1000, 1000 + 3 * OWNED_IDS_OF_ONE_MAX):
+        use(owners, QUEUE, number, "taker")
+    assert len(owners) == OWNED_IDS_OF_ONE_MAX + 1
+    with pytest.raises(PermissionDenied):
+        use(owners, QUEUE, 7, "taker")
+
+
+def test_all_numbers_together_have_a_bound(caller: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "OWNED_IDS_MAX", 100)
+    owners = IdOwners()
+    for number in range(300):
+        caller.append(f"caller-{number}")
+        use(owners, QUEUE, number, "taker")
+    assert len(owners) == len(owners._of_owner) == 100
+
+
+def test_a_caller_that_may_not_act_owns_no_number(caller: list[str]) -> None:
+    """A caller that had lost its right kept the number, and so did a caller whose first call was refused."""
+    owners = IdOwners()
+    use(owners, QUEUE, 7, "consumer")
+    with pytest.raises(PermissionDenied, match="no rule"):
+        use(owners, QUEUE, 7, "consumer", denied)
+    with pytest.raises(KeyError), owners.using(QUEUE, 8, "consumer", allowed):
+        raise KeyError("the channel has no place")
+    assert len(owners) == 0
+    caller.append("bob")
+    use(owners, QUEUE, 7, "consumer")
+    use(owners, QUEUE, 8, "consumer")
+
+
+def test_a_refused_stranger_takes_no_number_from_its_owner(caller: list[str]) -> None:
+    owners = IdOwners()
+    use(owners, QUEUE, 7, "consumer")
+    with pytest.raises(KeyError), owners.using(QUEUE, 7, "consumer", allowed):
+        raise KeyError("a later call fails")
+    caller.append("thief")
+    for check in (denied, allowed):
+        with pytest.raises(PermissionDenied):
+            use(owners, QUEUE, 7, "consumer", check)
+    assert len(owners) == 1
+
+
+def test_a_number_stays_with_its_caller_if_one_of_two_first_calls_succeeds(caller: list[str]) -> None:
+    owners = IdOwners()
+    with suppress(KeyError), owners.using(QUEUE, 7, "consumer", allowed):
+        use(owners, QUEUE, 7, "consumer")
+        raise KeyError("the other call fails")
+    assert len(owners) == 1

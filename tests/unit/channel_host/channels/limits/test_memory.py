@@ -1,0 +1,60 @@
+"""One bound for all channels and queues of a host."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.channels.limits.memory import RECLAIMS_MAX, Charge, MemoryBudget
+
+
+def test_a_claim_beyond_the_bound_is_refused_with_the_way_out() -> None:
+    budget = MemoryBudget(1000)
+    Charge(budget).set(864)
+    budget.claim(136)
+    with pytest.raises(Overloaded, match="864 bytes together, of at most 1000"):
+        budget.claim(137)
+
+
+def test_what_is_charged_adds_up_as_it_changes() -> None:
+    budget = MemoryBudget(1000)
+    one, other = Charge(budget), Charge(budget)
+    one.set(300)
+    other.set(500)
+    one.set(100)
+    assert budget.used_bytes == 600
+    other.set(0)
+    assert budget.used_bytes == 100
+
+
+def test_what_time_has_outdated_is_freed_before_a_claim_is_refused() -> None:
+    def free() -> bool:
+        charge.set(0)
+        return False
+
+    budget = MemoryBudget(1000, free)
+    charge = Charge(budget)
+    charge.set(900)
+    budget.claim(1000)
+    charge.set(1000)
+    with pytest.raises(Overloaded):
+        budget.claim(1001)
+
+
+def test_a_claim_asks_for_more_memory_only_until_there_is_room_and_not_for_ever() -> None:
+    asked = 0
+
+    def free() -> bool:
+        nonlocal asked
+        asked += 1
+        charge.set(900 - asked)
+        return True
+
+    budget = MemoryBudget(1000, free)
+    charge = Charge(budget)
+    charge.set(900)
+    budget.claim(102)
+    assert asked == 2
+    with pytest.raises(Overloaded):
+        budget.claim(1000)
+    assert asked == 2 + RECLAIMS_MAX
