@@ -12,6 +12,12 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 # those with a whole cluster; a test that cannot run with rules says so: @pytest.mark.without_rules(reason)
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
+# Where bytecode files are forbidden beside the sources (as in many container images), all that runs here keeps them
+# below .make. Without them each of the hundreds of processes of the tests would compile all its modules again.
+ifdef PYTHONDONTWRITEBYTECODE
+unexport PYTHONDONTWRITEBYTECODE
+export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
+endif
 
 .PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images bench bench-docs clean
 
@@ -35,7 +41,7 @@ demos: setup  ## all demos, each with client tokens and rules of access, and wit
 	for name in tv-watcher stereo; do for with in "" --certificates; do $(RUN)/stampede demo $$name $$with; done; done
 
 test: setup  ## the whole test suite
-	$(RUN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
 	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile $(ACL_TESTS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
@@ -60,5 +61,7 @@ for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL"):
 
 # The suite starts hundreds of Python processes. Where bytecode files are forbidden (as in many container images)
 # each of them would compile all its modules again, which takes half of its CPU time. They keep bytecode below `.make`.
+# So do the processes of pytest itself, whose tests are many modules.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
-    os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")

@@ -13,7 +13,7 @@ from tests.contract.surfaces import Surface, connected
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="session")
-grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
+grouped_cluster = cluster_fixture(hosts=2, supernodes=1, scope="session")
 
 
 OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "waiting")

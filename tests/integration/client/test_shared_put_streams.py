@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 
@@ -12,6 +12,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import until
 
 cluster = cluster_fixture(hosts=1, supernodes=1)
 CHANNELS = 60
@@ -83,14 +84,15 @@ async def test_a_refused_put_and_a_cancelled_one_leave_the_stream_to_the_others(
             await channel.stats()  # so that the puts need no lookup
         await others[0].put(b"opens the stream")
         (stream,) = rt._session.put_streams._streams.values()
+        answers = answers_held_back(stream.exchange)
         puts = [asyncio.ensure_future(other.put(b"x")) for other in others]
         refused, cancelled = (
             asyncio.ensure_future(strict.put(b"x", time=2**62)),
             asyncio.ensure_future(strict.put(b"y")),
         )
-        await asyncio.sleep(0)
-        assert len(stream.exchange._waiting) == len(puts) + 2, "all of them are under way on one stream"
+        await until(lambda: len(stream.exchange._waiting) == len(puts) + 2)  # all are under way on one stream
         cancelled.cancel()
+        answers.set()
         async with asyncio.timeout(LIMIT_S):
             await asyncio.gather(*puts)
             with pytest.raises(st.InFuture):
@@ -98,6 +100,18 @@ async def test_a_refused_put_and_a_cancelled_one_leave_the_stream_to_the_others(
             assert (await others[0].put(b"later")).payload == b"later"
         assert [*rt._session.put_streams._streams.values()] == [stream]
         assert not stream.exchange.broken
+
+
+def answers_held_back(exchange: Any) -> asyncio.Event:
+    """Keep the answers on a client's stream of puts back until the test sets the event. The puts stay under way."""
+    released, receive = asyncio.Event(), exchange._receive
+
+    async def receive_later(response: Any) -> None:
+        await released.wait()
+        await receive(response)
+
+    exchange._receive = receive_later
+    return released
 
 
 async def until_a_put_waits(channel: aio.Channel) -> None:

@@ -131,11 +131,22 @@ def test_closing_the_connection_ends_a_thread_that_watches(cluster: LocalCluster
 async def until_put_streams(rt: Any) -> Any:
     """The open put streams, as soon as there is one and before it is connected."""
     streams = rt._session.put_streams._streams
-    for _ in range(10_000):
-        if streams:
-            return streams
-        await asyncio.sleep(0)
-    raise AssertionError("no stream was opened")
+    async with asyncio.timeout(LIMIT_S):
+        while not streams:  # noqa: ASYNC110  (a pause could outlast the opening)
+            await asyncio.sleep(0)
+    return streams
+
+
+async def lose(response: Any) -> None:
+    """The answers on a stream that breaks do not arrive."""
+
+
+def are_under_way(rt: Any) -> bool:
+    """Whether puts or gets wait for answers on the streams of a connection."""
+    exchanges = [stream.exchange for stream in rt._session.put_streams._streams.values()]
+    for endpoint in rt._session.endpoints._endpoints.values():
+        exchanges += endpoint._gets
+    return any(exchange._waiting for exchange in exchanges)
 
 
 async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: LocalCluster) -> None:
@@ -143,8 +154,9 @@ async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: Local
         channel = await rt.channel("client/broken", max_age="60s")
         await channel.put(b"opens the stream")
         (stream,) = (await until_put_streams(rt)).values()
+        stream.exchange._receive = lose
         puts = [asyncio.ensure_future(channel.put(b"%d" % number)) for number in range(3)]
-        await asyncio.sleep(0)  # all of them have left their requests
+        await until(lambda: len(stream.exchange._waiting) == len(puts))
         stream.exchange.cancel()
         async with asyncio.timeout(LIMIT_S):
             await asyncio.gather(*puts)
@@ -204,8 +216,9 @@ async def test_cancelled_calls_leave_no_exception_that_nobody_looked_at(
         await channel.stats()
         for call in (channel.put, channel.get):
             pending = [asyncio.ensure_future(call(*([b"x"] if call == channel.put else [st.OLDEST, st.NEWEST])))]
-            for _ in range(50):
-                await asyncio.sleep(0)
+            async with asyncio.timeout(LIMIT_S):
+                while not are_under_way(rt):  # noqa: ASYNC110  (a pause could outlast the call)
+                    await asyncio.sleep(0)
             pending[0].cancel()
             await asyncio.wait(pending)
             for stream in rt._session.put_streams._streams.values():

@@ -17,9 +17,10 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc, quota_pb2, quota_service_pb2_grpc
 from stampede_rt.v1 import quota_service_pb2 as quotas
 from stampede_rt_runtime.dial import dial
-from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX
+from tests.support.supernode import few_streams
 from tests.support.supernode.processes import (
+    Cluster,
     Supernode,
     attempts,
     called,
@@ -27,12 +28,24 @@ from tests.support.supernode.processes import (
     register,
     renew,
     resolve,
-    running_cluster,
 )
 
 pytestmark = pytest.mark.timeout(240)
 
 AT_ONCE = 128
+
+
+@contextlib.asynccontextmanager
+async def running_cluster(folder: Path) -> AsyncIterator[Cluster]:
+    """Three supernodes whose ports serve fewer streams than others."""
+    cluster = Cluster(folder, "--lease-ttl", "1h")
+    for one in cluster.supernodes:
+        one.module = few_streams.__name__
+    try:
+        await cluster.start()
+        yield cluster
+    finally:
+        await cluster.close()
 
 
 async def without_quotas(*supernodes: Supernode) -> None:
@@ -67,7 +80,7 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
                 return
 
     try:
-        for _ in range(Limits().streams_max // AT_ONCE):
+        for _ in range(few_streams.LIMITS.streams_max // AT_ONCE):
             await asyncio.gather(*(watch() for _ in range(AT_ONCE)))
         with pytest.raises(grpc.aio.AioRpcError) as refused:
             await watch()
@@ -78,7 +91,7 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
 
 
 async def test_watches_that_fill_the_ports_of_two_members_do_not_keep_a_third_from_coming_back(tmp_path: Path) -> None:
-    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
+    async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         third, other = cluster.others(leader)
         await register(leader, 1)
