@@ -8,6 +8,7 @@ from stampede_rt.ring.layout import ABSENT_INSTANT
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -137,6 +138,22 @@ class BaseChannel:
     def newest_slices(self) -> Iterator[Slice]:
         """The held items, the newest slice first."""
         return self._held.slices_down()
+
+    def record(self, archived_to: int) -> None:
+        """Keep items from the seq `archived_to` on until they are archived, unless max_bytes collects them.
+
+        Call it again when the archive has got further.
+        """
+        if self._retention.unarchived is None:
+            self._retention.unarchived = ArchiveBacklog(self._held, archived_to)
+        else:
+            self._retention.unarchived.archived(archived_to)
+        if self._clock is not None:
+            self._retention.drop_excess(self._clock)
+
+    def stop_recording(self) -> None:
+        """Collect items as in a channel that has no archive."""
+        self._retention.unarchived = None
 
     @property
     def footprint_bytes(self) -> int:

@@ -31,6 +31,8 @@ class HoldingsSnapshot:
         self.overlap_nanos = held.overlap_nanos
         self.collected_by = held.collected_by
         self.newest_consumed = held.newest_consumed
+        self.floor = held.floor
+        self.newest_collected = held.newest_collected
         self._snapshot = held.snapshot()
         self._snapshot.hold()
 

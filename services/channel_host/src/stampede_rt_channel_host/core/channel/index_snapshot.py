@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
-from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Slice
 
 
@@ -18,7 +18,17 @@ class IndexSnapshot:
     between two pieces.
     """
 
-    __slots__ = ("_copies", "_copy_ends", "_end_seq", "_holders", "_index", "floor", "is_held", "kept_from")
+    __slots__ = (
+        "_copies",
+        "_copy_ends",
+        "_end_seq",
+        "_following",
+        "_holders",
+        "_index",
+        "floor",
+        "is_held",
+        "kept_from",
+    )
 
     def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[IndexSnapshot, None]) -> None:
         """`holders` are the channel's held snapshots. The channel does not free their items at or above `kept_from`."""
@@ -29,6 +39,7 @@ class IndexSnapshot:
         self.is_held = False
         self._index = index
         self._end_seq = end_seq
+        self._following: int | None = None  # see `begin_with`
         self._holders = holders
 
     def hold(self) -> None:
@@ -61,6 +72,18 @@ class IndexSnapshot:
             self._copy_ends.append(end)
             self.kept_from = end
 
+    def begin_with(self, earlier: ChannelIndex, end: ItemKey, following: int | None) -> None:
+        """Also show the items of `earlier`, which lie below `end`: below all items that the snapshot has shown so far.
+
+        `following` is the time of a bucket that the snapshot does not show, or None. The caller keeps `earlier`
+        unchanged.
+        """
+        self._following = following
+        self._copies.insert(0, earlier)
+        self._copy_ends.insert(0, end)
+        self.floor = FIRST_KEY
+        self.kept_from = max(self.kept_from, end)
+
     def shows(self, part: Slice) -> bool:
         """Whether the slice was in the channel at the moment of the snapshot."""
         return part.run.first_seq < self._end_seq
@@ -88,4 +111,7 @@ class IndexSnapshot:
     def next_time(self, time: int, high: ItemKey) -> int | None:
         """The time of the first bucket of the snapshot after `time` that begins below `high`, or None."""
         parts = self.slices((time, SEQ_END), high)
-        return next((part.first_time for part in parts if self.shows(part)), None)
+        shown = next((part.first_time for part in parts if self.shows(part)), None)
+        if self._following is None or self._following <= time:
+            return shown
+        return self._following if shown is None else min(shown, self._following)

@@ -98,6 +98,14 @@ class Reading:
             next_times=found.next_times,
         )
 
+    def reason(self, query: Query, within: ResolvedInterval, *, has_items: bool, more: bool) -> Reason | None:
+        """The reason of an answer that the caller has put together: why it is empty or partial."""
+        region = _region(query, within)
+        if not has_items:
+            return self._absence(query, region)
+        truncated = not region.is_empty and self._is_truncated(region)
+        return self._reason(query, region, self._is_over(region), truncated, more)
+
     def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
         """The answer if the get is released, or when to poll again."""
         query = pending.query

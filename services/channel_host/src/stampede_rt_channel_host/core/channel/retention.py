@@ -11,6 +11,7 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 
 from __future__ import annotations
 
+from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, archived_part, low_of
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
 from stampede_rt_channel_host.core.channel.earlier_items import EarlierItems
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
@@ -18,20 +19,13 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.oldest_items import before
+from stampede_rt_channel_host.core.channel.retention_steps import (
+    AFTER_READS_NANOS,
+    BACKLOG_ENTRIES_MAX,
+    SLICES_AGED_MAX,
+    SLICES_CONSUMED_MAX,
+)
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
-
-SLICES_CONSUMED_MAX = 64
-"""The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
-BACKLOG_ENTRIES_MAX = 512
-"""While there are so many entries of outdated items, consumption collects nothing: a late item may have to free all of
-them, and to copy them for the reads that still show them.
-"""
-AFTER_READS_NANOS = 100 * 10**6
-"""If long reads keep these entries, consumption looks again after this time."""
-SLICES_AGED_MAX = 256
-"""The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
-this check.
-"""
 
 
 class Retention:
@@ -39,7 +33,7 @@ class Retention:
 
     __slots__ = (
         "_consumed_to", "_earlier", "_has_more_consumed", "_has_more_to_age", "_held", "_look_after_reads",
-        "_owed_check_goes_on", "consumers", "limits",
+        "_owed_check_goes_on", "consumers", "limits", "unarchived",
     )  # fmt: skip
 
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
@@ -52,6 +46,7 @@ class Retention:
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._earlier: EarlierItems | None = None  # None: the consumers know of all of them
         self.consumers: Consumers | None = None
+        self.unarchived: ArchiveBacklog | None = None  # of a recorded channel: only max_bytes collects these items
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
@@ -130,9 +125,10 @@ class Retention:
         bound = self._age_bound(cutoff)
         if bound is not None and self.limits.max_age_unconsumed_nanos is not None:
             bound = self._prolonged(bound, clock - self.limits.max_age_unconsumed_nanos)
-        if bound is None:
+        kept = low_of(self.unarchived)
+        if bound is None or (kept is not None and kept[0] <= held.oldest):
             return False
-        oldest = held.oldest_before(bound)
+        oldest = held.oldest_before(bound if kept is None else min(bound, kept[0]))
         held.outdate(oldest, AGE, clock)
         return oldest.items > 0
 
@@ -220,7 +216,9 @@ class Retention:
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
         instants = [self._look_after_reads, self._lease_end()]
-        if age is not None and held.oldest is not None and following is not None:
+        kept = low_of(self.unarchived)
+        waits = kept is not None and held.oldest is not None and kept[0] <= held.oldest  # until the archive has it
+        if age is not None and held.oldest is not None and following is not None and not waits:
             instants.append(held.bucket_end(held.oldest, following) + age)
         return min((one for one in instants if one is not None), default=None)
 
@@ -271,7 +269,8 @@ class Retention:
         if not limits.drops_oldest:
             return
         if limits.max_items is not None and held.items > limits.max_items:
-            held.outdate(held.oldest_by_count(held.items - limits.max_items), COUNT, clock)
+            oldest = archived_part(held, held.oldest_by_count(held.items - limits.max_items), self.unarchived)
+            held.outdate(oldest, COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
             held.outdate(held.oldest_by_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 

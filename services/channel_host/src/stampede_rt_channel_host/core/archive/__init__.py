@@ -1,0 +1,81 @@
+"""Archives of channels: what their files hold, and reads over an archive and memory. Values in, values out. Pure.
+
+The shell, `stampede_rt_channel_host.archive`, has these duties:
+
+- It writes the blocks that `encode_items` and `encode_gap` make, in seq order, and tells the channel when they are on
+  stable storage (`ChannelCore.record`). Until then retention keeps the items in memory.
+- It scans the segments of a folder with `scan`, and cuts off the torn tail of the last one.
+- A read that reaches below the items in memory: it makes an `ArchivedRead` of a `ChannelSnapshot`, loads each window
+  that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
+"""
+
+from stampede_rt_channel_host.core.archive.archived_read import ArchivedRead, WantedWindow, reaches, resolved
+from stampede_rt_channel_host.core.archive.block import (
+    GAP,
+    HEAD_BYTES,
+    ITEMS,
+    OPENING,
+    ArchivedRun,
+    BlockHead,
+    decode_head,
+    decode_items,
+    encode_gap,
+    encode_items,
+    encode_opening,
+    is_whole,
+)
+from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
+from stampede_rt_channel_host.core.archive.segment import (
+    PlacedBlock,
+    ReadAt,
+    Scan,
+    Segment,
+    grown,
+    missing_seqs,
+    scan,
+    summary,
+)
+from stampede_rt_channel_host.core.archive.window import (
+    ArchiveWindow,
+    BlocksOf,
+    Chosen,
+    Wanted,
+    choose,
+    choose_by_seq,
+    window_of,
+)
+
+__all__ = [
+    "GAP",
+    "HEAD_BYTES",
+    "ITEMS",
+    "OPENING",
+    "ArchiveSpan",
+    "ArchiveWindow",
+    "ArchivedRead",
+    "ArchivedRun",
+    "BlockHead",
+    "BlocksOf",
+    "Chosen",
+    "PlacedBlock",
+    "ReadAt",
+    "Scan",
+    "Segment",
+    "Wanted",
+    "WantedWindow",
+    "choose",
+    "choose_by_seq",
+    "decode_head",
+    "decode_items",
+    "encode_gap",
+    "encode_items",
+    "encode_opening",
+    "grown",
+    "is_whole",
+    "missing_seqs",
+    "reaches",
+    "resolved",
+    "scan",
+    "summary",
+    "window_of",
+]

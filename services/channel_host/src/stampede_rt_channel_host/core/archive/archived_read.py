@@ -1,0 +1,179 @@
+"""A read of a recorded channel: window by window from the archive, and at last from memory. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from stampede_rt.values.timeline import Match, ResolvedInterval
+from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
+from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Wanted
+from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
+
+FIRST_WINDOW_BYTES = 2**18
+WINDOW_BYTES = 2**20
+ANSWER_BYTES = 4 * 2**20
+"""One answer has about so many bytes from the archive. Its reader asks for the rest of a longer answer."""
+
+
+def resolved(moment: ChannelSnapshot, span: ArchiveSpan, query: Query) -> ResolvedInterval | None:
+    """The interval of a query over archive and memory, or None if it has a meta-time that needs an item."""
+    held, _ = moment.look(0)
+    newest = latest(held.newest, span.newest)
+    now = moment.clock if newest is None else max(moment.clock, newest)
+    return query.interval.resolve(now=now, newest=newest, oldest=earliest(held.oldest, span.oldest))
+
+
+def reaches(moment: ChannelSnapshot, within: ResolvedInterval) -> bool:
+    """Whether the interval may select items that memory has no more."""
+    held, _ = moment.look(0)
+    if held.newest is None or held.newest_collected is None:
+        return True
+    split = held.newest_collected  # the bucket of the newest collected item may be in memory in part
+    if within.start <= split or within.start < (held.gone_before or within.start):
+        return True
+    following = held.next_time(split)
+    is_split = held.oldest is not None and held.oldest <= split
+    return is_split and (following is None or within.start < following + held.overlap_nanos)
+
+
+class WantedWindow(NamedTuple):
+    """The next window to load: what to choose (`choose`), and the keys of its items (`window_of`)."""
+
+    wanted: Wanted
+    low: ItemKey
+    high: ItemKey
+
+
+class ArchivedRead:
+    """One read of an archive and of memory, as of `moment`.
+
+    Order of use: `begin`. While `next_window` returns a window to load, load it and call `take`. Then `answer`, and the
+    caller closes the moment. `continues` says whether the answer was cut off for its length: the reader asks again for
+    the items after its last one.
+    """
+
+    def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
+        self.continues = False
+        self._moment, self._span, self._query, self._within = moment, span, query, within
+        self._held, self._retention = moment.look(0)
+        self._left = query.limit
+        self._pages: list[Sequence[Slice]] = []
+        self._last: ReadAnswer | None = None
+        self._reading: Reading | None = None
+        self._next_time: int | None = None
+        self._bytes = 0
+        self._more = self._is_done = False
+        self._edge: int | None = None  # where the next window begins
+        self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
+        self._windows = self._of_memory = 0  # the windows read, and those of them that had no archived items
+
+    def begin(self) -> Pieces[None]:
+        """First read memory, if it may have all that the read wants: always if the interval does not reach further
+        back, and downwards, because the latest items come first.
+        """
+        archived, in_memory = self._held.newest_collected, self._held.newest is not None
+        if self._within.is_empty or not reaches(self._moment, self._within):
+            yield from self.take(ArchiveWindow(ChannelIndex(), None, None, None))
+        elif self._query.newest_first and in_memory and archived is not None and archived >= self._within.start:
+            yield from self.take(ArchiveWindow(ChannelIndex(), archived, None, None))
+            self._of_memory = 1
+
+    def next_window(self) -> WantedWindow | None:
+        """The next window to load, or None if the read has all that it wants."""
+        if self._is_done:
+            return None
+        size = WINDOW_BYTES if self._windows > self._of_memory else FIRST_WINDOW_BYTES
+        if self._query.newest_first:
+            return self._window_down(size)
+        within, query, border = self._within, self._query, self._held.floor
+        starts = [one.time for one in (query.after, query.newer_than) if one is not None]
+        from_time, low = max(starts, default=None), FIRST_KEY
+        if self._edge is not None:
+            from_time, low = self._edge, (self._edge, 0)
+        high = min(border, (within.end, SEQ_END))
+        return WantedWindow(Wanted(within.start, high, self._held.overlap_nanos, size, from_time), low, border)
+
+    def _window_down(self, size: int) -> WantedWindow:
+        within, query, border = self._within, self._query, self._held.floor
+        high = min(border, (within.end, SEQ_END))
+        if self._windows > self._of_memory:
+            high = border = min(border, (self._edge or 0, SEQ_END))
+        if query.after is not None:
+            high = min(high, (max(query.after.time, within.start), SEQ_END))
+        return WantedWindow(Wanted(within.start, high, self._held.overlap_nanos, size, down=True), FIRST_KEY, border)
+
+    def take(self, window: ArchiveWindow) -> Pieces[None]:
+        """Read the items of a window, which lies behind the windows so far."""
+        if self._query.newest_first and self._edge is not None:
+            window = self._bounded(window, self._edge)
+        searching_more = self._left == 0
+        query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
+        items = RecordedItems(self._held, self._span, window)
+        reading = Reading(items, self._retention, self._moment.incarnation, self._moment.lost_before)
+        reading.advance = self._moment.advanced_to
+        answer = yield from reading.answer(query, self._within, self._moment.clock)
+        self._windows += 1
+        self._last, self._reading = answer, reading
+        if searching_more:
+            self._more = bool(answer.slices)
+        else:
+            self._keep(answer)
+            self._more = answer.more
+        self._go_on(window)
+
+    def _bounded(self, window: ArchiveWindow, edge: int) -> ArchiveWindow:
+        """A window of items up to the bucket at `edge`, for a read that has all later ones."""
+        lowest = self._lowest if self._lowest != edge else None  # equal: the bucket is in memory in part
+        later = (lowest, window.following, self._held.next_time(edge))
+        following = min((one for one in later if one is not None), default=None)
+        return window._replace(following=following, end=min(self._held.floor, (edge, SEQ_END)))
+
+    def _keep(self, answer: ReadAnswer) -> None:
+        if not answer.slices:
+            return
+        if not self._query.newest_first or not self._pages:
+            self._next_time = answer.next_time
+        self._pages.append(answer.slices)
+        self._bytes += sum(len(one.run.body) for one in answer.slices)
+        if self._left is not None:
+            self._left -= sum(one.items for one in answer.slices)
+
+    def _go_on(self, window: ArchiveWindow) -> None:
+        """Decide whether the read needs another window."""
+        if window.edge is not None and self._left == 0 and self._selects(window.edge):
+            self._more = True
+        self._is_done = window.edge is None or self._more
+        if self._is_done:
+            return
+        first = next(window.items.slices(FIRST_KEY, LAST_KEY), None)
+        if first is not None:
+            self._lowest = first.first_time
+        self._edge = window.edge
+        if self._bytes >= ANSWER_BYTES and self._left != 0:
+            self._is_done = self.continues = self._more = True
+
+    def _selects(self, time: int) -> bool:
+        """Whether the read surely selects an item at `time`, the edge of a window, where it would read on."""
+        query = self._query
+        if query.match is Match.WHOLE or time not in self._within:
+            return False
+        above = query.newer_than is None or time > query.newer_than.time
+        return above and (query.after is None or not query.newest_first or time < query.after.time)
+
+    def answer(self) -> ReadAnswer:
+        """The whole answer, after the last window."""
+        last, reading = self._last, self._reading
+        assert last is not None, "at least one window was read"
+        assert reading is not None, "the window was read by it"
+        pages = reversed(self._pages) if self._query.newest_first else self._pages
+        slices = [one for page in pages for one in page]
+        reason = reading.reason(self._query, self._within, has_items=bool(slices), more=self._more)
+        return last._replace(slices=slices, next_time=self._next_time, more=self._more, reason=reason)

@@ -1,0 +1,146 @@
+"""The blocks of an archive: item runs as they were stored, behind a head with their place and checksums. Pure.
+
+A segment is a file of blocks, one after the other. A block is never changed. Each block has a checksum of its head, and
+one of its content. So a flipped bit costs one block, and a reader finds the next block by its head.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+from zlib import crc32
+
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.run import Run
+
+MAGIC = b"SRTA"
+ITEMS, GAP, OPENING = 1, 2, 3
+"""The kinds of blocks: item runs; seqs whose items were never archived; the facts about a segment and its channel."""
+
+_SUM = struct.Struct("<4sI")  # the magic, and the checksum of the rest of the head
+_HEAD = struct.Struct("<IIIIIQQqQqQqq")
+_ROW = struct.Struct("<qI")  # for each run: when its items were accepted, and the length of its body
+HEAD_BYTES = _SUM.size + _HEAD.size
+
+
+class BlockHead(NamedTuple):
+    """The facts about one block.
+
+    `first_seq` up to `end_seq`, exclusive, are its seqs. `low` and `high` are the least and the greatest key (time,
+    seq) of its items. Its items were accepted from `first_accepted` until `last_accepted`, by the host's clock. A gap
+    has no keys: `low` and `high` repeat the keys of the block before it.
+    """
+
+    kind: int
+    content_crc: int
+    content_bytes: int
+    runs: int
+    items: int
+    first_seq: int
+    end_seq: int
+    low: ItemKey
+    high: ItemKey
+    first_accepted: int
+    last_accepted: int
+
+    @property
+    def length(self) -> int:
+        """The bytes of the whole block."""
+        return HEAD_BYTES + self.content_bytes
+
+
+class ArchivedRun(NamedTuple):
+    """A run to archive, and the host's clock when its items were accepted."""
+
+    accepted: int
+    run: Run
+
+
+def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
+    """A block of runs, in seq order: its head, and its parts, which the caller writes one after the other."""
+    table = b"".join(_ROW.pack(one.accepted, len(one.run.body)) for one in runs)
+    parts = [table, *(one.run.body for one in runs)]
+    head = BlockHead(
+        kind=ITEMS,
+        content_crc=_crc(parts),
+        content_bytes=sum(map(len, parts)),
+        runs=len(runs),
+        items=sum(len(one.run) for one in runs),
+        first_seq=runs[0].run.first_seq,
+        end_seq=runs[-1].run.first_seq + len(runs[-1].run),
+        low=min(lowest(one.run) for one in runs),
+        high=max(highest(one.run) for one in runs),
+        first_accepted=min(one.accepted for one in runs),
+        last_accepted=max(one.accepted for one in runs),
+    )
+    return head, [encode_head(head), *parts]
+
+
+def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:
+    """A block that says that the items of these seqs were never archived. `near`: the key of the item before them."""
+    head = BlockHead(GAP, 0, 0, 0, end_seq - first_seq, first_seq, end_seq, near, near, accepted, accepted)
+    return head, [encode_head(head)]
+
+
+def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:
+    """The first block of a segment. `facts`: what the shell wants to find there again."""
+    key = (0, 0)
+    head = BlockHead(OPENING, crc32(facts), len(facts), 0, 0, first_seq, first_seq, key, key, 0, 0)
+    return [encode_head(head), facts]
+
+
+def encode_head(head: BlockHead) -> bytes:
+    """The bytes of a head, HEAD_BYTES long."""
+    *plain, low, high, first_accepted, last_accepted = head
+    rest = _HEAD.pack(*plain, *low, *high, first_accepted, last_accepted)
+    return _SUM.pack(MAGIC, crc32(rest)) + rest
+
+
+def decode_head(raw: bytes) -> BlockHead | None:
+    """The head at the beginning of these bytes, or None if they do not begin with a whole, undamaged head."""
+    if len(raw) < HEAD_BYTES:
+        return None
+    magic, checksum = _SUM.unpack_from(raw)
+    rest = raw[_SUM.size : HEAD_BYTES]
+    if magic != MAGIC or crc32(rest) != checksum:
+        return None
+    *plain, low_time, low_seq, high_time, high_seq, first_accepted, last_accepted = _HEAD.unpack(rest)
+    return BlockHead._make((*plain, (low_time, low_seq), (high_time, high_seq), first_accepted, last_accepted))
+
+
+def is_whole(head: BlockHead, content: bytes | memoryview) -> bool:
+    """Whether the content is the one that the head belongs to, to the last bit."""
+    return len(content) == head.content_bytes and crc32(content) == head.content_crc
+
+
+def decode_items(head: BlockHead, content: bytes, decode: Callable[[bytes], Run]) -> list[ArchivedRun]:
+    """The runs of a block whose content is whole. `decode` makes a run of its stored body."""
+    at, runs = head.runs * _ROW.size, []
+    for accepted, length in _ROW.iter_unpack(content[:at]):
+        runs.append(ArchivedRun(accepted, decode(content[at : at + length])))
+        at += length
+    return runs
+
+
+def lowest(run: Run) -> ItemKey:
+    """The least key of a run's items."""
+    times = run.times
+    time = min(times)
+    return time, run.first_seq + times.index(time)
+
+
+def highest(run: Run) -> ItemKey:
+    """The greatest key of a run's items."""
+    times = run.times
+    time, at = max(times), len(times) - 1
+    while times[at] != time:
+        at -= 1
+    return time, run.first_seq + at
+
+
+def _crc(parts: Sequence[bytes]) -> int:
+    checksum = 0
+    for part in parts:
+        checksum = crc32(part, checksum)
+    return checksum

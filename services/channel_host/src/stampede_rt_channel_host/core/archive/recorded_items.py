@@ -1,0 +1,74 @@
+"""The items of a recorded channel: those of a window of its archive, and after them those in memory. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.archive.window import ArchiveWindow
+from stampede_rt_channel_host.core.channel.channel_snapshot import HoldingsSnapshot
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
+
+
+class ArchiveSpan:
+    """What an archive knows without a look at the disk: `oldest` and `newest` are times, or None if it is empty.
+
+    `is_cut`: items before the oldest one were archived once, and are gone.
+    """
+
+    __slots__ = ("is_cut", "newest", "oldest")
+
+    def __init__(self, oldest: int | None, newest: int | None, *, is_cut: bool) -> None:
+        self.oldest = oldest
+        self.newest = newest
+        self.is_cut = is_cut
+
+
+def earliest(one: int | None, other: int | None) -> int | None:
+    """The earlier of two times, of which each may be missing."""
+    return one if other is None else other if one is None else min(one, other)
+
+
+def latest(one: int | None, other: int | None) -> int | None:
+    """The later of two times, of which each may be missing."""
+    return one if other is None else other if one is None else max(one, other)
+
+
+class RecordedItems:
+    """Items of an archive and of memory as reads see them (`Readable`). The archive has the items below `border`.
+
+    `held` are the items in memory at one moment. The caller must not use this object after it has closed the moment.
+    """
+
+    collected_by = "archive"
+
+    def __init__(self, held: HoldingsSnapshot, span: ArchiveSpan, window: ArchiveWindow) -> None:
+        self._held = held
+        self._window = window
+        self._items: ChannelIndex = window.items
+        self.border = held.floor
+        self.overlap_nanos = held.overlap_nanos
+        self.oldest = earliest(held.oldest, span.oldest)
+        self.newest = latest(held.newest, span.newest)
+        self.frontier = span.oldest if span.is_cut else None
+        self.gone_before = None if self.frontier is None else self.frontier + self.overlap_nanos
+
+    @property
+    def end(self) -> ItemKey:
+        """A key above the keys of all visible items."""
+        return LAST_KEY if self._window.end is None else self._window.end
+
+    def snapshot(self) -> IndexSnapshot:
+        """All these items, and those in memory."""
+        snapshot = self._held.snapshot()
+        snapshot.begin_with(self._items, self.border, self._window.following)
+        return snapshot
+
+    def next_time(self, time: int) -> int | None:
+        """The time of the next bucket after `time`, or None if there is none."""
+        found = [self._items.next_time(time), self._window.following, self._held.next_time(time)]
+        return min((one for one in found if one is not None and one > time), default=None)
+
+    def last_time_up_to(self, time: int) -> int | None:
+        """The time of the last visible bucket at or before `time`, or None if there is none."""
+        held = None if self._window.end is not None else self._held.last_time_up_to(time)
+        return self._items.last_time_up_to(time) if held is None else held

@@ -1,0 +1,160 @@
+"""Finds the blocks of a segment: after a crash, after damage, and in a closed segment. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.archive.block import (
+    GAP,
+    HEAD_BYTES,
+    ITEMS,
+    MAGIC,
+    OPENING,
+    BlockHead,
+    decode_head,
+    is_whole,
+)
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+
+ReadAt = Callable[[int, int], bytes]
+"""Returns the bytes of a file from an offset on: so many, or fewer at the end of the file."""
+
+_SEARCH_BYTES = 2**20  # read at once in the search for the next block after a damaged one
+
+
+class PlacedBlock(NamedTuple):
+    """A block, and the offset at which it begins."""
+
+    offset: int
+    head: BlockHead
+
+    @property
+    def end(self) -> int:
+        """The offset after the block."""
+        return self.offset + self.head.length
+
+
+class Scan(NamedTuple):
+    """The blocks of a segment. `end` is the offset after its last whole block: what follows is a torn tail.
+
+    `damaged` are the stretches of bytes in which no block could be found, and the blocks whose content is damaged.
+    """
+
+    blocks: Sequence[PlacedBlock]
+    end: int
+    damaged: Sequence[tuple[int, int]]
+
+
+class Segment(NamedTuple):
+    """A segment in short: its number and its bytes, its seqs, its keys, and when its items were accepted.
+
+    `low` and `high` are None if it has no items.
+    """
+
+    number: int
+    length: int
+    items: int
+    first_seq: int
+    end_seq: int
+    low: ItemKey | None
+    high: ItemKey | None
+    last_accepted: int
+
+
+def scan(read_at: ReadAt, length: int, *, check_contents: bool) -> Scan:
+    """All blocks of a segment of `length` bytes.
+
+    A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
+    `check_contents` the last blocks also belong to the torn tail if their contents are damaged: a host that lost its
+    power may have written them in part.
+    """
+    blocks: list[PlacedBlock] = []
+    damaged: list[tuple[int, int]] = []
+    offset = 0
+    while offset < length:
+        head = decode_head(read_at(offset, HEAD_BYTES))
+        if head is not None and offset + head.length <= length:
+            blocks.append(PlacedBlock(offset, head))
+            offset += head.length
+            continue
+        following = _next_head(read_at, offset + 1, length)
+        if following is None:
+            break
+        damaged.append((offset, following))
+        offset = following
+    if check_contents:
+        _cut_torn(blocks, read_at, damaged)
+    end = blocks[-1].end if blocks else 0
+    return Scan(blocks, end, [one for one in damaged if one[0] < end])
+
+
+def _next_head(read_at: ReadAt, offset: int, length: int) -> int | None:
+    """The offset of the next whole block from `offset` on, or None if there is none."""
+    while offset < length:
+        raw = read_at(offset, _SEARCH_BYTES + HEAD_BYTES)
+        at = raw.find(MAGIC)
+        while 0 <= at < _SEARCH_BYTES:
+            head = decode_head(raw[at : at + HEAD_BYTES])
+            if head is not None and offset + at + head.length <= length:
+                return offset + at
+            at = raw.find(MAGIC, at + 1)
+        offset += _SEARCH_BYTES
+    return None
+
+
+def _cut_torn(blocks: list[PlacedBlock], read_at: ReadAt, damaged: list[tuple[int, int]]) -> None:
+    """Remove the last blocks up to the last whole one. Note the damaged blocks before it."""
+    bad = [one for one in blocks if not is_whole(one.head, read_at(one.offset + HEAD_BYTES, one.head.content_bytes))]
+    while blocks and bad and blocks[-1] is bad[-1]:
+        blocks.pop()
+        bad.pop()
+    damaged += [(one.offset, one.end) for one in bad]
+
+
+def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment | None:
+    """The segment in short, or None if it has neither items nor gaps."""
+    heads = [one.head for one in blocks if one.head.kind != OPENING]
+    if not heads:
+        return None
+    with_items = [head for head in heads if head.kind == ITEMS]
+    return Segment(
+        number=number,
+        length=length,
+        items=sum(head.items for head in with_items),
+        first_seq=min(head.first_seq for head in heads),
+        end_seq=max(head.end_seq for head in heads),
+        low=min((head.low for head in with_items), default=None),
+        high=max((head.high for head in with_items), default=None),
+        last_accepted=max(head.last_accepted for head in heads),
+    )
+
+
+def grown(segment: Segment, head: BlockHead) -> Segment:
+    """The segment with one block more at its end."""
+    length, end_seq = segment.length + head.length, head.end_seq
+    accepted = max(segment.last_accepted, head.last_accepted)
+    if head.kind == GAP:
+        return segment._replace(length=length, end_seq=end_seq, last_accepted=accepted)
+    return segment._replace(
+        length=length,
+        items=segment.items + head.items,
+        end_seq=end_seq,
+        low=head.low if segment.low is None else min(segment.low, head.low),
+        high=head.high if segment.high is None else max(segment.high, head.high),
+        last_accepted=accepted,
+    )
+
+
+def missing_seqs(blocks: Iterable[PlacedBlock], first_seq: int, end_seq: int) -> list[tuple[int, int]]:
+    """The seqs from `first_seq` up to `end_seq`, exclusive, that no block with items has: damaged or never archived."""
+    missing, expected = [], first_seq
+    for one in sorted((one.head for one in blocks if one.head.kind == ITEMS), key=lambda head: head.first_seq):
+        if one.end_seq <= expected or one.first_seq >= end_seq:
+            continue
+        if one.first_seq > expected:
+            missing.append((expected, one.first_seq))
+        expected = one.end_seq
+    if expected < end_seq:
+        missing.append((expected, end_seq))
+    return missing

@@ -1,0 +1,119 @@
+"""A channel of the core with a small memory and an archive of small blocks, read window by window, as a host does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core import archive
+from stampede_rt_channel_host.core.archive import (
+    ArchivedRead,
+    ArchivedRun,
+    ArchiveSpan,
+    PlacedBlock,
+    Segment,
+    WantedWindow,
+)
+from stampede_rt_channel_host.core.channel import (
+    ChannelCore,
+    Offer,
+    Position,
+    PutOutcome,
+    Query,
+    ReadAnswer,
+    Run,
+    make_run,
+    run_to_end,
+)
+
+
+class ArchivedChannel:
+    """Puts items, archives them when the caller says so, and reads them over archive and memory."""
+
+    def __init__(self, policy: Policy, *, runs_per_block: int, blocks_per_segment: int) -> None:
+        self.channel = ChannelCore(policy, incarnation=7)
+        self.channel.record(1)
+        self.now = 0
+        self.loads = 0
+        self._per_block, self._per_segment = runs_per_block, blocks_per_segment
+        self._archived_to = 1
+        self._runs: dict[int, Run] = {}  # by first seq
+        self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
+        self._files: dict[int, bytes] = {}
+        self.segments: list[Segment] = []
+
+    def put(self, offer: Offer, now: int) -> PutOutcome:
+        self.now = max(self.now, now)
+        return self.channel.put(offer, now, lambda first_seq, kept, stamped: b"%d" % first_seq)
+
+    def archive(self) -> None:
+        """Write all accepted items that the archive does not have."""
+        runs = list(dict.fromkeys(part.run for part in self.channel.accepted_from(self._archived_to)))
+        for run in runs:
+            self._runs[run.first_seq] = run
+        for at in range(0, len(runs), self._per_block):
+            self._append(runs[at : at + self._per_block])
+        self._archived_to = self.channel.next_seq
+        self.channel.record(self._archived_to)
+        self.channel.collect(self.now)
+
+    def _append(self, runs: list[Run]) -> None:
+        head, parts = archive.encode_items([ArchivedRun(self.now, run) for run in runs])
+        if not self.segments or len(self._blocks[self.segments[-1].number]) >= self._per_segment:
+            number = len(self.segments)
+            self._blocks[number], self._files[number] = [], b""
+            self.segments.append(Segment(number, 0, 0, head.first_seq, head.first_seq, None, None, 0))
+        segment = self.segments[-1]
+        self._blocks[segment.number].append(PlacedBlock(len(self._files[segment.number]), head))
+        self._files[segment.number] += b"".join(parts)
+        self.segments[-1] = archive.grown(segment, head)
+
+    def read(self, query: Query) -> ReadAnswer:
+        """The answer, in as many requests as a host would need."""
+        moment = self.channel.snapshot(self.now)
+        lows = [one.low[0] for one in self.segments if one.low is not None]
+        highs = [one.high[0] for one in self.segments if one.high is not None]
+        span = ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=False)
+        within = archive.resolved(moment, span, query)
+        assert within is not None, "the story puts an item first"
+        answers = []
+        try:
+            while True:
+                read = ArchivedRead(moment, span, query, within)
+                run_to_end(read.begin())
+                while (wanted := read.next_window()) is not None:
+                    run_to_end(read.take(self._load(wanted)))
+                answers.append(answer := read.answer())
+                if not read.continues:
+                    break
+                last = answer.slices[0] if query.newest_first else answer.slices[-1]
+                at = last.lo if query.newest_first else last.hi - 1
+                position = Position(last.run.times[at], last.run.first_seq + at)
+                left = None if query.limit is None else query.limit - sum(one.items for one in answer.slices)
+                query = replace(query, after=position, limit=left)
+        finally:
+            moment.close()
+        return joined(answers, down=query.newest_first)
+
+    def _load(self, wanted: WantedWindow) -> archive.ArchiveWindow:
+        self.loads += 1
+        chosen = archive.choose(self.segments, lambda segment: self._blocks[segment.number], wanted.wanted)
+        runs = []
+        for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
+            content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
+            assert archive.is_whole(block.head, content)
+            runs += [one.run for one in archive.decode_items(block.head, content, self._decode)]
+        return archive.window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
+
+    def _decode(self, body: bytes) -> Run:
+        run = self._runs[int(body)]
+        return make_run(run.first_seq, run.times, run.durations, run.lengths, body)
+
+
+def joined(answers: list[ReadAnswer], *, down: bool) -> ReadAnswer:
+    """The answers of several requests as one, as a reader joins them."""
+    first, last = answers[0], answers[-1]
+    slices = [one for answer in (reversed(answers) if down else answers) for one in answer.slices]
+    following = first.next_time if down else next((one.next_time for one in reversed(answers) if one.slices), None)
+    reason = last.reason if down and first.truncated and not last.more else first.reason
+    return first._replace(slices=slices, next_time=following, more=last.more, reason=reason)

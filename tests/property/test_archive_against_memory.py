@@ -1,0 +1,120 @@
+"""Reads over an archive and a small memory answer as a channel does that has everything in memory."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, Interval, Match
+from stampede_rt_channel_host.core.archive import archived_read
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, Query, ReadAnswer
+from tests.property.archived_channel import ArchivedChannel
+from tests.property.channel_pair import ends_as_read, facts, items_of
+
+STORIES = 200
+READS = 25
+
+
+@pytest.fixture(autouse=True)
+def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows of one block or a few, and answers of a few windows."""
+    monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)
+    monkeypatch.setattr(archived_read, "WINDOW_BYTES", 300)
+    monkeypatch.setattr(archived_read, "ANSWER_BYTES", 12)
+
+
+def bound(draw: random.Random, last: int) -> Bound:
+    kind = draw.randrange(8)
+    if kind == 0:
+        return replace(NEWEST, offset=-draw.randrange(5))
+    if kind == 1:
+        return replace(NOW, offset=-draw.randrange(8))
+    if kind == 2:
+        return replace(OLDEST, offset=draw.randrange(4))
+    return Bound(None, draw.randrange(-2, last + 4))
+
+
+def query_of(draw: random.Random, last: int, positions: list[Position]) -> Query:
+    start, end = bound(draw, last), bound(draw, last)
+    if start.meta is None and end.meta is None:
+        start, end = sorted((start, end), key=lambda one: one.offset)
+    interval = Interval(start, end, draw.random() < 0.4, draw.random() < 0.4)
+    return Query(
+        interval=interval,
+        match=draw.choice(list(Match)),
+        limit=draw.choice([None, None, 1, 2, 5]),
+        newest_first=draw.random() < 0.4,
+        after=draw.choice(positions) if draw.random() < 0.2 else None,
+        newer_than=draw.choice(positions) if draw.random() < 0.1 else None,
+    )
+
+
+def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
+    items = items_of(answer.slices)
+    ends = ends_as_read(items, answer.next_time, overlap)
+    reason = None if answer.reason is None else str(answer.reason)
+    return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
+
+
+@pytest.mark.parametrize("seed", range(STORIES))
+def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alone(seed: int) -> None:
+    draw = random.Random(seed)
+    overlap = draw.choice([None, None, 3, 8])
+    large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
+    limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])
+    small = ArchivedChannel(
+        Policy(**limits, overlap_nanos=overlap),
+        runs_per_block=draw.randrange(1, 4),
+        blocks_per_segment=draw.randrange(1, 4),
+    )
+    now, positions = 0, [Position(0, 1)]
+    for _ in range(draw.randrange(2, 40)):
+        now += draw.choice([0, 0, 1, 1, 2, 3])
+        count = draw.choice([1, 1, 1, 2, 4])
+        times = [max(0, now - draw.choice([0, 0, 0, 0, 1, 2, 5])) for _ in range(count)]
+        durations = draw.choice([None, [draw.choice([-1, 0, 1, 4, 9]) for _ in range(count)]])
+        for time, duration in zip(times, durations or [None] * count, strict=True):
+            offer = Offer(times=[time], durations=None if duration is None else [duration], lengths=[3])
+            outcome = small.put(offer, now)
+            if outcome.run is not None:
+                kept = large.put(offer, now, lambda first_seq, kept, stamped: b"x")
+                assert kept.run is not None
+                assert kept.run.first_seq == outcome.run.first_seq
+                positions.append(Position(time, outcome.run.first_seq))
+        if draw.random() < 0.5:
+            small.archive()
+    for _ in range(READS):
+        query = query_of(draw, now, positions)
+        try:
+            expected = large.read(query, now)
+        except StampedeError as error:
+            with pytest.raises(type(error)):
+                small.read(query)
+            continue
+        assert shown(small.read(query), overlap or 0) == shown(expected, overlap or 0), query
+
+
+def test_a_read_of_the_newest_items_in_memory_loads_nothing_from_the_archive() -> None:
+    small = ArchivedChannel(Policy(max_items=3), runs_per_block=1, blocks_per_segment=2)
+    for time in range(20):
+        small.put(Offer(times=[time], durations=None, lengths=[3]), time)
+        small.archive()
+    query = Query(interval=Interval(OLDEST, NOW), newest_first=True, limit=1)
+    assert facts(items_of(small.read(query).slices)) == [(19, 20, None, 3)]
+    assert small.loads == 0
+
+
+def test_items_that_are_not_archived_stay_in_memory_until_its_bytes_force_them_out() -> None:
+    small = ArchivedChannel(Policy(max_items=2, max_bytes=64 * 8), runs_per_block=1, blocks_per_segment=2)
+    for time in range(6):
+        small.put(Offer(times=[time], durations=None, lengths=[0]), time)
+    assert small.channel.counters(6).held == 6
+    for time in range(6, 12):
+        small.put(Offer(times=[time], durations=None, lengths=[0]), time)
+    assert small.channel.counters(12).held == 8
+    small.archive()
+    assert small.channel.counters(12).held == 2
