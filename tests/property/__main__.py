@@ -15,6 +15,7 @@ from contextlib import contextmanager
 
 from tests.property.paths.book import SteeredHost
 from tests.property.paths.core_surface import core_surface
+from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
 from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import loopback_host
@@ -30,7 +31,7 @@ def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
             yield path
         return
     open_surface = {"awaited": awaited_surface, "blocking": blocking_surface}[name]
-    with loopback_host() as host, open_surface(host.frontend, host.target) as surface:
+    with loopback_host() as host, steered_rings(host), open_surface(host.frontend, host.target) as surface:
         yield surface, host
 
 

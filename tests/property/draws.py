@@ -109,6 +109,28 @@ def a_query(rng: RandomSource, story: Told) -> Query:
     )
 
 
+def an_offer_in_order(rng: RandomSource, story: Told) -> Offer:
+    """A run that follows the newest item, as those of most producers do."""
+    time, items = max(story.clock, story.oracle.newest or 0), rng.pick((1, 1, 3))
+    steps = [rng.pick((0, 1, 2)) for _ in range(items)]
+    times = [time + sum(steps[: at + 1]) for at in range(items)]
+    durations = [rng.pick((-1, 0, 1, 7)) for _ in range(items)] if rng.below(2) else None
+    return Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items)
+
+
+def a_query_near_the_front(rng: RandomSource, story: Told) -> Query | None:
+    """A read of the last few items, if there are any."""
+    held = story.oracle.held[-6:]
+    if not held:
+        return None
+    start, end = sorted(rng.pick(held).time + rng.pick((0, 1, -1)) for _ in range(2))
+    bound = Bound(MetaTime.NOW, 0) if rng.one_in(3) else Bound(None, end)
+    interval = Interval(Bound(None, start), bound, bool(rng.below(2)), bool(rng.below(2)))
+    match = rng.pick((Match.SPAN, Match.START, Match.WHOLE))
+    limit, newest_first = rng.pick((None, 1, 2)), bool(rng.below(2))
+    return Query(interval=interval, match=match, limit=limit, newest_first=newest_first, complete=rng.one_in(4))
+
+
 def some_seqs(rng: RandomSource, story: Told) -> list[int]:
     """Of all that is held, its oldest items, its newest, or any that ever were; some twice, or none."""
     held, kind = [item.seq for item in story.oracle.held], rng.below(4)

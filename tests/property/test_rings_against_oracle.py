@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.ring import facts
-from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime
-from stampede_rt_channel_host.core.channel import Offer, Query
+from tests.property.draws import a_query_near_the_front, an_offer_in_order
 from tests.property.random_source import RandomSource
 from tests.property.ring_pair import SIZES, RingPair
 from tests.property.test_channel_against_oracle import (
@@ -37,26 +36,14 @@ SUITED = tuple(one for one in SET_UPS if not (one.consumers or one.max_age_uncon
 
 
 def put_in_order(rng: RandomSource, pair: RingPair) -> None:
-    """A run that follows the newest item, as those of most producers do."""
-    time, items = max(pair.clock, pair.oracle.newest or 0), rng.pick((1, 1, 3))
-    steps = [rng.pick((0, 1, 2)) for _ in range(items)]
-    times = [time + sum(steps[: at + 1]) for at in range(items)]
-    durations = [rng.pick((-1, 0, 1, 7)) for _ in range(items)] if rng.below(2) else None
-    pair.put(Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items))
+    pair.put(an_offer_in_order(rng, pair))
     pair.tick(rng.pick((0, 1, 2, 3)))
 
 
 def read_near_the_front(rng: RandomSource, pair: RingPair) -> None:
-    """As programs read that want the last few items."""
-    held = pair.oracle.held[-6:]
-    if not held:
-        return
-    start, end = sorted(rng.pick(held).time + rng.pick((0, 1, -1)) for _ in range(2))
-    bound = Bound(MetaTime.NOW, 0) if rng.one_in(3) else Bound(None, end)
-    interval = Interval(Bound(None, start), bound, bool(rng.below(2)), bool(rng.below(2)))
-    match = rng.pick((Match.SPAN, Match.START, Match.WHOLE))
-    limit, newest_first = rng.pick((None, 1, 2)), bool(rng.below(2))
-    pair.read(Query(interval=interval, match=match, limit=limit, newest_first=newest_first, complete=rng.one_in(4)))
+    query = a_query_near_the_front(rng, pair)
+    if query is not None:
+        pair.read(query)
 
 
 STEPS = (

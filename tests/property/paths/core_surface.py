@@ -174,7 +174,7 @@ class CoreSurface:
 
     def __init__(self, host: CoreHost) -> None:
         self._owners: dict[int, CoreOwner] = {}
-        self.connections = [CoreConnection(host, consumer_id) for consumer_id in (101, 102)]
+        self.connections = [CoreConnection(host, consumer_id) for consumer_id in (101, 102, 103)]
 
     def do(self, call: Callable[[], Any]) -> Any:
         outcome = call()

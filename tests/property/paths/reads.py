@@ -13,6 +13,7 @@ from stampede_rt_channel_host.core.channel import Position, Query
 from tests.oracle import OracleAnswer, OracleGet, OracleNewest, OracleSubscription
 from tests.property.paths.agreement import same_answer, same_found, same_items
 from tests.property.paths.book import PathBook, SteeredHost
+from tests.property.paths.steered_rings import follows_ring
 from tests.property.paths.surfaces import Surface
 from tests.property.paths.values import Follower, Started
 
@@ -179,7 +180,8 @@ class PathReads(PathBook):
         self.check_counters(stats)
 
     def _has_all_been_delivered(self, stats: st.ChannelStats) -> bool:
-        return stats.waiting_gets == len(self.gets) and all(
+        at_host = sum(not follows_ring(one.followed.subscription) for one in self.followers)
+        return (stats.waiting_gets, stats.subscriptions) == (len(self.gets), at_host) and all(
             len(one.followed.items) >= len(one.expected)
             and (one.newest or one.followed.subscription.dropped >= one.dropped)
             for one in self.followers

@@ -21,9 +21,11 @@ from tests.property.draws import (
     a_bound,
     a_position,
     a_query,
+    a_query_near_the_front,
     a_time,
     an_item_position,
     an_offer,
+    an_offer_in_order,
     some_seqs,
 )
 from tests.property.paths.book import SteeredHost
@@ -61,12 +63,23 @@ def put(rng: RandomSource, pair: PathPair) -> None:
     timeout = rng.pick((None, 0.0, None, MOMENT_S))
     if not may_wait(pair):
         timeout = 0.0
-    pair.put_one(rng.below(2), time, rng.pick(DURATIONS), rng.pick(LENGTHS), timeout)
+    pair.put_one(rng.below(len(pair.handles)), time, rng.pick(DURATIONS), rng.pick(LENGTHS), timeout)
 
 
 def put_run(rng: RandomSource, pair: PathPair) -> None:
     producer_id, waits = rng.pick((1, 0, 2)), rng.below(3) > 0
     pair.put_run(an_offer(rng, pair), producer_id, waits=waits and may_wait(pair))
+
+
+def put_in_order(rng: RandomSource, pair: PathPair) -> None:
+    pair.put_run(an_offer_in_order(rng, pair), 0, waits=False)
+    pair.tick(rng.pick((0, 1, 2, 3)))
+
+
+def read_near_the_front(rng: RandomSource, pair: PathPair) -> None:
+    query = a_query_near_the_front(rng, pair)
+    if query is not None:
+        pair.get(query)
 
 
 def put_again(rng: RandomSource, pair: PathPair) -> None:
@@ -184,7 +197,7 @@ Step = Callable[[RandomSource, PathPair], None]
 STEPS: tuple[Step, ...] = (
     rest, put, get, put_run, tick, get, begin, put, subscribe, put, advance, configure, pages, named_reads, put_run,
     begin, put, tick, step_clock, refused_interval, put_again, consume, around_now, put_run, forget,
-    hang_up,
+    hang_up, put_in_order, read_near_the_front, put_in_order, read_near_the_front,
 )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, Protocol
 
 import grpc
@@ -16,6 +16,7 @@ import grpc
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.transports import futexes
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.wire.runs import encode_run
@@ -24,6 +25,7 @@ from tests.property.paths.values import Followed, Run, Started
 
 WAIT_SECONDS_MAX = 20.0
 THREADS_MAX = 24
+TRANSPORTS = ("grpc", "socket", *(("shared",) if futexes.is_supported() else ()))
 
 
 class Surface(Protocol):
@@ -240,13 +242,11 @@ def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_na
 
 @contextmanager
 def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
-    """The synchronous client, connected over both transports."""
-    with (
-        st.connect(frontend, transport="grpc") as one,
-        st.connect(frontend, transport="socket") as other,
-        ThreadPoolExecutor(THREADS_MAX) as pool,
-    ):
-        surface = BlockingSurface((one, other), target, pool)
+    """The synchronous client, connected over each transport."""
+    with ExitStack() as stack:
+        connections = [stack.enter_context(st.connect(frontend, transport=one)) for one in TRANSPORTS]
+        pool = stack.enter_context(ThreadPoolExecutor(THREADS_MAX))
+        surface = BlockingSurface(connections, target, pool)
         try:
             yield surface
         finally:
@@ -255,9 +255,9 @@ def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
 
 @contextmanager
 def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
-    """The asynchronous client, connected over both transports, on a loop of its own."""
+    """The asynchronous client, connected over each transport, on a loop of its own."""
     with asyncio.Runner() as runner:
-        connections = [runner.run(_connected(frontend, transport)) for transport in ("grpc", "socket")]
+        connections = [runner.run(_connected(frontend, transport)) for transport in TRANSPORTS]
         surface = AwaitedSurface(connections, target, runner.get_loop())
         try:
             yield surface

@@ -1,4 +1,4 @@
-"""Whatever happens to a channel, the core, a client over either transport and the oracle tell the same story.
+"""Whatever happens to a channel, the core, a client over each transport and the oracle tell the same story.
 
 `STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/paths/test_paths_against_oracle.py` searches at length;
 `python -m tests.property core 0 100000` does so several times as fast.
@@ -7,14 +7,17 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
+from stampede_rt.transports import futexes
 from tests.property.paths.book import SteeredHost
 from tests.property.paths.core_surface import core_surface
+from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
 from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
@@ -23,6 +26,7 @@ from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))
+RING_ANSWERS = ("get", "newest", "subscription")
 SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
 
 
@@ -32,8 +36,14 @@ def host() -> Iterator[LoopbackHost]:
         yield running
 
 
+@pytest.fixture(scope="module")
+def ring_answers(host: LoopbackHost) -> Iterator[Counter[str]]:
+    with steered_rings(host) as answers:
+        yield answers
+
+
 @pytest.fixture(scope="module", params=SURFACES)
-def surface(request: pytest.FixtureRequest, host: LoopbackHost) -> Iterator[Surface]:
+def surface(request: pytest.FixtureRequest, host: LoopbackHost, ring_answers: Counter[str]) -> Iterator[Surface]:
     with SURFACES[request.param](host.frontend, host.target) as connected:
         yield connected
 
@@ -48,8 +58,12 @@ def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
-def test_a_client_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
+def test_a_client_sees_what_the_oracle_says_in_every_story(
+    surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
+) -> None:
+    ring_answers.clear()
     play_stories(surface, host, EXAMPLES)
+    assert not futexes.is_supported() or min(ring_answers[kind] for kind in RING_ANSWERS) > 0, ring_answers
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)

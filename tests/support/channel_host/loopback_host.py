@@ -34,10 +34,14 @@ class LoopbackHost:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
         self.frontend, self.target = self._answer().split()
+        self.boot_nanos = ManualClock().boot_nanos
+        """The host's reading of CLOCK_BOOTTIME."""
 
     def tick(self, nanos: int, *, wall_step: int = 0) -> int:
         """Let `nanos` pass, and set the wall clock on or back by `wall_step`; the host's time after it."""
-        return self._ask(f"tick {nanos} {wall_step}")
+        time = self._ask(f"tick {nanos} {wall_step}")
+        self.boot_nanos += nanos
+        return time
 
     def settle_wall_clock(self) -> int:
         """Put the wall clock where the host's time is, so that nothing is left to slew; that time."""
@@ -100,6 +104,7 @@ class Steered:
             nanos, wall_step = map(int, numbers)
             self._clock.set_wall_clock(self._clock.time_unix_nano() + wall_step)
             self._clock.advance(nanos)
+        self._host.store.rings.refresh()
         return self._host.store.now()
 
 
