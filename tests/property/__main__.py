@@ -10,6 +10,7 @@ import logging
 import random
 import sys
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -52,6 +53,7 @@ def main(name: str, first: int, count: int) -> None:
                 play(surface, host, numbers_of(seed), steps.append)
             except BaseException:
                 print(f"{name}, seed {seed}: {' '.join(steps)}", file=sys.stderr)
+                traceback.print_exc()  # before the calls under way end
                 raise
             if played % STORIES_PER_LINE == 0 or played == count:
                 print(f"{name}: {played} stories in {time.monotonic() - began_s:.0f} s", flush=True)

@@ -214,16 +214,6 @@ def test_a_killed_host_is_believed_no_longer_and_leaves_nothing(own_cluster: Loc
     assert not [path for path in Path("/dev/shm").iterdir() if "stampede" in path.name]
 
 
-def test_a_stopped_host_is_not_believed_after_its_lease(own_cluster: LocalCluster) -> None:
-    with channel_of(own_cluster, "ring/stopped") as channel:
-        mapping = mapping_of(channel)
-        until = mapping.view.words[6]
-        own_cluster.hosts[0].pause()
-        wait_until(lambda: ring_mapping.boottime_nanos() >= until, within_seconds=60)
-        assert mapping.view.words[6] - until < 5 * 10**9
-        wait_until(lambda: not mapping.is_open(ring_mapping.boottime_nanos()), within_seconds=60)
-
-
 def test_a_killed_reader_leaves_nothing_at_the_host(cluster: LocalCluster, tmp_path: Path) -> None:
     script = (
         "import sys, stampede_rt as st\n"

@@ -32,7 +32,9 @@ def own_cluster(sockets: Path) -> Iterator[LocalCluster]:
         yield made
 
 
-@pytest.mark.parametrize(("chosen", "used"), [("grpc", "grpc"), ("best", "socket"), ("socket", "socket")])
+@pytest.mark.parametrize(
+    ("chosen", "used"), [("grpc", "grpc"), ("best", "socket"), ("socket", "socket"), ("shared", "shared")]
+)
 async def test_both_clients_use_the_chosen_transport_and_say_which(
     cluster: LocalCluster, chosen: str, used: str
 ) -> None:
@@ -52,7 +54,7 @@ async def test_both_clients_use_the_chosen_transport_and_say_which(
 def test_the_command_line_shows_the_transport(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         rt.channel("transports/shown")
-    for chosen, used in (("grpc", "grpc"), ("best", "socket")):
+    for chosen, used in (("grpc", "grpc"), ("best", "socket"), ("shared", "shared")):
         environment = os.environ | {"STAMPEDE_URL": cluster.address, "STAMPEDE_TRANSPORT": chosen}
         found = subprocess.run(
             [sys.executable, "-m", "stampede_rt.cli", "info", "transports/shown"],

@@ -13,6 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.security.tls import TlsReader
 from stampede_rt.status import from_rpc_error
+from stampede_rt.transports import futexes, ring_mapping
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
@@ -20,6 +21,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from tests.contract.queues.rig import Rig
 from tests.contract.test_renewed_tokens import Waits, ticking
+from tests.integration.client.test_shared_memory import mapping_of
 from tests.support.waiting import wait_until
 
 SHORT = timedelta(seconds=4)
@@ -91,6 +93,28 @@ async def test_everything_that_waits_goes_on_with_the_renewed_certificate(
     await waits.close()
     for connection in rig.connections:
         await connection.aclose()
+
+
+@pytest.mark.skipif(not futexes.is_supported(), reason="shared memory needs Linux on x86-64")
+def test_a_ring_ends_for_all_with_the_certificate_of_one_reader_and_comes_again_for_the_renewed_one(
+    cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    files = certificates.issue(Role.CLIENT, "reads", lifetime=SHORT)
+    with (
+        st.connect(cluster.address, tls=files, transport="shared") as rt,
+        st.connect(cluster.address, tls=cluster.tls_files(), transport="shared") as other,
+    ):
+        channel, others = rt.channel("ring"), other.channel("ring")
+        first = others.put(b"first")
+        assert channel.newest() == others.newest() == first._replace(end=None)
+        rings = [mapping_of(one) for one in (channel, others)]
+        certificates.issue(Role.CLIENT, "reads")
+        wait_until(lambda: not any(one.is_open(ring_mapping.boottime_nanos()) for one in rings))
+        later = others.put(b"later")
+        assert b"later" not in bytes(rings[0]._memory)
+        for one in (channel, others):
+            wait_until(lambda one=one: one.newest() == later._replace(end=None) and mapping_of(one).may_be_open)
+            assert one.stats().transport == "shared"
 
 
 def test_a_connection_that_has_outlived_its_certificate_is_good_for_nothing_more(

@@ -34,7 +34,9 @@ class PathPuts(PathReads):
         offer = Offer(times=None if time is None else [time], durations=column, lengths=[length])
         run = Run(offer, [self._payload(length)], waits=timeout is None)
         fields = {"time": time, "duration": duration, "timeout": timeout}
-        handle = self.open(who) if run.waits else self.handles[who]  # the puts of one handle wait for each other
+        # The puts of one handle wait for each other. A new handle knows whether the channel lets puts wait: another one
+        # may first try without a wait, so that a put is refused twice.
+        handle = self.handles[who] if timeout == 0 else self.open(who)
         self._put(run, lambda: handle.put(run.payloads[0], **fields))
 
     def put_run(self, offer: Offer, producer_id: int, *, waits: bool) -> None:

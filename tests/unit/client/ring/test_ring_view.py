@@ -81,6 +81,66 @@ def test_facts_that_a_stopped_host_half_wrote_are_no_facts() -> None:
     assert ring.view.facts() is None
 
 
+class Stopped(Exception):
+    """The writer was killed or stopped here."""
+
+
+class Stores:
+    """Lets a writer make so many stores, the last of bytes only in half."""
+
+    def __init__(self, memory: memoryview, left: list[int]) -> None:
+        self._memory, self._left = memory, left
+
+    def __getitem__(self, place: int) -> int:
+        value: int = self._memory[place]
+        return value
+
+    def __setitem__(self, place: int | slice, value: int | bytes) -> None:
+        if not self._left[0]:
+            if isinstance(place, slice):
+                half = len(value) // 2  # type: ignore[arg-type]
+                self._memory[place.start : place.start + half] = value[:half]  # type: ignore[index]
+            raise Stopped
+        self._left[0] -= 1
+        self._memory[place] = value  # type: ignore[assignment]
+
+
+def body_of(seq: int) -> bytes:
+    return b"%4d" % seq * 50  # fewer than 8 fit, so that their bytes are overwritten, too
+
+
+@pytest.mark.parametrize("before", [0, 3, 40])  # the ring is empty, has room, or overwrites
+def test_a_writer_that_stops_at_any_store_shows_the_items_before_or_after_or_none(before: int) -> None:
+    for stores in range(100):
+        ring, left = Ring(), [stores]
+        for seq in range(1, before + 1):
+            ring.put(seq, body_of(seq))
+        ring.writer._words, ring.writer._data = (  # type: ignore[assignment]
+            Stores(one, left) for one in (ring.writer._words, ring.writer._data)
+        )
+        try:
+            ring.put(before + 1, body_of(before + 1))
+        except Stopped:
+            assert left == [0]
+        else:
+            break
+        facts = ring.view.facts()
+        if facts is None:
+            continue  # the reader asks the host
+        newest = find_newest(ring.view, facts)
+        if isinstance(newest, FoundNewest):
+            assert newest.slot.seq in (before, before + 1)
+            assert newest.body == body_of(newest.slot.seq)
+        for seq in range(max(1, before - 9), before + 2):
+            found = find_next(ring.view, facts, seq, -1, 1000, no_columns)
+            assert isinstance(found, bool) or found.piece.body == body_of(seq)
+        interval = ReadQuery(Interval(Bound(None, before - 2), Bound(None, before + 1)))
+        picked = select(ring.view, facts, interval, 1000, no_columns)
+        bodies = [body_of(seq) for seq in range(before - 2, before + 2)]
+        assert picked is None or [piece.body for piece in picked.pieces] in (bodies, bodies[:-1])
+    assert 25 < stores < 60
+
+
 def test_a_copy_that_the_writer_has_overtaken_is_not_believed() -> None:
     ring = Ring()
     for time in range(3):
