@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.core.moves.commands import CommitMove
 from stampede_rt_supernode.core.records import ChannelRecord, GroupRecord, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 from tests.support.supernode.operations import id_of
@@ -88,7 +89,20 @@ def replica_operations(draw: st.DrawFn, directory: Directory) -> AddReplica | Re
         channel_id=channel_id,
         epoch=epoch,
         host_id=draw(st.sampled_from([host_id, host_id, b""])),
-        kind=draw(st.sampled_from(ReplicaKind)),
+        kind=draw(st.sampled_from((ReplicaKind.PROXY, ReplicaKind.WARM))),
         source_host_id=draw(st.sampled_from([b"", b"", host_id, *(one.host_id for one in held)])),
         acknowledged=draw(st.booleans()),
+    )
+
+
+@st.composite
+def moves(draw: st.DrawFn, directory: Directory) -> CommitMove:
+    """A move, mostly of a channel that is there, at its epoch, to a host as it is."""
+    channel, host_id = some(directory, draw(numbers)), draw(host_ids)
+    host = directory.tables.hosts.get(host_id)
+    return CommitMove(
+        channel_id=channel.channel_id if channel else id_of(9999),
+        epoch=(channel.epoch if channel else 1) - draw(st.sampled_from([0, 0, 0, 1])),
+        to_host_id=host_id,
+        to_boot_incarnation=draw(st.sampled_from([host.boot_incarnation if host else 1, 7])),
     )

@@ -23,38 +23,19 @@ _sym_db = _symbol_database.Default()
 
 
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
-from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
-from stampede_rt.v1 import migration_pb2 as stampede__rt_dot_v1_dot_migration__pb2
-from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x1estampede_rt/v1/migration.proto\x1a\x1astampede_rt/v1/queue.proto\">\n\x12PrepareMoveRequest\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\"?\n\x13PrepareMoveResponse\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\"A\n\x11\x43ommitMoveRequest\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x02 \x01(\x06\"\xa8\x01\n\x12\x43ommitMoveResponse\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\x12\x30\n\x07\x63hannel\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecordH\x00\x12,\n\x05queue\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecordH\x00\x42\x08\n\x06record\"3\n\x10\x41\x62ortMoveRequest\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12\x0e\n\x06reason\x18\x02 \x01(\t\"=\n\x11\x41\x62ortMoveResponse\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\"!\n\x0eGetMoveRequest\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\"R\n\x0fGetMoveResponse\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\"J\n\x10ListMovesRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"\x99\x01\n\x11ListMovesResponse\x12)\n\x05moves\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\x12)\n\x05hosts\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0fnext_page_token\x18\x03 \x01(\t\x12\x15\n\rapplied_index\x18\x04 \x01(\x04\x32\xb8\x03\n\x19MigrationDirectoryService\x12V\n\x0bPrepareMove\x12\".stampede_rt.v1.PrepareMoveRequest\x1a#.stampede_rt.v1.PrepareMoveResponse\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponse\x12P\n\tAbortMove\x12 .stampede_rt.v1.AbortMoveRequest\x1a!.stampede_rt.v1.AbortMoveResponse\x12J\n\x07GetMove\x12\x1e.stampede_rt.v1.GetMoveRequest\x1a\x1f.stampede_rt.v1.GetMoveResponse\x12P\n\tListMoves\x12 .stampede_rt.v1.ListMovesRequest\x1a!.stampede_rt.v1.ListMovesResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\"{\n\x11\x43ommitMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\"D\n\x12\x43ommitMoveResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord2p\n\x19MigrationDirectoryService\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_directory_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_PREPAREMOVEREQUEST']._serialized_start=190
-  _globals['_PREPAREMOVEREQUEST']._serialized_end=252
-  _globals['_PREPAREMOVERESPONSE']._serialized_start=254
-  _globals['_PREPAREMOVERESPONSE']._serialized_end=317
-  _globals['_COMMITMOVEREQUEST']._serialized_start=319
-  _globals['_COMMITMOVEREQUEST']._serialized_end=384
-  _globals['_COMMITMOVERESPONSE']._serialized_start=387
-  _globals['_COMMITMOVERESPONSE']._serialized_end=555
-  _globals['_ABORTMOVEREQUEST']._serialized_start=557
-  _globals['_ABORTMOVEREQUEST']._serialized_end=608
-  _globals['_ABORTMOVERESPONSE']._serialized_start=610
-  _globals['_ABORTMOVERESPONSE']._serialized_end=671
-  _globals['_GETMOVEREQUEST']._serialized_start=673
-  _globals['_GETMOVEREQUEST']._serialized_end=706
-  _globals['_GETMOVERESPONSE']._serialized_start=708
-  _globals['_GETMOVERESPONSE']._serialized_end=790
-  _globals['_LISTMOVESREQUEST']._serialized_start=792
-  _globals['_LISTMOVESREQUEST']._serialized_end=866
-  _globals['_LISTMOVESRESPONSE']._serialized_start=869
-  _globals['_LISTMOVESRESPONSE']._serialized_end=1022
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=1025
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=1465
+  _globals['_COMMITMOVEREQUEST']._serialized_start=98
+  _globals['_COMMITMOVEREQUEST']._serialized_end=221
+  _globals['_COMMITMOVERESPONSE']._serialized_start=223
+  _globals['_COMMITMOVERESPONSE']._serialized_end=291
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=293
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=405
 # @@protoc_insertion_point(module_scope)

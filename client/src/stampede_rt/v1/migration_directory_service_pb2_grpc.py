@@ -27,9 +27,6 @@ if _version_not_supported:
 
 class MigrationDirectoryServiceStub(object):
     """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -38,77 +35,25 @@ class MigrationDirectoryServiceStub(object):
         Args:
             channel: A grpc.Channel.
         """
-        self.PrepareMove = channel.unary_unary(
-                '/stampede_rt.v1.MigrationDirectoryService/PrepareMove',
-                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveResponse.FromString,
-                _registered_method=True)
         self.CommitMove = channel.unary_unary(
                 '/stampede_rt.v1.MigrationDirectoryService/CommitMove',
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
                 _registered_method=True)
-        self.AbortMove = channel.unary_unary(
-                '/stampede_rt.v1.MigrationDirectoryService/AbortMove',
-                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveResponse.FromString,
-                _registered_method=True)
-        self.GetMove = channel.unary_unary(
-                '/stampede_rt.v1.MigrationDirectoryService/GetMove',
-                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveResponse.FromString,
-                _registered_method=True)
-        self.ListMoves = channel.unary_unary(
-                '/stampede_rt.v1.MigrationDirectoryService/ListMoves',
-                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesResponse.FromString,
-                _registered_method=True)
 
 
 class MigrationDirectoryServiceServicer(object):
     """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
     """
 
-    def PrepareMove(self, request, context):
-        """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
-        If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
-        CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-        INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
     def CommitMove(self, request, context):
-        """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
-        INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def AbortMove(self, request, context):
-        """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
-        aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
-        INVALID_ARGUMENT.
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def GetMove(self, request, context):
-        """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
-        (an unknown move: the directory keeps the record for 10 minutes).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def ListMoves(self, request, context):
-        """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT.
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
+        same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+        owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+        owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
+        (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
+        and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -117,30 +62,10 @@ class MigrationDirectoryServiceServicer(object):
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
-            'PrepareMove': grpc.unary_unary_rpc_method_handler(
-                    servicer.PrepareMove,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveResponse.SerializeToString,
-            ),
             'CommitMove': grpc.unary_unary_rpc_method_handler(
                     servicer.CommitMove,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.SerializeToString,
-            ),
-            'AbortMove': grpc.unary_unary_rpc_method_handler(
-                    servicer.AbortMove,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveResponse.SerializeToString,
-            ),
-            'GetMove': grpc.unary_unary_rpc_method_handler(
-                    servicer.GetMove,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveResponse.SerializeToString,
-            ),
-            'ListMoves': grpc.unary_unary_rpc_method_handler(
-                    servicer.ListMoves,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -152,37 +77,7 @@ def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class MigrationDirectoryService(object):
     """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
     """
-
-    @staticmethod
-    def PrepareMove(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationDirectoryService/PrepareMove',
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.PrepareMoveResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
 
     @staticmethod
     def CommitMove(request,
@@ -201,87 +96,6 @@ class MigrationDirectoryService(object):
             '/stampede_rt.v1.MigrationDirectoryService/CommitMove',
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def AbortMove(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationDirectoryService/AbortMove',
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.AbortMoveResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def GetMove(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationDirectoryService/GetMove',
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.GetMoveResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def ListMoves(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationDirectoryService/ListMoves',
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListMovesResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -27,87 +27,39 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class MigrationDirectoryServiceStub:
-    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
-    """
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationDirectoryServiceAsyncStub: ...
-    PrepareMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.PrepareMoveRequest, _migration_directory_service_pb2.PrepareMoveResponse]
-    """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
-    If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-    INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
-    """
     CommitMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]
-    """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
-    INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
+    same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+    owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+    owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
+    (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
+    and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
-    AbortMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.AbortMoveRequest, _migration_directory_service_pb2.AbortMoveResponse]
-    """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
-    aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
-    INVALID_ARGUMENT.
-    """
-    GetMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]
-    """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
-    (an unknown move: the directory keeps the record for 10 minutes).
-    """
-    ListMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]
-    """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
 
 @_typing.type_check_only
 class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
-    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
-    """
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
-    PrepareMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.PrepareMoveRequest, _migration_directory_service_pb2.PrepareMoveResponse]  # type: ignore[assignment]
-    """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
-    If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-    INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
-    """
     CommitMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]  # type: ignore[assignment]
-    """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
-    INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
+    same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+    owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+    owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
+    (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
+    and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
-    AbortMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.AbortMoveRequest, _migration_directory_service_pb2.AbortMoveResponse]  # type: ignore[assignment]
-    """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
-    aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
-    INVALID_ARGUMENT.
-    """
-    GetMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]  # type: ignore[assignment]
-    """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
-    (an unknown move: the directory keeps the record for 10 minutes).
-    """
-    ListMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]  # type: ignore[assignment]
-    """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
 
 class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
-    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
-    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
-    yet answers UNIMPLEMENTED.
-    """
-
-    @_abc_1.abstractmethod
-    def PrepareMove(
-        self,
-        request: _migration_directory_service_pb2.PrepareMoveRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_directory_service_pb2.PrepareMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.PrepareMoveResponse]]:
-        """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
-        If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
-        CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-        INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
-        """
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises."""
 
     @_abc_1.abstractmethod
     def CommitMove(
@@ -115,37 +67,13 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.CommitMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.CommitMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitMoveResponse]]:
-        """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
-        INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
+        same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+        owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+        owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
+        (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
+        and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
-
-    @_abc_1.abstractmethod
-    def AbortMove(
-        self,
-        request: _migration_directory_service_pb2.AbortMoveRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_directory_service_pb2.AbortMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.AbortMoveResponse]]:
-        """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
-        aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
-        INVALID_ARGUMENT.
-        """
-
-    @_abc_1.abstractmethod
-    def GetMove(
-        self,
-        request: _migration_directory_service_pb2.GetMoveRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_directory_service_pb2.GetMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.GetMoveResponse]]:
-        """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
-        (an unknown move: the directory keeps the record for 10 minutes).
-        """
-
-    @_abc_1.abstractmethod
-    def ListMoves(
-        self,
-        request: _migration_directory_service_pb2.ListMovesRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_directory_service_pb2.ListMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ListMovesResponse]]:
-        """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer: MigrationDirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -23,36 +23,19 @@ _sym_db = _symbol_database.Default()
 
 
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
-from stampede_rt.v1 import migration_pb2 as stampede__rt_dot_v1_dot_migration__pb2
-from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
-from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/migration.proto\x1a\x1astampede_rt/v1/queue.proto\x1a\x1cstampede_rt/v1/subject.proto\"^\n\x0fMoveHereRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\"\xa6\x01\n\x10MoveHereResponse\x12(\n\x04move\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.MoveRecord\x12\x30\n\x07\x63hannel\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecordH\x00\x12,\n\x05queue\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecordH\x00\x42\x08\n\x06record\"^\n\x14OfferSubjectsRequest\x12\x14\n\x0c\x66rom_host_id\x18\x01 \x01(\x0c\x12\x30\n\x08subjects\x18\x02 \x03(\x0b\x32\x1e.stampede_rt.v1.OfferedSubject\"\x80\x01\n\x0eOfferedSubject\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12!\n\x19\x61\x63\x63\x65pted_bytes_per_second\x18\x04 \x01(\x04\"B\n\x15OfferSubjectsResponse\x12)\n\x08subjects\x18\x01 \x03(\x0b\x32\x17.stampede_rt.v1.Subject\"r\n\x12HoldSubjectRequest\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\"S\n\x13HoldSubjectResponse\x12.\n\x07handoff\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.HandoffRecord\x12\x0c\n\x04last\x18\x02 \x01(\x08\"K\n\x15ReleaseSubjectRequest\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12\x12\n\nto_host_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\"\x18\n\x16ReleaseSubjectResponse2\xfa\x02\n\x10MigrationService\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12\\\n\rOfferSubjects\x12$.stampede_rt.v1.OfferSubjectsRequest\x1a%.stampede_rt.v1.OfferSubjectsResponse\x12X\n\x0bHoldSubject\x12\".stampede_rt.v1.HoldSubjectRequest\x1a#.stampede_rt.v1.HoldSubjectResponse0\x01\x12_\n\x0eReleaseSubject\x12%.stampede_rt.v1.ReleaseSubjectRequest\x1a&.stampede_rt.v1.ReleaseSubjectResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\"%\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\"|\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\x32\x61\n\x10MigrationService\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MOVEHEREREQUEST']._serialized_start=178
-  _globals['_MOVEHEREREQUEST']._serialized_end=272
-  _globals['_MOVEHERERESPONSE']._serialized_start=275
-  _globals['_MOVEHERERESPONSE']._serialized_end=441
-  _globals['_OFFERSUBJECTSREQUEST']._serialized_start=443
-  _globals['_OFFERSUBJECTSREQUEST']._serialized_end=537
-  _globals['_OFFEREDSUBJECT']._serialized_start=540
-  _globals['_OFFEREDSUBJECT']._serialized_end=668
-  _globals['_OFFERSUBJECTSRESPONSE']._serialized_start=670
-  _globals['_OFFERSUBJECTSRESPONSE']._serialized_end=736
-  _globals['_HOLDSUBJECTREQUEST']._serialized_start=738
-  _globals['_HOLDSUBJECTREQUEST']._serialized_end=852
-  _globals['_HOLDSUBJECTRESPONSE']._serialized_start=854
-  _globals['_HOLDSUBJECTRESPONSE']._serialized_end=937
-  _globals['_RELEASESUBJECTREQUEST']._serialized_start=939
-  _globals['_RELEASESUBJECTREQUEST']._serialized_end=1014
-  _globals['_RELEASESUBJECTRESPONSE']._serialized_start=1016
-  _globals['_RELEASESUBJECTRESPONSE']._serialized_end=1040
-  _globals['_MIGRATIONSERVICE']._serialized_start=1043
-  _globals['_MIGRATIONSERVICE']._serialized_end=1421
+  _globals['_MOVEHEREREQUEST']._serialized_start=88
+  _globals['_MOVEHEREREQUEST']._serialized_end=125
+  _globals['_MOVEHERERESPONSE']._serialized_start=127
+  _globals['_MOVEHERERESPONSE']._serialized_end=251
+  _globals['_MIGRATIONSERVICE']._serialized_start=253
+  _globals['_MIGRATIONSERVICE']._serialized_end=350
 # @@protoc_insertion_point(module_scope)

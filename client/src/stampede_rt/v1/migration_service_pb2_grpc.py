@@ -26,12 +26,9 @@ if _version_not_supported:
 
 
 class MigrationServiceStub(object):
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel):
@@ -45,65 +42,20 @@ class MigrationServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
                 _registered_method=True)
-        self.OfferSubjects = channel.unary_unary(
-                '/stampede_rt.v1.MigrationService/OfferSubjects',
-                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsResponse.FromString,
-                _registered_method=True)
-        self.HoldSubject = channel.unary_stream(
-                '/stampede_rt.v1.MigrationService/HoldSubject',
-                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectResponse.FromString,
-                _registered_method=True)
-        self.ReleaseSubject = channel.unary_unary(
-                '/stampede_rt.v1.MigrationService/ReleaseSubject',
-                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectRequest.SerializeToString,
-                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectResponse.FromString,
-                _registered_method=True)
 
 
 class MigrationServiceServicer(object):
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     def MoveHere(self, request, context):
-        """Make this host the owner of a channel or queue. The host answers when it is the owner. Idempotent by request id.
-        Errors: NOT_HERE (this host is the owner already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED,
-        AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def OfferSubjects(self, request, context):
-        """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
-        answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
-        SHUTTING_DOWN (this host leaves, too).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def HoldSubject(self, request, context):
-        """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
-        MiB at most in all; then the source refuses them with OVERLOADED. The source still answers reads. A repeated call
-        with the same move id gets the same record. If the destination does not prepare the move within 10 s, the source
-        aborts it. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move is under way), INVALID_ARGUMENT (an aborted
-        move).
-        """
-        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
-        context.set_details('Method not implemented!')
-        raise NotImplementedError('Method not implemented!')
-
-    def ReleaseSubject(self, request, context):
-        """Between hosts only: the destination serves the channel or queue. The source answers waiting puts and, for 60 s, new
-        calls with MOVED, and drops its copy. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the
-        move).
+        """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
+        already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
+        QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+        OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
+        ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -117,21 +69,6 @@ def add_MigrationServiceServicer_to_server(servicer, server):
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.SerializeToString,
             ),
-            'OfferSubjects': grpc.unary_unary_rpc_method_handler(
-                    servicer.OfferSubjects,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsResponse.SerializeToString,
-            ),
-            'HoldSubject': grpc.unary_stream_rpc_method_handler(
-                    servicer.HoldSubject,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectResponse.SerializeToString,
-            ),
-            'ReleaseSubject': grpc.unary_unary_rpc_method_handler(
-                    servicer.ReleaseSubject,
-                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectRequest.FromString,
-                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectResponse.SerializeToString,
-            ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
             'stampede_rt.v1.MigrationService', rpc_method_handlers)
@@ -141,12 +78,9 @@ def add_MigrationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class MigrationService(object):
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     @staticmethod
@@ -166,87 +100,6 @@ class MigrationService(object):
             '/stampede_rt.v1.MigrationService/MoveHere',
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def OfferSubjects(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationService/OfferSubjects',
-            stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__service__pb2.OfferSubjectsResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def HoldSubject(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_stream(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationService/HoldSubject',
-            stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__service__pb2.HoldSubjectResponse.FromString,
-            options,
-            channel_credentials,
-            insecure,
-            call_credentials,
-            compression,
-            wait_for_ready,
-            timeout,
-            metadata,
-            _registered_method=True)
-
-    @staticmethod
-    def ReleaseSubject(request,
-            target,
-            options=(),
-            channel_credentials=None,
-            call_credentials=None,
-            insecure=False,
-            compression=None,
-            wait_for_ready=None,
-            timeout=None,
-            metadata=None):
-        return grpc.experimental.unary_unary(
-            request,
-            target,
-            '/stampede_rt.v1.MigrationService/ReleaseSubject',
-            stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectRequest.SerializeToString,
-            stampede__rt_dot_v1_dot_migration__service__pb2.ReleaseSubjectResponse.FromString,
             options,
             channel_credentials,
             insecure,

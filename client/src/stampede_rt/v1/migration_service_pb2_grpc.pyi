@@ -27,12 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class MigrationServiceStub:
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     @_typing.overload
@@ -40,69 +37,33 @@ class MigrationServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationServiceAsyncStub: ...
     MoveHere: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]
-    """Make this host the owner of a channel or queue. The host answers when it is the owner. Idempotent by request id.
-    Errors: NOT_HERE (this host is the owner already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED,
-    AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
-    """
-    OfferSubjects: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.OfferSubjectsRequest, _migration_service_pb2.OfferSubjectsResponse]
-    """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
-    answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
-    SHUTTING_DOWN (this host leaves, too).
-    """
-    HoldSubject: _grpc.UnaryStreamMultiCallable[_migration_service_pb2.HoldSubjectRequest, _migration_service_pb2.HoldSubjectResponse]
-    """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
-    MiB at most in all; then the source refuses them with OVERLOADED. The source still answers reads. A repeated call
-    with the same move id gets the same record. If the destination does not prepare the move within 10 s, the source
-    aborts it. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move is under way), INVALID_ARGUMENT (an aborted
-    move).
-    """
-    ReleaseSubject: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.ReleaseSubjectRequest, _migration_service_pb2.ReleaseSubjectResponse]
-    """Between hosts only: the destination serves the channel or queue. The source answers waiting puts and, for 60 s, new
-    calls with MOVED, and drops its copy. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the
-    move).
+    """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
+    already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
+    QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+    OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
+    ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
 
 @_typing.type_check_only
 class MigrationServiceAsyncStub(MigrationServiceStub):
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     MoveHere: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]  # type: ignore[assignment]
-    """Make this host the owner of a channel or queue. The host answers when it is the owner. Idempotent by request id.
-    Errors: NOT_HERE (this host is the owner already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED,
-    AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
-    """
-    OfferSubjects: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.OfferSubjectsRequest, _migration_service_pb2.OfferSubjectsResponse]  # type: ignore[assignment]
-    """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
-    answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
-    SHUTTING_DOWN (this host leaves, too).
-    """
-    HoldSubject: _aio.UnaryStreamMultiCallable[_migration_service_pb2.HoldSubjectRequest, _migration_service_pb2.HoldSubjectResponse]  # type: ignore[assignment]
-    """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
-    MiB at most in all; then the source refuses them with OVERLOADED. The source still answers reads. A repeated call
-    with the same move id gets the same record. If the destination does not prepare the move within 10 s, the source
-    aborts it. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move is under way), INVALID_ARGUMENT (an aborted
-    move).
-    """
-    ReleaseSubject: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.ReleaseSubjectRequest, _migration_service_pb2.ReleaseSubjectResponse]  # type: ignore[assignment]
-    """Between hosts only: the destination serves the channel or queue. The source answers waiting puts and, for 60 s, new
-    calls with MOVED, and drops its copy. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the
-    move).
+    """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
+    already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
+    QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+    OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
+    ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
 
 class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
-    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
-    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
-    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
-    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
-    UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
+    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
+    the rest, and commits the move in the directory.
     """
 
     @_abc_1.abstractmethod
@@ -111,44 +72,11 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.MoveHereRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.MoveHereResponse, _abc.Awaitable[_migration_service_pb2.MoveHereResponse]]:
-        """Make this host the owner of a channel or queue. The host answers when it is the owner. Idempotent by request id.
-        Errors: NOT_HERE (this host is the owner already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED,
-        AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
-        """
-
-    @_abc_1.abstractmethod
-    def OfferSubjects(
-        self,
-        request: _migration_service_pb2.OfferSubjectsRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_service_pb2.OfferSubjectsResponse, _abc.Awaitable[_migration_service_pb2.OfferSubjectsResponse]]:
-        """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
-        answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
-        SHUTTING_DOWN (this host leaves, too).
-        """
-
-    @_abc_1.abstractmethod
-    def HoldSubject(
-        self,
-        request: _migration_service_pb2.HoldSubjectRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.HoldSubjectResponse], _abc.AsyncIterator[_migration_service_pb2.HoldSubjectResponse]]:
-        """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
-        MiB at most in all; then the source refuses them with OVERLOADED. The source still answers reads. A repeated call
-        with the same move id gets the same record. If the destination does not prepare the move within 10 s, the source
-        aborts it. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move is under way), INVALID_ARGUMENT (an aborted
-        move).
-        """
-
-    @_abc_1.abstractmethod
-    def ReleaseSubject(
-        self,
-        request: _migration_service_pb2.ReleaseSubjectRequest,
-        context: _ServicerContext,
-    ) -> _typing.Union[_migration_service_pb2.ReleaseSubjectResponse, _abc.Awaitable[_migration_service_pb2.ReleaseSubjectResponse]]:
-        """Between hosts only: the destination serves the channel or queue. The source answers waiting puts and, for 60 s, new
-        calls with MOVED, and drops its copy. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the
-        move).
+        """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
+        already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
+        QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+        OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
+        ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
 def add_MigrationServiceServicer_to_server(servicer: MigrationServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -54,10 +54,6 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "GroupService/ExchangeTimes": _HOSTS,
     "MembershipService/CreateJoinToken": _OPERATORS,
     "MembershipService/TakeSnapshot": _OPERATORS,
-    "MigrationDirectoryService/GetMove": _CALLERS,
-    "MigrationDirectoryService/ListMoves": _CALLERS,
-    "MigrationService/HoldSubject": _HOSTS,
-    "MigrationService/ReleaseSubject": _HOSTS,
     "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
     "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,
 }

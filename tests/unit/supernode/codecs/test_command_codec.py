@@ -48,6 +48,7 @@ from stampede_rt_supernode.core.hosts.commands import (
     ReportedLoad,
 )
 from stampede_rt_supernode.core.kept_answers import Answer
+from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
@@ -146,6 +147,7 @@ OPERATIONS: list[Operation] = [
     add_replica(id_of(2)),
     remove_replica(id_of(2), 3),
     set_in_sync(id_of(2), 3, epoch=4, boot=5),
+    CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
     open_queue("jobs", host="rig", create=False, **EVERYTHING_OF_QUEUES),
     open_queue("jobs"),
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
@@ -260,6 +262,7 @@ RESULTS: list[Result] = [
     ReplicaAdded(replica=REPLICA, host=HOST),
     ReplicaRemoved(),
     ReplicaInSyncSet(replica=REPLICA),
+    MoveCommitted(channel=CHANNEL),
     QueueOpened(queue=QUEUE, host=HOST, created=True),
     QueueUpdated(queue=MAILBOX),
     QueueDeleted(queue=QUEUE),

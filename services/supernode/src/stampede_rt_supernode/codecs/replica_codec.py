@@ -10,13 +10,15 @@ from stampede_rt_supernode.core.replicas.loads import ReplicaLoad
 _KINDS_TO_WIRE = {
     ReplicaKind.PROXY: replica_pb2.REPLICA_KIND_PROXY,
     ReplicaKind.WARM: replica_pb2.REPLICA_KIND_WARM,
+    ReplicaKind.MOVE: replica_pb2.REPLICA_KIND_MOVE,
 }
 _KINDS_FROM_WIRE = {wire: kind for kind, wire in _KINDS_TO_WIRE.items()}
+_KINDS_TO_ADD = (replica_pb2.REPLICA_KIND_PROXY, replica_pb2.REPLICA_KIND_WARM)
 
 
 def kind_from(kind: replica_pb2.ReplicaKind) -> ReplicaKind:
     """The kind in a message. Raises InvalidArgument for a kind that a caller may not request."""
-    if kind not in _KINDS_FROM_WIRE:
+    if kind not in _KINDS_TO_ADD:
         raise InvalidArgument(
             f"kind is {kind}; state REPLICA_KIND_PROXY or REPLICA_KIND_WARM, the kinds that a caller can add",
             metadata={"field": "kind"},
@@ -66,7 +68,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
         channel_id=channel_id_of(record.subject),
         host_id=record.host_id,
         boot_incarnation=record.boot_incarnation,
-        kind=kind_from(record.kind),
+        kind=_KINDS_FROM_WIRE[record.kind],
         source_host_id=record.source_host_id,
         in_sync=record.in_sync,
         acknowledged=record.acknowledged,

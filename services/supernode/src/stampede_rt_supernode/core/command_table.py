@@ -18,6 +18,7 @@ from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.groups import kinds as group_kinds
 from stampede_rt_supernode.core.hosts import kinds as host_kinds
+from stampede_rt_supernode.core.moves import kinds as move_kinds
 from stampede_rt_supernode.core.peers import kinds as peer_kinds
 from stampede_rt_supernode.core.queues import kinds as queue_kinds
 from stampede_rt_supernode.core.replicas import kinds as replica_kinds
@@ -28,6 +29,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     *cluster_kinds.KINDS,
     *group_kinds.KINDS,
     *host_kinds.KINDS,
+    *move_kinds.KINDS,
     *peer_kinds.KINDS,
     *queue_kinds.KINDS,
     *replica_kinds.KINDS,

@@ -140,10 +140,14 @@ class GroupRecord:
 
 
 class ReplicaKind(Enum):
-    """The purpose of a copy: a proxy only serves readers; the host of a warm replica may also become the owner."""
+    """The purpose of a copy: a proxy only serves readers; the host of a warm replica may also become the owner.
+
+    MOVE: the items of the former owner after a move, until the new owner acknowledges puts.
+    """
 
     PROXY = "proxy"
     WARM = "warm"
+    MOVE = "move"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import move_mailboxes
-from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind
 from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 
@@ -46,7 +46,9 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         channel = tables.channels[channel_id]
         heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:
-            incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
+            incarnation = channel.incarnation
+            if not _lost_nothing(tables, channel, heir):
+                incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
             inherited.append(channel.channel_id)
@@ -56,11 +58,20 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         move_mailboxes(tables, host_id)
 
 
-def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
-    """Of the live hosts with a warm replica in sync, the one with the fewest channels; None if there is no such host.
+def _lost_nothing(tables: Tables, channel: ChannelRecord, heir: HostRecord) -> bool:
+    """Whether the heir is the former owner of a channel that has just moved, and so has all items."""
+    copy = tables.replicas.at(channel.channel_id, heir.host_id)
+    return copy is not None and copy.kind is ReplicaKind.MOVE
 
-    Among equals, returns the host whose replica was added first.
+
+def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
+    """Of the live hosts with a copy in sync, the one with the fewest channels; None if there is no such host.
+
+    Among equals, returns the host whose copy was added first. The former owner of a channel that has just moved comes
+    before all others: the present owner has acknowledged nothing yet.
     """
-    in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
+    copies = [one for one in tables.replicas.of(channel.channel_id) if one.in_sync]
+    former = [one for one in copies if one.kind is ReplicaKind.MOVE]
+    in_sync = (tables.hosts[one.host_id] for one in former or copies)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)
     return min(live, key=lambda host: host.channels, default=None)

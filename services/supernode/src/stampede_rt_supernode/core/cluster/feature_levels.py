@@ -13,8 +13,8 @@ kind checks the level of the state, and has its former effect while that level i
 from __future__ import annotations
 
 # The highest level that this release knows. 2: rules of access, client tokens and quotas. 3: quotas of groups and of
-# peers. 4: loads of hosts, channels that open beside others, the names of deleted groups in answers, and the tenure of
-# the leader that raises a level.
+# peers. 4: loads of hosts, channels that open beside others, the names of deleted groups in answers, the tenure of the
+# leader that raises a level, and moves of channels.
 HIGHEST_LEVEL = 4
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1
@@ -26,6 +26,8 @@ GROUPS_AND_PEERS_LEVEL = 3
 LOADS_LEVEL = 4
 # From this level on the answers to deletions name the groups that are gone.
 FREED_GROUPS_LEVEL = 4
+# From this level on channels can move.
+MOVES_LEVEL = 4
 
 
 def may_be_used(needed: int, cluster_level: int) -> bool:

@@ -21,7 +21,7 @@ from stampede_rt_supernode.core.groups.commands import (
 )
 from stampede_rt_supernode.core.groups.specs import MEMBERS_MAX, check_spec, same_spec
 from stampede_rt_supernode.core.lookups import channel_by_id, group_by_id, no_such_group
-from stampede_rt_supernode.core.records import GroupRecord
+from stampede_rt_supernode.core.records import GroupRecord, ReplicaKind
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
@@ -212,6 +212,20 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
     found = {group.group_id for one in channel_ids for group in tables.groups.with_channel(one)}
     for group_id in sorted(found):
         _witnessed(tables, tables.groups.by_id[group_id], restarted)
+
+
+def move_witness(tables: Tables, channel_id: bytes, former_host_id: bytes) -> None:
+    """Note that the owner of the channel knows the cuts of its groups if the former owner does: it took them over.
+
+    The former owner stays a witness as long as it may become the owner again (see `replicas.transitions.drop_copy`).
+    """
+    for group in tables.groups.with_channel(channel_id):
+        known = {*tables.groups.witnesses_of(group)}
+        if former_host_id in known:
+            known.add(tables.channels[channel_id].host_id)
+        copies = (copy for one in group.spec.channel_ids for copy in tables.replicas.of(one))
+        heirs = {copy.host_id for copy in copies if copy.kind is ReplicaKind.MOVE}
+        tables.groups.replace(group, tuple(sorted(known & {*_hosts_of(tables, group), *heirs})))
 
 
 def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:

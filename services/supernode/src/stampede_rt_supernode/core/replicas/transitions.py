@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
+from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.placement import least_loaded
 from stampede_rt_supernode.core.lookups import channel_by_id
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
@@ -153,6 +154,8 @@ def drop_copy(tables: Tables, channel: ChannelRecord, host_id: bytes) -> None:
     """Remove the copy of `channel` at a host, if there is one."""
     held = tables.replicas.of(channel.channel_id)
     left = tuple(one for one in held if one.host_id != host_id)
+    if any(one.kind is ReplicaKind.MOVE for one in held if one not in left):
+        note_lost_cuts(tables, [channel.channel_id])  # that host is no witness any more, unless it owns a member
     if left != held:
         store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
 
@@ -168,7 +171,8 @@ def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: Chan
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
     fed. No copy is in sync any more.
     """
-    left = (one for one in tables.replicas.of(before.channel_id) if one.host_id != after.host_id)
+    held = tables.replicas.of(before.channel_id)
+    left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
     return tuple(replace(one, in_sync=False, epoch=after.epoch) for one in moved)
 
@@ -176,7 +180,7 @@ def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: Chan
 def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
     """Store `channel` and its copies. Notes a change for watchers if the channel's record differs."""
     tables.replicas.store(channel.channel_id, replicas)
-    host_ids = tuple(one.host_id for one in replicas)
+    host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # these serve nobody
     changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
     if changed != tables.channels[channel.channel_id]:
         tables.replace_channel(changed)

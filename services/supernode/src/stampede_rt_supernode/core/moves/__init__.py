@@ -1,0 +1,1 @@
+"""Moves of channels in the directory: pure."""

@@ -1,0 +1,28 @@
+"""Commands about moves of channels, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.records import ChannelRecord
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CommitMove(Operation):
+    """Make a host the owner of a channel, which keeps its incarnation. `epoch`: the epoch that the move began with.
+
+    The owner itself, as `to_host_id`, thereby ends a move of another host: that host's commit has an old epoch then.
+    """
+
+    channel_id: bytes
+    epoch: int
+    to_host_id: bytes
+    to_boot_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MoveCommitted(Success):
+    """The channel, with its new owner and epoch."""
+
+    channel: ChannelRecord

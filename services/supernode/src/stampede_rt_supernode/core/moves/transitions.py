@@ -1,0 +1,76 @@
+"""Gives a channel to another host that holds all its items (paper, section 4.1). Pure.
+
+The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
+entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
+keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import HostNotFound, LeaseExpired
+from stampede_rt_supernode.core.groups.transitions import move_witness
+from stampede_rt_supernode.core.lookups import channel_by_id
+from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.replicas.transitions import check_epoch, copies_after_owner_change, store
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id, check_incarnation
+
+
+def check_commit_move(operation: CommitMove) -> None:
+    """Check the operation without the tables. Raises InvalidArgument."""
+    check_id(operation.channel_id, "channel_id")
+    check_id(operation.to_host_id, "to_host_id")
+    check_incarnation(operation.to_boot_incarnation, "to_boot_incarnation")
+
+
+def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
+    """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
+    check_commit_move(operation)
+    channel = channel_by_id(tables, operation.channel_id)
+    host = _destination(tables, channel, operation)
+    if (channel.host_id, channel.epoch) == (host.host_id, operation.epoch + 1):
+        return MoveCommitted(channel=channel)
+    check_epoch(channel, operation.epoch)
+    moved = replace(channel, host_id=host.host_id, epoch=channel.epoch + 1)
+    store(tables, moved, (*copies_after_owner_change(tables, channel, moved), *_former_owner(tables, channel, moved)))
+    move_witness(tables, channel.channel_id, channel.host_id)
+    return MoveCommitted(channel=tables.channels[channel.channel_id])
+
+
+def _destination(tables: Tables, channel: ChannelRecord, operation: CommitMove) -> HostRecord:
+    host = tables.hosts.get(operation.to_host_id)
+    if host is None or not host.alive:
+        raise HostNotFound(
+            f"host {operation.to_host_id.hex()} cannot own channel {channel.name}: it never registered, or its lease "
+            "has ended; list the hosts for others",
+            metadata={"channel": channel.name, "host_id": operation.to_host_id.hex()},
+        )
+    if host.boot_incarnation != operation.to_boot_incarnation:
+        raise LeaseExpired(
+            f"host {host.name} has started again since the move of channel {channel.name} began, and has lost its "
+            "copy; move the channel again",
+            metadata={"channel": channel.name, "host": host.name},
+        )
+    return host
+
+
+def _former_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
+    """The former owner's copy, if that host has its lease and its items."""
+    host = tables.hosts[before.host_id]
+    if before.host_id == after.host_id or not host.alive:
+        return ()
+    return (
+        ReplicaRecord(
+            channel_id=after.channel_id,
+            host_id=host.host_id,
+            boot_incarnation=host.boot_incarnation,
+            kind=ReplicaKind.MOVE,
+            source_host_id=after.host_id,
+            in_sync=True,
+            acknowledged=True,
+            epoch=after.epoch,
+        ),
+    )

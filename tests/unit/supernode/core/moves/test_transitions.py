@@ -1,0 +1,127 @@
+"""A channel gets another owner in one entry, and the former owner is its heir until the new one needs it no more."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
+from tests.support.supernode.operations import (
+    Log,
+    add_replica,
+    expire,
+    id_of,
+    open_channel,
+    open_group,
+    register,
+    remove_replica,
+)
+
+
+@pytest.fixture
+def log() -> Log:
+    """Hosts 1 to 3, registered at the log positions 2 to 4; channel "cam" at host 1."""
+    log = Log()
+    for number in (1, 2, 3):
+        log.apply(register(number))
+    log.apply(open_channel("cam", host="host-1"))
+    return log
+
+
+def cam(log: Log) -> ChannelRecord:
+    found = log.directory.tables.channel_named("cam")
+    assert found is not None
+    return found
+
+
+def move(log: Log, host: int, epoch: int, boot: int | None = None) -> ChannelRecord | Refused:
+    done = log.apply(
+        CommitMove(channel_id=cam(log).channel_id, epoch=epoch, to_host_id=id_of(host), to_boot_incarnation=boot or 1)
+    )
+    assert isinstance(done, MoveCommitted | Refused), done
+    return done.channel if isinstance(done, MoveCommitted) else done
+
+
+def copies(log: Log) -> tuple[ReplicaRecord, ...]:
+    return log.directory.tables.replicas.of(cam(log).channel_id)
+
+
+def reason(done: ChannelRecord | Refused) -> str:
+    assert isinstance(done, Refused)
+    return done.reason
+
+
+def test_a_move_changes_owner_and_epoch_and_keeps_the_incarnation(log: Log) -> None:
+    before = cam(log)
+    assert move(log, 2, 1) == cam(log)
+    assert (cam(log).host_id, cam(log).epoch, cam(log).incarnation) == (id_of(2), 2, before.incarnation)
+    assert [(one.kind, one.host_id, one.in_sync) for one in copies(log)] == [(ReplicaKind.MOVE, id_of(1), True)]
+    assert cam(log).proxy_host_ids == ()
+
+
+def test_a_move_that_is_committed_twice_happens_once(log: Log) -> None:
+    assert move(log, 2, 1) == move(log, 2, 1)
+    assert cam(log).epoch == 2
+
+
+def test_of_two_moves_from_one_epoch_the_first_one_counts(log: Log) -> None:
+    move(log, 2, 1)
+    assert reason(move(log, 3, 1)) == "WRONG_EPOCH"
+    assert cam(log).host_id == id_of(2)
+
+
+def test_the_owner_ends_a_move_by_an_epoch_of_its_own(log: Log) -> None:
+    move(log, 1, 1)
+    assert (cam(log).host_id, cam(log).epoch, copies(log)) == (id_of(1), 2, ())
+    assert reason(move(log, 2, 1)) == "WRONG_EPOCH"
+
+
+def test_a_destination_that_is_lost_or_has_restarted_cannot_commit(log: Log) -> None:
+    assert reason(move(log, 2, 1, boot=77)) == "LEASE_EXPIRED"
+    log.apply(expire(2, registered_index=3))
+    assert reason(move(log, 2, 1)) == "HOST_NOT_FOUND"
+    assert reason(move(log, 9, 1)) == "HOST_NOT_FOUND"
+    assert cam(log).host_id == id_of(1)
+
+
+def test_the_former_owner_goes_on_with_the_same_incarnation_if_the_new_one_is_lost_at_once(log: Log) -> None:
+    incarnation = cam(log).incarnation
+    move(log, 2, 1)
+    log.apply(expire(2, registered_index=3))
+    assert (cam(log).host_id, cam(log).epoch, cam(log).incarnation) == (id_of(1), 3, incarnation)
+    assert copies(log) == ()
+
+
+def test_the_former_owner_is_no_heir_once_its_copy_is_removed(log: Log) -> None:
+    move(log, 2, 1)
+    log.apply(remove_replica(cam(log).channel_id, 1))
+    log.apply(expire(2, registered_index=3))
+    assert (cam(log).host_id, cam(log).epoch) == (id_of(2), 2)
+
+
+def test_a_former_owner_that_is_lost_first_leaves_the_channel_where_it_is(log: Log) -> None:
+    move(log, 2, 1)
+    log.apply(expire(1, registered_index=2))
+    assert (cam(log).host_id, copies(log)) == (id_of(2), ())
+
+
+def test_proxies_follow_the_new_owner_and_its_own_proxy_ends(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    log.apply(add_replica(channel_id, 2))
+    log.apply(add_replica(channel_id, 3, source=2))
+    move(log, 2, 1)
+    kinds = [(one.kind, one.host_id, one.source_host_id) for one in copies(log)]
+    assert kinds == [(ReplicaKind.PROXY, id_of(3), id_of(2)), (ReplicaKind.MOVE, id_of(1), id_of(2))]
+    assert cam(log).proxy_host_ids == (id_of(3),)
+
+
+def test_the_groups_of_a_moved_channel_keep_their_incarnation_also_if_it_goes_back(log: Log) -> None:
+    log.apply(open_group("both", [cam(log).channel_id]))
+    before = log.directory.tables.groups.named("both")
+    assert before is not None
+    move(log, 2, 1)
+    log.apply(expire(2, registered_index=3))
+    after = log.directory.tables.groups.named("both")
+    assert after is not None
+    assert after.incarnation == before.incarnation
