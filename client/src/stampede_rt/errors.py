@@ -69,6 +69,12 @@ class CodecError(InvalidArgument):
     """A codec cannot encode a value, or cannot decode a payload."""
 
 
+class FileError(StampedeError):
+    """A file of a recording cannot be read or written. Only the client raises this error."""
+
+    reason = "FILE_ERROR"
+
+
 class ChannelNotFound(StampedeError, LookupError):
     """No channel has that name or id. Someone may have deleted it."""
 

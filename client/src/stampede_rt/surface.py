@@ -27,6 +27,7 @@ from stampede_rt.errors import (
     ChannelNotFound,
     CodecError,
     DeadlineExceeded,
+    FileError,
     ForkedProcess,
     Full,
     GroupExists,
@@ -86,6 +87,7 @@ from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.values.proxying import CopyStats, ProxyInfo
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
+from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
 from stampede_rt.values.timeline import (
     NEWEST,
     NOW,
@@ -130,6 +132,7 @@ __all__ = [
     "DeadlineExceeded",
     "DurationLike",
     "Enqueued",
+    "FileError",
     "ForkedProcess",
     "Full",
     "Group",
@@ -180,6 +183,9 @@ __all__ = [
     "QueuePolicy",
     "QueueStats",
     "Reason",
+    "RecordedCounts",
+    "RecordingGap",
+    "RecordingSummary",
     "ResolvedInterval",
     "Sampler",
     "StampedeError",

@@ -9,13 +9,13 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
+from stampede_rt._async.files import Files
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
 from stampede_rt._async.mailbox_sender import MailboxSender
 from stampede_rt._async.peer_locator import PeerLocator
 from stampede_rt._async.presence import Mailbox, Presence
-from stampede_rt._async.proxies import Proxies
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._async.queue_locator import open_queue, queue_state
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
@@ -43,7 +43,7 @@ from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_dura
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Proxies, Reference):
+class Connection(Files, Reference):
     """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:

@@ -10,13 +10,13 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S
+from stampede_rt._sync.files import Files
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers, member_handles
 from stampede_rt._sync.mailbox_sender import MailboxSender
 from stampede_rt._sync.peer_locator import PeerLocator
 from stampede_rt._sync.presence import Mailbox, Presence
-from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._sync.queue_locator import open_queue, queue_state
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
@@ -44,7 +44,7 @@ from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_dura
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Proxies, Reference):
+class Connection(Files, Reference):
     """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:

@@ -22,6 +22,12 @@ MISUSED = 2  # the exit status of a command with wrong arguments
 
 OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk refuses the output
 
+VERB_MODULES = (
+    "discovery", "hosts", "data", "group", "queue", "mailbox", "proxy", "rates", "top", "lag", "record", "file",
+    "doctor", "acl", "quota", "token",
+)  # fmt: skip
+"""The modules with the verbs of clients, in the order of the help."""
+
 SERVICE_VERBS = {
     "dev": "run the whole system on this machine, in memory",
     "frontend": "run a front-end",
@@ -101,22 +107,8 @@ def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from stampede_rt.cli import (
-        acl,
-        data,
-        discovery,
-        doctor,
-        group,
-        hosts,
-        lag,
-        mailbox,
-        proxy,
-        queue,
-        quota,
-        rates,
-        token,
-        top,
-    )
+    from importlib import import_module
+
     from stampede_rt.cli.arguments import VerbParser
 
     verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
@@ -128,6 +120,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
-    for module in (discovery, hosts, data, group, queue, mailbox, proxy, rates, top, lag, doctor, acl, quota, token):
-        module.add_verbs(subparsers)
+    for name in VERB_MODULES:
+        import_module(f"stampede_rt.cli.{name}").add_verbs(subparsers)
     return parser

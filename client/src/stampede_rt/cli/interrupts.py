@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
@@ -29,6 +30,14 @@ class Interruption:
     def __init__(self) -> None:
         self.asked = False
         self._closes: list[Callable[[], object]] = []
+        self.regular_end: tuple[Callable[[], object], float] | None = None
+
+    def ends(self, stop: Callable[[], object], limit_s: float) -> None:
+        """Make Ctrl-C the regular end of the command: `stop` is called, and the command's own status is the status.
+
+        If the command has not ended `limit_s` seconds later, it ends as any other command.
+        """
+        self.regular_end = (stop, limit_s)
 
     def closes(self, close: Callable[[], object]) -> None:
         """Keep the function `close`. After Ctrl-C a thread of its own calls it."""
@@ -44,6 +53,7 @@ class Interruption:
         """Forget Ctrl-C and the functions of the command before."""
         self.asked = False
         self._closes.clear()
+        self.regular_end = None
 
 
 interruption = Interruption()
@@ -72,6 +82,8 @@ def run_interruptibly(work: Callable[[], int]) -> int:
     try:
         _begin(work, events)
         outcome = _next(events)
+        if outcome is None and interruption.regular_end is not None:
+            outcome = _stopped(*interruption.regular_end, events)
         if outcome is None:
             _close(events)
         return int(outcome())
@@ -84,6 +96,16 @@ def _next(events: SimpleQueue[Any]) -> Any:
     while True:
         with suppress(Empty):
             return events.get(timeout=LOOK_S)
+
+
+def _stopped(stop: Callable[[], object], limit_s: float, events: SimpleQueue[Any]) -> Any:
+    """Call `stop` on a thread of its own, and return the next event; None after `limit_s` seconds."""
+    threading.Thread(target=stop, name="stampede stop", daemon=True).start()
+    until_s = time.monotonic() + limit_s
+    while (left_s := until_s - time.monotonic()) > 0:
+        with suppress(Empty):
+            return events.get(timeout=min(LOOK_S, left_s))
+    return None
 
 
 def _begin(work: Callable[[], int], events: SimpleQueue[Any]) -> None:

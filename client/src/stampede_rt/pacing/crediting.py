@@ -64,3 +64,14 @@ class CreditWindow:
         if busy_s * window > self._last_bytes * WINDOW_AGE_S:
             window = max(1, int(self._last_bytes * WINDOW_AGE_S / busy_s))
         self._window = window
+
+
+class SteadyWindow(CreditWindow):
+    """A window of a fixed size, for a reader that takes all items that have come, and works on them together."""
+
+    def __init__(self, window_bytes: int) -> None:
+        super().__init__(window_bytes)
+        self._window = window_bytes
+
+    def _measure(self, now_s: float) -> None:
+        return

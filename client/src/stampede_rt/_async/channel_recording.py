@@ -1,0 +1,182 @@
+"""Records one channel: all its items from a moment on, over breaks and over losses of its host."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from stampede_rt._async.channel import Channel
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.recording_sink import RecordingSink
+from stampede_rt._async.recording_stream import RecordedBatch, RecordingStream
+from stampede_rt._async.session import Session
+from stampede_rt.errors import ChannelNotFound, FileError, IncarnationLost, StampedeError
+from stampede_rt.files.entries import POLICY_KEY
+from stampede_rt.files.tally import ChannelTally
+from stampede_rt.transports.concurrency_async import BackgroundTask, Signal
+from stampede_rt.values.model import Item
+from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
+
+
+class ChannelRecording:
+    """Records one channel, in the background, from its making until `finish`.
+
+    `since_nanos`: how far before now it begins; None: now. `later`: the channel appeared while the recording ran,
+    and is recorded from its oldest item on.
+    """
+
+    def __init__(
+        self, session: Session, state: ChannelState, sink: RecordingSink, since_nanos: int | None, *, later: bool
+    ) -> None:
+        self.name = state.info.name
+        self._session = session
+        self._state = state
+        self._channel = Channel(session, state)
+        self._sink = sink
+        self._since_nanos = since_nanos
+        self._later = later
+        policy = {key: value for key, value in asdict(state.info.policy).items() if value is not None}
+        self._metadata = ((POLICY_KEY, json.dumps(policy)),)
+        self._stream: RecordingStream | None = None
+        self._first: Item | None = None  # the earliest item of the first look; None once it is accounted for
+        self._end_seq: int | None = None
+        self._ending = False
+        self._done = Signal()
+        self.begun = Signal()  # is set once the channel is recorded, or cannot be
+        self.tallies: list[ChannelTally] = []
+        self.problem = ""  # why nothing of the channel could be recorded
+        self._background = BackgroundTask(self._run, f"recording of channel {self.name!r}")
+
+    async def _run(self) -> None:
+        try:
+            await self._record_all()
+        except FileError:
+            pass  # the sink has it, and ends the whole recording
+        except StampedeError as error:
+            await self._fail(error)
+        except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
+            await self._fail(StampedeError(f"a defect: {type(defect).__name__}: {defect}"))
+        finally:
+            self.begun.set()
+            self._done.set()
+
+    async def _record_all(self) -> None:
+        anew = self._later
+        while not self._ending:
+            try:
+                await self._record(anew)
+            except IncarnationLost as error:
+                await self._end_incarnation("LOST", error.message)
+                anew = True
+
+    async def _fail(self, error: StampedeError) -> None:
+        """Note that the channel cannot be recorded any further."""
+        if not self.tallies:
+            self.problem = error.message
+            return
+        try:
+            reason = "DELETED" if isinstance(error, ChannelNotFound) else "UNAVAILABLE"
+            await self._end_incarnation(reason, error.message)
+        except FileError:
+            return
+
+    async def _record(self, anew: bool) -> None:
+        """Record one incarnation, until `finish` or an error."""
+        looked: list[RecordingGap] = []
+        start: Bound | None = OLDEST if anew else None
+        if self._since_nanos is not None and not anew:
+            start, looked = await self._look(self._since_nanos)
+        name = f"the recording of channel {self.name!r}"
+        self._stream = stream = RecordingStream.of(self._session, self._state, start, name, held=True)
+        await stream.begin_reading()
+        if stream.opened_seq is None:
+            return
+        tally = ChannelTally(self.name, stream.incarnation, stream.opened_seq)
+        self.tallies.append(tally)
+        await self._sink.write(tally, RecordedBatch(gaps=looked), self._metadata)
+        self.begun.set()
+        while (batch := await stream.next_batch()) is not None:
+            await self._write(tally, batch, stream.read_to)
+            if self._end_seq is not None and stream.read_to >= self._end_seq:
+                stream.close()
+
+    async def _look(self, since_nanos: int) -> tuple[Bound, list[RecordingGap]]:
+        """Return the instant at which the recording begins, and a gap if the channel no longer holds it all."""
+        found = await self._channel.get(
+            NOW - f"{since_nanos} ns", NOW, match="start", limit=1, payloads=False, timeout=0
+        )
+        if found.interval is None:
+            return OLDEST, []
+        self._first = found[0] if found else None
+        begins = found.interval.start
+        if not found.truncated:
+            return Bound(None, begins), []
+        ends = found[0].time if found else None
+        until = "" if ends is None else f"; its oldest item is of {format_instant(ends)}"
+        gap = RecordingGap(
+            channel=self.name, incarnation=found.incarnation, reason="COLLECTED", start=begins, end=ends,
+            detail=f"the channel no longer held all items since {format_instant(begins)}{until}; give it a longer "
+            "max_age, or record less of the past",
+        )  # fmt: skip
+        return Bound(None, begins), [gap]
+
+    async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
+        first, gaps = self._first, list(batch.gaps)
+        if first is not None and (read_to >= first.seq or batch.items):
+            self._first = None
+            told = any(item.seq == first.seq for item in batch.items) or any(
+                (gap.first_seq or 0) <= first.seq <= (gap.last_seq or 0) for gap in gaps
+            )
+            if not told and first.incarnation == tally.incarnation:
+                self._first = first if batch.items and batch.items[-1].seq < first.seq else None
+                gaps += [] if self._first else [self._edge_gap(first)]
+        batch.gaps = gaps
+        await self._sink.write(tally, batch, self._metadata)
+
+    def _edge_gap(self, first: Item) -> RecordingGap:
+        return RecordingGap(
+            channel=self.name, incarnation=first.incarnation, reason="COLLECTED", start=first.time,
+            detail="the channel collected its oldest items while the recording began",
+        )  # fmt: skip
+
+    async def _end_incarnation(self, reason: str, detail: str) -> None:
+        """Note that an unknown number of items behind the last read one is missing."""
+        if not self.tallies or self._stream is None or self._stream.opened_seq is None:
+            return
+        tally = self.tallies[-1]
+        read_to = self._stream.read_to
+        gap = RecordingGap(
+            channel=self.name, incarnation=tally.incarnation, reason=reason, detail=detail, first_seq=read_to + 1
+        )
+        await self._sink.write(tally, RecordedBatch(gaps=[gap]), self._metadata)
+        await self._sink.seal(tally, read_to, None)
+        self._stream = None
+
+    async def finish(self, drain_s: float) -> None:
+        """Record what the host has accepted until now, wait for that at most `drain_s` seconds, and end."""
+        await self.begun.wait(drain_s)
+        accepted, advance = await self._accepted()
+        self._ending, stream = True, self._stream
+        if stream is None or stream.opened_seq is None:
+            if stream is not None:
+                stream.close()
+            if not self.tallies:
+                self.problem = self.problem or f"channel {self.name!r}: its host could not be reached"
+            return
+        end_seq = self._end_seq = stream.read_to if accepted is None else accepted
+        if stream.read_to >= end_seq or not await self._done.wait(drain_s):
+            stream.close()
+        await self._done.wait(drain_s)
+        if self._stream is stream:  # not lost meanwhile
+            await self._sink.seal(self.tallies[-1], end_seq, advance)
+
+    async def _accepted(self) -> tuple[int | None, int | None]:
+        """Return the last seq that the host has accepted, and the channel's advance; None if they cannot be known."""
+        try:
+            stats = await self._channel.stats()
+        except StampedeError:
+            return None, None
+        if not self.tallies or stats.incarnation != self.tallies[-1].incarnation:
+            return None, None
+        return stats.accepted, stats.advance

@@ -1,0 +1,268 @@
+"""Records channels to a file: a flight recorder, because the retention of each channel is the time before the start."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from stampede_rt._async.channel_recording import ChannelRecording
+from stampede_rt._async.recording_sink import FLUSH_S, RecordingSink
+from stampede_rt._async.session import Session
+from stampede_rt._async.watch import Watch
+from stampede_rt.errors import InvalidArgument, StampedeError, WatchRestart
+from stampede_rt.files.entries import FACTS_TOPIC
+from stampede_rt.files.reading import CLOCKS_NAME, SUMMARY_NAME, summary_fields
+from stampede_rt.files.writing import FileWriter
+from stampede_rt.handles import BoundToProcess
+from stampede_rt.transports.concurrency_async import BackgroundStart, BackgroundTask, Signal, run_concurrently
+from stampede_rt.values.model import ChannelInfo, Policy
+from stampede_rt.values.recording import RecordingSummary
+from stampede_rt.version import VERSION
+
+if TYPE_CHECKING:
+    from stampede_rt._async.discovery import Discovery
+
+CHANNELS_MAX = 1000  # of one recording; each may keep 1 MiB in memory
+GLOBS_MAX = 64
+DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
+FINISHED_AT_ONCE = 32  # channels
+_log = logging.getLogger("stampede_rt")
+
+
+class Recorder(BackgroundStart, BoundToProcess):
+    """Records channels to a file, from its making until `stop` (see `Connection.record`). A context manager.
+
+    `summary` is None until the file is finished. `error` is the error that ended the recording, such as a full disk;
+    the file then has what was written before.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        discovery: Discovery,
+        globs: Sequence[str],
+        writer: FileWriter,
+        since_nanos: int | None,
+        for_s: float | None,
+    ) -> None:
+        self._session = session
+        self._discovery = discovery
+        self._globs = tuple(globs)
+        self._sink = RecordingSink(writer)
+        self._since_nanos = since_nanos
+        self._for_s = for_s
+        self._drain_s = DRAIN_S
+        self._channels: dict[bytes, ChannelRecording] = {}
+        self._matched: set[str] = set()
+        self._absent: list[str] = []
+        self._watches: list[Watch] = []
+        self._stop = Signal()
+        self._holds = Signal()  # is set once all present channels are recorded, or once the recording has ended
+        self._ended = Signal()
+        self.active = True
+        self.summary: RecordingSummary | None = None
+        self.error: StampedeError | None = None
+        session.attach(self)
+        self._background = BackgroundTask(self._run, f"recording of {', '.join(self._globs)}")
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("" if self.active else "ended")
+        return f"<Recorder of {', '.join(self._globs)}{f', {state}' if state else ''}>"
+
+    async def __aenter__(self) -> Recorder:
+        await self._begun()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        await self._ended.wait(None)
+        if kind is None and self.error is not None:
+            raise self.error
+
+    @property
+    def channels(self) -> list[str]:
+        """The names of the channels that are recorded, sorted."""
+        return sorted({one.name for one in self._channels.values()})
+
+    @property
+    def recorded(self) -> int:
+        """The number of items that are in the file so far."""
+        return sum(tally.recorded for one in self._channels.values() for tally in one.tallies)
+
+    def stop(self) -> None:
+        """End the recording with the items that the hosts have accepted until now. Does not wait; see `wait`.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
+        it raises WrongEventLoop.
+        """
+        self._session.check_thread()
+        self._stop.set()
+
+    def hurry(self, drain_s: float) -> None:
+        """Stop, and wait for outstanding items for at most `drain_s` seconds. The summary names the missing ones."""
+        self._drain_s = drain_s
+        self.stop()
+
+    async def wait(self, timeout: float | None = None) -> RecordingSummary | None:
+        """Wait until the file is finished, and return its summary; None after `timeout` seconds.
+
+        None as `timeout` waits without a limit. Raises `error` if there is one.
+        """
+        self._session.check_process()
+        if not await self._ended.wait(timeout):
+            return None
+        if self.error is not None:
+            raise self.error
+        return self.summary
+
+    async def end(self) -> None:
+        """Stop, and wait a moment for the file. The connection calls this when it closes."""
+        self.hurry(1.0)
+        await self._ended.wait(3.0)
+
+    async def _begun(self) -> None:
+        await self._holds.wait(None)
+        if self.error is not None:
+            raise self.error
+
+    async def _run(self) -> None:
+        try:
+            await self._begin()
+            self._holds.set()
+            await self._pause()
+            await self._finish()
+        except StampedeError as error:
+            self.error = error
+        except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
+            self.error = StampedeError(f"the recording failed with a defect: {type(defect).__name__}: {defect}")
+            self.error.__cause__ = defect
+        finally:
+            self._end_watches()
+            self._sink.writer.abandon()
+            self.active = False
+            self._holds.set()
+            self._ended.set()
+            self._session.detach(self)
+
+    async def _begin(self) -> None:
+        await self._write_clocks("begin")
+        for glob in self._globs:
+            watch = await self._watch(glob, later=False)
+            BackgroundTask(partial(self._follow, glob, watch), f"watch for the recording of {glob!r}")
+        for one in list(self._channels.values()):
+            await one.begun.wait(DRAIN_S)
+        if self._sink.error is not None:
+            raise self._sink.error
+
+    async def _watch(self, glob: str, *, later: bool) -> Watch:
+        """Watch for channels, and record those that exist."""
+        watch = Watch(self._session, glob, None)
+        self._watches.append(watch)
+        await watch.__aenter__()
+        for info in await self._discovery.channels(glob):
+            self._record(glob, info, later=later)
+        return watch
+
+    async def _follow(self, glob: str, watch: Watch) -> None:
+        while not self._stop_asked():
+            try:
+                async for change in watch:
+                    if change.kind == "added" and isinstance(change.subject, ChannelInfo):
+                        self._record(glob, change.subject, later=True)
+                return
+            except WatchRestart:
+                watch = await self._watch(glob, later=True)
+            except StampedeError as error:
+                if not self._stop_asked():
+                    self._absent.append(f"channels {glob!r} that appeared later: {error.message}")
+                return
+
+    def _stop_asked(self) -> bool:
+        return not self.active or self._session.closed or self._ending
+
+    _ending = False
+
+    def _record(self, glob: str, info: ChannelInfo, *, later: bool) -> None:
+        self._matched.add(glob)
+        if info.channel_id in self._channels or self._ending:
+            return
+        if info.name == FACTS_TOPIC:
+            problem = f"channel {info.name!r}: recordings need this name for themselves"
+        elif len(self._channels) >= CHANNELS_MAX:
+            problem = f"channel {info.name!r}: a recording has at most {CHANNELS_MAX} channels"
+        else:
+            state = self._session.state_of(info, Policy(), False)
+            self._channels[info.channel_id] = ChannelRecording(
+                self._session, state, self._sink, self._since_nanos, later=later
+            )
+            return
+        if len(self._absent) < CHANNELS_MAX:
+            self._absent.append(problem)
+
+    async def _pause(self) -> None:
+        """Wait for the end of the recording. Meanwhile ends chunks that have waited for FLUSH_S."""
+        until_s = None if self._for_s is None else time.monotonic() + self._for_s
+        while not self._sink.error:
+            left_s = FLUSH_S if until_s is None else min(FLUSH_S, until_s - time.monotonic())
+            if left_s <= 0 or await self._stop.wait(left_s):
+                return
+            if self._sink.writer.pending:
+                await self._sink.do(self._sink.writer.flush)
+        raise self._sink.error
+
+    async def _finish(self) -> None:
+        self._ending = True
+        self._end_watches()
+        recordings = list(self._channels.values())
+        for first in range(0, len(recordings), FINISHED_AT_ONCE):
+            part = recordings[first : first + FINISHED_AT_ONCE]
+            await run_concurrently([partial(one.finish, self._drain_s) for one in part])
+        await self._write_clocks("end")
+        summary = self._summary(recordings)
+        await self._sink.do(partial(self._sink.writer.add_metadata, SUMMARY_NAME, summary_fields(summary)))
+        await self._sink.do(self._sink.writer.finish)
+        self.summary = summary
+
+    def _summary(self, recordings: Sequence[ChannelRecording]) -> RecordingSummary:
+        absent = [f"no channel matches {glob!r}" for glob in self._globs if glob not in self._matched]
+        absent += self._absent + [one.problem for one in recordings if one.problem]
+        counts = [tally.counts() for one in recordings for tally in one.tallies]
+        counts.sort(key=lambda one: one.channel)
+        path = str(self._sink.writer.path)
+        return RecordingSummary(path=path, channels=tuple(counts), absent=tuple(absent))
+
+    def _end_watches(self) -> None:
+        for watch in self._watches:
+            watch.close()
+
+    async def _write_clocks(self, moment: str) -> None:
+        """Write how far the clocks of all named peers are ahead, as they have measured it."""
+        own = self._session.supernodes.clock
+        values = {"version": "1", "moment": moment, "recorder": VERSION, "recorder_time": str(time.time_ns())}
+        if own is not None:
+            values["recorder_clock"] = json.dumps(asdict(own))
+        try:
+            peers = {one.name: asdict(one.clock) for one in await self._discovery.peers() if one.clock is not None}
+            values["peers"] = json.dumps(peers)
+        except StampedeError as error:
+            values["peers_missing"] = error.message
+        await self._sink.do(partial(self._sink.writer.add_metadata, CLOCKS_NAME, values))
+
+
+def parse_globs(channels: Sequence[object] | object) -> list[str]:
+    """Return the names and globs of the argument `channels`. Raises InvalidArgument."""
+    many = channels if isinstance(channels, Sequence) and not isinstance(channels, str) else [channels]
+    globs = [one if isinstance(one, str) else str(getattr(one, "name", "")) for one in many]
+    if not globs or not all(globs) or len(globs) > GLOBS_MAX:
+        raise InvalidArgument(
+            f"channels is {channels!r}; give 1 to {GLOBS_MAX} names, globs such as 'rig/*', or handles of channels"
+        )
+    return globs

@@ -1,0 +1,129 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""The items of a channel for a recording, with the gaps and advances that the host tells, in the host's order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.reconnecting import Reconnecting
+from stampede_rt._sync.session import Session
+from stampede_rt._sync.subscription import Subscription
+from stampede_rt.pacing.crediting import SteadyWindow
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import error_pb2
+from stampede_rt.values.model import Item
+from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.timeline import Bound
+from stampede_rt.wire.reads import bound_to_message
+
+WINDOW_BYTES = 1024 * 1024  # that the host may send ahead of the recording, for each channel
+
+
+@dataclass(slots=True)
+class RecordedBatch:
+    """What came since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
+
+    `read_to` is the last seq that this batch and those before have, or name as missing; None if this changes nothing.
+    """
+
+    items: list[Item] = field(default_factory=list)
+    gaps: list[RecordingGap] = field(default_factory=list)
+    advance: tuple[int, int] | None = None
+    read_to: int | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.items or self.gaps or self.advance)
+
+
+class RecordingStream(Subscription):
+    """A subscription that gives batches. It reads from the host, never from shared memory, which tells no gaps.
+
+    `opened_seq` is the seq of the first item after the subscription began; None before the host has answered.
+    """
+
+    def __init__(
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+    ) -> None:
+        super().__init__(session, state, begun, reconnecting)
+        self._window = SteadyWindow(WINDOW_BYTES)
+        self._batch = RecordedBatch()
+        self._told_advance: int | None = None
+        self.opened_seq: int | None = None
+        self.incarnation = 0
+
+    @classmethod
+    def of(
+        cls, session: Session, state: ChannelState, start: Bound | None, reconnect_name: str, *, held: bool
+    ) -> RecordingStream:
+        """Make the subscription: the held items from `start` on (None: none), and all later ones."""
+        begun = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
+        if start is not None:
+            begun.start.CopyFrom(bound_to_message(start))
+        return cls(session, state, begun, Reconnecting(session, reconnect_name, None, held=held))
+
+    @property
+    def read_to(self) -> int:
+        """The last seq that has been read, skipped or named as missing."""
+        cursor = self._cursor
+        return (self.opened_seq or 1) - 1 if cursor is None else cursor.next_seq - 1
+
+    @property
+    def ended(self) -> bool:
+        """Whether `close` has been called, or an error has ended the subscription."""
+        return self._closed
+
+    def begin_reading(self) -> None:
+        """Wait until the host has opened the subscription, or `close` is called. Raises as `next_batch` does."""
+        self._session.check_process()
+        with self._steps:
+            self._open()
+
+    def next_batch(self) -> RecordedBatch | None:
+        """Wait for items, gaps or an advance, and return them; None after `close`. Raises as `Subscription` does."""
+        self._session.check_process()
+        with self._steps:
+            while not self._closed:
+                self._open()
+                batch = self._take_batch()
+                if batch:
+                    return batch
+                self._grant()
+                self._receive()
+            return self._take_batch() or None
+
+    def _take_batch(self) -> RecordedBatch:
+        batch, self._batch = self._batch, RecordedBatch()
+        while self._ready:
+            batch.items.append(self._take_ready())
+        batch.read_to = self.read_to
+        return batch
+
+    def _follow_ring(self) -> None:
+        return
+
+    def _take(self, response: channel_pb.SubscribeResponse) -> None:
+        if response.HasField("opened"):
+            self.incarnation = response.opened.incarnation
+            if self.opened_seq is None:
+                self.opened_seq = response.opened.next_seq
+        if response.HasField("gap"):
+            self._batch.gaps.append(self._gap(response.gap))
+        super()._take(response)
+        if response.HasField("progress") and response.progress.HasField("advance_unix_nano"):
+            advance = response.progress.advance_unix_nano
+            if advance != self._told_advance:
+                self._told_advance = advance
+                self._batch.advance = (advance, response.progress.next_seq - 1)
+
+    def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
+        lost = gap.reason == error_pb2.ABSENCE_REASON_LOST
+        return RecordingGap(
+            channel=self._state.info.name,
+            incarnation=self.incarnation,
+            reason="LOST" if lost else "COLLECTED",
+            detail=gap.detail,
+            first_seq=gap.first_seq,
+            last_seq=gap.last_seq,
+            items=gap.items,
+        )

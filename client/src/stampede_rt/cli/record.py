@@ -1,0 +1,195 @@
+"""`stampede record`: it records channels to a file, and each event of a channel to a file of its own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.interrupts import interruption
+from stampede_rt.cli.output import bytes_text, joined, print_rows
+from stampede_rt.errors import FileError, InvalidArgument, StampedeError
+from stampede_rt.escaping import escaped
+from stampede_rt.values.policy import duration_of
+from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
+from stampede_rt.values.timeline import format_duration, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection
+    from stampede_rt._sync.recorder import Recorder
+
+INCOMPLETE = 3  # the exit status if anything is missing
+AT_ONCE_MAX = 4  # recordings of `--on` at the same time
+STOP_DRAIN_S = 1.0  # after Ctrl-C, for items that the hosts have accepted before
+STOP_S = 15.0  # after Ctrl-C, until the file is finished
+GAPS_SHOWN = 20  # of each channel
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verb of this module."""
+    record = add_verb(subparsers, "record", "record channels to an MCAP file, until Ctrl-C", run_record, output=False)
+    record.add_argument("channels", nargs="+", metavar="CHANNEL", help="a name, or a glob such as 'rig/*'")
+    record.add_argument("-o", "--file", required=True, metavar="FILE", help="the file to write, such as crash.mcap")
+    record.add_argument("--since", metavar="DURATION", help='begin that far in the past, such as "30s"; default: now')
+    record.add_argument("--for", dest="for_", metavar="DURATION", help="end after that time; default: at Ctrl-C")
+    record.add_argument(
+        "--on", metavar="CHANNEL", help="write a file for each item of this channel; FILE gets the item's seq"
+    )
+    record.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd", help="default zstd")
+    record.add_argument("--overwrite", action="store_true", help="overwrite an existing file")
+    record.add_argument("--summary", choices=("table", "json"), default="table", help="how to print the summary")
+
+
+def run_record(arguments: argparse.Namespace) -> int:
+    """Record, and print the summary."""
+    for name in ("since", "for_"):
+        duration_of(f"--{name.strip('_')}", getattr(arguments, name), least=0)
+    if arguments.on is not None and arguments.for_ is None:
+        raise InvalidArgument("--on needs --for, the time after which each file ends, as in --for 10s")
+    with connected(arguments) as rt:
+        if arguments.on is not None:
+            return _EventRecordings(rt, arguments).run()
+        recorder = _begun(rt, arguments, Path(arguments.file))
+        interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
+        with recorder:
+            _tell(recorder, arguments)
+            summary = recorder.wait()
+    return _ended(summary, arguments)
+
+
+def _begun(rt: Connection, arguments: argparse.Namespace, path: Path) -> Recorder:
+    return rt.record(
+        arguments.channels,
+        path,
+        since=arguments.since,
+        for_=arguments.for_,
+        compression=arguments.compression,
+        overwrite=arguments.overwrite,
+    )
+
+
+def _tell(recorder: Recorder, arguments: argparse.Namespace) -> None:
+    names = recorder.channels
+    shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
+    until = f"for {arguments.for_}" if arguments.for_ else "until Ctrl-C"
+    print(f"stampede: recording {shown or 'no channel yet'} to {escaped(arguments.file)} {until}", file=sys.stderr)
+
+
+def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> int:
+    assert summary is not None, "the recording has no limit of time here"
+    print_summary(summary, arguments.summary)
+    return 0 if summary.complete else INCOMPLETE
+
+
+def print_summary(summary: RecordingSummary, form: str) -> None:
+    """Print what a file has, and what is missing."""
+    if form != "table":
+        value = {
+            "file": summary.path,
+            "complete": summary.complete,
+            "recorded": summary.recorded,
+            "missing": summary.missing,
+            "absent": list(summary.absent),
+            "channels": [one.to_json() for one in summary.channels],
+        }
+        print(json.dumps(value, indent=2))
+        return
+    rows = [_row(one) for one in summary.channels]
+    print_rows(rows, "table", none=f"{escaped(summary.path)} has no channels")
+    for one in summary.channels:
+        for gap in one.gaps[:GAPS_SHOWN]:
+            print(f"missing: {gap_text(gap)}")
+        if one.gap_count > GAPS_SHOWN:
+            print(f"missing: {escaped(one.channel)}: {one.gap_count - GAPS_SHOWN} more gaps, which the file names")
+    for text in summary.absent:
+        print(f"missing: {escaped(text)}")
+
+
+def _row(one: RecordedCounts) -> dict[str, Any]:
+    length = None if one.start is None or one.end is None else format_duration(one.end - one.start)
+    return {
+        "channel": one.channel,
+        "accepted": one.accepted,
+        "recorded": one.recorded,
+        "missing": one.missing if not one.gap_count or one.missing else "unknown",
+        "bytes": bytes_text(one.payload_bytes),
+        "begins": None if one.start is None else format_instant(one.start),
+        "length": length,
+    }
+
+
+def gap_text(gap: RecordingGap) -> str:
+    """Return a gap as a line for people."""
+    items = "an unknown number of items" if gap.items is None else f"{gap.items} items"
+    seqs = ""
+    if gap.first_seq is not None:
+        seqs = f", seq {gap.first_seq} to {'?' if gap.last_seq is None else gap.last_seq}"
+    return escaped(f"{gap.channel}: {items}{seqs}: {gap.reason}: {gap.detail}")
+
+
+class _EventRecordings:
+    """Begins a recording for each item of a channel, at most AT_ONCE_MAX at the same time."""
+
+    def __init__(self, rt: Connection, arguments: argparse.Namespace) -> None:
+        self._rt = rt
+        self._arguments = arguments
+        self._events = existing(rt, arguments.on).subscribe()
+        self._running: dict[Recorder, threading.Thread] = {}
+        self._mutex = threading.Lock()
+        self._stopping = False
+        self._incomplete = False
+        self._error: StampedeError | None = None
+
+    def run(self) -> int:
+        """Record until Ctrl-C. Returns the exit status."""
+        interruption.ends(self._stop, STOP_S)
+        print(f"stampede: each item of {escaped(self._arguments.on)} begins a file, until Ctrl-C", file=sys.stderr)
+        with self._events as events:
+            for item in events:
+                self._begin(item.seq)
+        for thread in list(self._running.values()):
+            thread.join()
+        if self._error is not None:
+            raise self._error
+        return INCOMPLETE if self._incomplete or self._events.dropped else 0
+
+    def _begin(self, seq: int) -> None:
+        path = Path(self._arguments.file)
+        path = path.with_name(f"{path.stem}-{seq:06d}{path.suffix}")
+        with self._mutex:
+            if self._stopping:
+                return
+            if len(self._running) >= AT_ONCE_MAX:
+                self._incomplete = True
+                print(f"stampede: event #{seq} has no file: {AT_ONCE_MAX} recordings are under way", file=sys.stderr)
+                return
+            recorder = _begun(self._rt, self._arguments, path)
+            thread = threading.Thread(target=self._record, args=(recorder,), daemon=True)
+            self._running[recorder] = thread
+        thread.start()
+
+    def _record(self, recorder: Recorder) -> None:
+        try:
+            summary = recorder.wait()
+            with self._mutex:
+                self._incomplete |= _ended(summary, self._arguments) == INCOMPLETE
+                sys.stdout.flush()
+        except StampedeError as error:
+            self._error = self._error or error
+            if isinstance(error, FileError):
+                self._events.close()
+        finally:
+            with self._mutex:
+                self._running.pop(recorder, None)
+
+    def _stop(self) -> None:
+        with self._mutex:
+            self._stopping = True
+            running = list(self._running)
+        self._events.close()
+        for recorder in running:
+            recorder.hurry(STOP_DRAIN_S)

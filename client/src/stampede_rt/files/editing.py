@@ -1,0 +1,235 @@
+"""Verifies, recovers, cuts and merges files. Each holds one chunk of each file in memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mcap.records import Attachment, Metadata
+
+from stampede_rt.errors import FileError, InvalidArgument
+from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.file_tally import FileTally
+from stampede_rt.files.framing import Damage
+from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
+from stampede_rt.files.writing import FileWriter
+from stampede_rt.values.recording import RecordingGap, RecordingSummary
+
+DAMAGES_KEPT_MAX = 1000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FileReport:
+    """What a whole reading of a file has found.
+
+    `damages` has the first 1000 stretches that cannot be read. `finished`: the file has the index that its writer
+    writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
+    summary; None if the file has none.
+    """
+
+    summary: RecordingSummary
+    stated: RecordingSummary | None
+    damages: Sequence[Damage]
+    damaged_bytes: int
+    finished: bool
+    unknown: int
+    size_bytes: int
+
+    @property
+    def intact(self) -> bool:
+        """Whether every byte could be read, and the file has what its summary says."""
+        return self.finished and not self.damages and not self.unknown and not self.contradictions
+
+    @property
+    def contradictions(self) -> list[str]:
+        """The channels of which the file does not have what its summary says."""
+        found = {(one.channel, one.incarnation): one for one in self.summary.channels}
+        wrong = []
+        for told in self.stated.channels if self.stated else ():
+            one = found.get((told.channel, told.incarnation))
+            has = 0 if one is None else one.recorded
+            if has != told.recorded:
+                wrong.append(f"channel {told.channel}: the summary says {told.recorded} items, the file has {has}")
+        return wrong
+
+
+def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lambda _: None) -> FileReport:
+    """Read a whole file, and check every checksum. `on_bytes` is told how many bytes are read. Raises FileError."""
+    with FileReader(path) as reader:
+        return _walk(reader, lambda _: None, on_bytes)
+
+
+def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:
+    """Copy everything that can be read of a torn or damaged file to `output`, with an index, and name what is lost.
+
+    A file that was cut off at any byte loses at most its last chunk. Raises FileError.
+    """
+    check_other(path, output)
+    with FileReader(path) as reader:
+        writer = FileWriter(output, overwrite=overwrite)
+        try:
+            report = _walk(reader, writer_of(writer), lambda _: None)
+            finish_with(writer, report.summary)
+        finally:
+            writer.abandon()
+    return report
+
+
+def check_other(path: str | os.PathLike[str], output: str | os.PathLike[str]) -> None:
+    """Raise InvalidArgument if `output` is the file `path`."""
+    if os.path.exists(output) and os.path.samefile(path, output):
+        raise InvalidArgument(f"the output {os.fspath(output)!r} is the file to read; name another one")
+
+
+def writer_of(writer: FileWriter) -> Callable[[Event | Attachment | Metadata], None]:
+    """Return a function that writes what a reader gives. It leaves out summaries, which the caller writes anew."""
+
+    def write(event: Event | Attachment | Metadata) -> None:
+        if isinstance(event, FileEntry):
+            writer.add((event,))
+        elif isinstance(event, RecordingGap):
+            writer.add_gap(event)
+        elif isinstance(event, FileAdvance):
+            writer.add_advance(event)
+        elif isinstance(event, Attachment):
+            writer.add_attachment(event.log_time, event.create_time, event.name, event.media_type, event.data)
+        elif event.name != SUMMARY_NAME:
+            writer.add_metadata(event.name, event.metadata)
+
+    return write
+
+
+def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
+    """Write the summary of the channels of Stampede RT, if there are any, and finish the file."""
+    if any(one.incarnation for one in summary.channels):
+        own = [one for one in summary.channels if one.incarnation]
+        written = RecordingSummary(path=summary.path, channels=own, absent=summary.absent)
+        writer.add_metadata(SUMMARY_NAME, summary_fields(written))
+    writer.finish()
+
+
+def _walk(
+    reader: FileReader, take: Callable[[Event | Attachment | Metadata], None], on_bytes: Callable[[int], object]
+) -> FileReport:
+    """Read a file to its end, and hand everything to `take`, also the gaps that damage has made."""
+    tally, damaged_bytes, unknown = FileTally(), 0, 0
+    damages: list[Damage] = []
+    for part in reader.contents():
+        if isinstance(part, Damage):
+            damaged_bytes += part.end - part.offset
+            tally.damage()
+            if len(damages) < DAMAGES_KEPT_MAX:
+                damages.append(part)
+        elif isinstance(part, Content):
+            unknown += part.unknown
+            for event in part.events():
+                for gap in tally.add(event):
+                    take(gap)
+                take(event)
+            on_bytes(part.end)
+        else:
+            take(part)
+    stated = _stated(reader)
+    if damages:
+        detail = f"the file is damaged at byte {damages[-1].offset}: {damages[-1].detail}"
+        for gap in tally.ends_torn(detail, stated):
+            take(gap)
+    absent = () if stated is None else tuple(stated.absent)
+    return FileReport(
+        summary=tally.summary(reader.path, absent), stated=stated, damages=tuple(damages),
+        damaged_bytes=damaged_bytes, finished=reader.index is not None, unknown=unknown, size_bytes=reader.size,
+    )  # fmt: skip
+
+
+def _stated(reader: FileReader) -> RecordingSummary | None:
+    try:
+        return reader.summary()
+    except FileError:
+        return None
+
+
+class _Cut:
+    """Keeps what lies in an interval of time. A gap stays unless all items beside it lie outside, on the same side."""
+
+    def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], None]) -> None:
+        self._start, self._end, self._chosen, self._take = start, end, chosen, take
+        self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
+        self._waiting: dict[tuple[str, int | None], list[RecordingGap]] = {}
+
+    def add(self, event: Event) -> None:
+        """Keep or drop one event."""
+        name = event.topic.name if isinstance(event, FileEntry) else event.channel
+        if not self._chosen(name):
+            return
+        if isinstance(event, FileEntry):
+            key = (name, event.topic.incarnation)
+            self._settle(key, event.time)
+            self._before[key] = event.time
+            if self._start <= event.time < self._end:
+                self._take(event)
+        elif isinstance(event, RecordingGap):
+            self._waiting.setdefault((name, event.incarnation), []).append(event)
+        elif event.time < self._end:
+            self._take(event)
+
+    def _settle(self, key: tuple[str, int | None], next_time: int | None) -> None:
+        for gap in self._waiting.pop(key, ()):
+            before = self._before.get(key)
+            ends = [one for one in (gap.end, next_time) if one is not None]
+            begins = [one for one in (gap.start, before) if one is not None]
+            if (not ends or max(ends) >= self._start) and (not begins or min(begins) < self._end):
+                self._take(gap)
+
+    def finish(self) -> None:
+        """Decide on the last gaps."""
+        for key in list(self._waiting):
+            self._settle(key, None)
+
+
+def cut(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    start: int,
+    end: int,
+    chosen: Callable[[str], bool] = lambda _: True,
+    overwrite: bool = False,
+) -> RecordingSummary:
+    """Copy the items with a time from `start` on and before `end`, of the chosen channels. Raises FileError.
+
+    Reads only the chunks that the index names for this time. A damaged file is refused: recover it first.
+    """
+    check_other(path, output)
+    with FileReader(path) as reader:
+        writer, tally = FileWriter(output, overwrite=overwrite), FileTally()
+        write = writer_of(writer)
+
+        def take(event: Event) -> None:
+            tally.add(event)
+            write(event)
+
+        try:
+            chosen_part = _Cut(start, end, chosen, take)
+            for part in intact_contents(reader):
+                for event in part.events():
+                    chosen_part.add(event)
+            chosen_part.finish()
+            summary = tally.summary(os.fspath(output))
+            finish_with(writer, summary)
+        finally:
+            writer.abandon()
+    return summary
+
+
+def intact_contents(reader: FileReader) -> Iterator[Content]:
+    """Yield the chunks of a file. Raises FileError at the first damage."""
+    for part in reader.contents():
+        if isinstance(part, Damage):
+            raise FileError(
+                f"the file {reader.path!r} is damaged at byte {part.offset}: {part.detail}; "
+                "`stampede file recover` saves what can be read"
+            )
+        if isinstance(part, Content):
+            yield part

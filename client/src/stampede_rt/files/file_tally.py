@@ -1,0 +1,180 @@
+"""Counts what a file has of each channel, and what damage has taken. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stampede_rt.files.entries import FileAdvance, FileEntry, Topic
+from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordedCounts, RecordingGap, RecordingSummary
+
+DAMAGED = "DAMAGED"
+Key = tuple[str, int | None]
+
+
+@dataclass(slots=True)
+class _Counts:
+    recorded: int = 0
+    payload_bytes: int = 0
+    missing: int = 0
+    gap_count: int = 0
+    gaps: list[RecordingGap] = field(default_factory=list)
+    first_seq: int | None = None
+    last_seq: int | None = None  # the greatest
+    reached: int = 0  # the greatest seq that an item or a gap has named
+    start: int | None = None
+    end: int | None = None
+    advance: int | None = None
+    damaged_after: int | None = None  # damage came after this seq, and no later item has come
+    damaged_before: bool = False  # damage came before the first item
+
+
+class FileTally:
+    """Counts entries, gaps and advances in the order of a file.
+
+    After `damage` the next seq of each channel tells how many of its items the damage may have taken.
+    """
+
+    def __init__(self) -> None:
+        self._counts: dict[Key, _Counts] = {}
+        self._damaged_so_far = False
+        self.foreign: dict[Topic, int] = {}  # messages of topics that are no channels of Stampede RT
+
+    def add(self, event: FileEntry | RecordingGap | FileAdvance) -> list[RecordingGap]:
+        """Count one event. Returns the gaps that it reveals, which the file does not name."""
+        if isinstance(event, RecordingGap):
+            self._add_gap(event)
+            return []
+        if isinstance(event, FileAdvance):
+            counts = self._of((event.channel, event.incarnation))
+            counts.advance = event.time if counts.advance is None else max(counts.advance, event.time)
+            return []
+        return self._add_entry(event)
+
+    def _add_entry(self, entry: FileEntry) -> list[RecordingGap]:
+        counts = self._of((entry.topic.name, entry.topic.incarnation))
+        counts.recorded += 1
+        counts.payload_bytes += len(entry.data)
+        counts.start = entry.time if counts.start is None else min(counts.start, entry.time)
+        counts.end = entry.time if counts.end is None else max(counts.end, entry.time)
+        if entry.topic.incarnation is None:
+            self.foreign[entry.topic] = self.foreign.get(entry.topic, 0) + 1
+        if entry.seq is None:
+            return []
+        revealed = []
+        if counts.damaged_after is not None and entry.seq > counts.damaged_after:
+            if entry.seq > counts.damaged_after + 1:
+                revealed.append(self._damaged(entry.topic, counts.damaged_after + 1, entry.seq - 1))
+            counts.damaged_after = None
+        counts.first_seq = entry.seq if counts.first_seq is None else min(counts.first_seq, entry.seq)
+        counts.last_seq = entry.seq if counts.last_seq is None else max(counts.last_seq, entry.seq)
+        counts.reached = max(counts.reached, entry.seq)
+        return revealed
+
+    def _damaged(self, topic: Topic, first_seq: int, last_seq: int) -> RecordingGap:
+        items = last_seq - first_seq + 1
+        gap = RecordingGap(
+            channel=topic.name, incarnation=topic.incarnation or 0, reason=DAMAGED, first_seq=first_seq,
+            last_seq=last_seq, items=items, detail=f"a damaged part of the file had at most these {items} items",
+        )  # fmt: skip
+        self._add_gap(gap)
+        return gap
+
+    def _add_gap(self, gap: RecordingGap) -> None:
+        counts = self._of((gap.channel, gap.incarnation))
+        counts.missing += gap.items or 0
+        counts.gap_count += 1
+        counts.reached = max(counts.reached, gap.last_seq or 0)
+        if len(counts.gaps) < GAPS_KEPT_MAX:
+            counts.gaps.append(gap)
+
+    def damage(self) -> None:
+        """A stretch of the file is damaged here."""
+        self._damaged_so_far = True
+        for key, counts in self._counts.items():
+            if key[1] is not None and counts.damaged_after is None:
+                counts.damaged_after = counts.reached
+
+    def ends_torn(self, detail: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
+        """End a damaged or torn file. Returns the gaps behind the last item of each channel.
+
+        `intended`: the summary of the recorder, if the file still has it; it says where each channel ended.
+        """
+        known: dict[Key, RecordedCounts] = {
+            (one.channel, one.incarnation): one for one in (intended.channels if intended else ())
+        }
+        gaps = []
+        for key, counts in self._counts.items():
+            if key[1] is not None:
+                gaps += self._lost_before(key, counts, known.get(key), detail)
+                gaps += self._lost_behind(key, counts, known.get(key), detail)
+        for key, told in known.items():
+            if key not in self._counts and told.recorded:
+                gaps.append(_gap(key, detail, told.first_seq, told.last_seq, told.recorded))
+        for gap in gaps:
+            self._add_gap(gap)
+        return gaps
+
+    def _lost_before(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
+        """Return the gap before the first item, if damage came before it."""
+        if not counts.damaged_before or counts.first_seq is None or counts.first_seq == 1:
+            return []
+        if told is None:
+            return [_gap(key, detail, None, counts.first_seq - 1, None)]
+        if told.first_seq is None or told.first_seq >= counts.first_seq:
+            return []
+        items = min(counts.first_seq - told.first_seq, _unseen(counts, told))
+        return [_gap(key, detail, told.first_seq, counts.first_seq - 1, items)]
+
+    def _lost_behind(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
+        """Return the gap behind the last item, if damage came there."""
+        if counts.damaged_after is None:
+            return []
+        first = counts.damaged_after + 1
+        if told is None:
+            return [_gap(key, detail, first, None, None)]
+        if told.last_seq is None or told.last_seq < first:
+            return []
+        return [_gap(key, detail, first, told.last_seq, min(told.last_seq - first + 1, _unseen(counts, told)))]
+
+    def summary(self, path: str, absent: tuple[str, ...] = ()) -> RecordingSummary:
+        """Return the counts of the channels of Stampede RT and of other topics, by name."""
+        found = [_channel(key, counts) for key, counts in self._counts.items()]
+        found.sort(key=lambda one: (one.channel, one.start or 0))
+        return RecordingSummary(path=path, channels=tuple(found), absent=absent)
+
+    def _of(self, key: Key) -> _Counts:
+        counts = self._counts.get(key)
+        if counts is None:
+            counts = self._counts[key] = _Counts(damaged_before=self._damaged_so_far)
+        return counts
+
+
+def _gap(key: Key, detail: str, first: int | None, last: int | None, items: int | None) -> RecordingGap:
+    return RecordingGap(
+        channel=key[0], incarnation=key[1] or 0, reason=DAMAGED, detail=detail, first_seq=first, last_seq=last,
+        items=items,
+    )  # fmt: skip
+
+
+def _unseen(counts: _Counts, told: RecordedCounts) -> int:
+    """Return how many items of the summary the file has neither as items nor in the gaps of damage."""
+    named = sum(gap.items or 0 for gap in counts.gaps if gap.reason == DAMAGED)
+    return max(0, told.recorded - counts.recorded - named)
+
+
+def _channel(key: Key, counts: _Counts) -> RecordedCounts:
+    return RecordedCounts(
+        channel=key[0],
+        incarnation=key[1] or 0,
+        accepted=counts.recorded + counts.missing,
+        recorded=counts.recorded,
+        missing=counts.missing,
+        gaps=tuple(counts.gaps),
+        gap_count=counts.gap_count,
+        payload_bytes=counts.payload_bytes,
+        first_seq=counts.first_seq,
+        last_seq=counts.last_seq,
+        start=counts.start,
+        end=counts.end,
+        advance=counts.advance,
+    )

@@ -1,0 +1,232 @@
+"""Finds the records of an MCAP file, also of a truncated, damaged or hostile one. Reads no record before it is asked.
+
+The `mcap` library decodes the records. It trusts the lengths in a file, so this module checks them first.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import IO, Any
+
+from stampede_rt.errors import FileError
+
+try:
+    import lz4.frame
+    import zstandard
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+    from mcap.opcode import Opcode
+    from mcap.records import Chunk, McapRecord
+    from mcap.stream_reader import breakup_chunk
+except ImportError as missing:
+    raise FileError(
+        "recordings need the library mcap, which is not installed; run: pip install 'stampede-rt[files]'"
+    ) from missing
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_BYTES_MAX = 256 * 1024 * 1024
+"""The largest record that is read, and the largest chunk after decompression. A larger one counts as damage."""
+_FRAME = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_KNOWN_OPCODES = range(0x01, 0x10)
+_PRIVATE_OPCODES = range(0x80, 0x100)  # of other programs; every reader skips them
+# The part of a chunk's head that holds its compression, to find chunks behind a damaged stretch.
+_COMPRESSION = re.compile(rb"\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x00\x00\x00\x00")
+_COMPRESSION_AT = _FRAME.size + 28
+_SEARCH_BYTES = 4 * 1024 * 1024
+DECODE_ERRORS = (
+    McapError, ValueError, struct.error, KeyError, IndexError, OverflowError, MemoryError, RuntimeError, EOFError,
+    zstandard.ZstdError,
+)  # fmt: skip
+"""What a decoder raises for bytes that are no record."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordFrame:
+    """A record's place: its first byte, its opcode, and the bytes of its body, which begins 9 bytes later."""
+
+    offset: int
+    opcode: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """The first byte behind the record."""
+        return self.offset + _FRAME.size + self.length
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A stretch of a file that cannot be read, from the byte `offset` to `end`, exclusive, and why."""
+
+    offset: int
+    end: int
+    detail: str
+
+
+class RecordFile:
+    """An open file of records. A context manager."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file. Raises FileError if it cannot be read or is no MCAP file."""
+        self.path = os.fspath(path)
+        try:
+            self._file: IO[bytes] = open(path, "rb")  # noqa: SIM115  # this object closes it
+        except OSError as error:
+            raise FileError(f"the file {self.path!r} cannot be read: {error.strerror}") from error
+        self.size = self._file.seek(0, os.SEEK_END)
+        if self._read(0, len(MAGIC)) != MAGIC:
+            self._file.close()
+            raise FileError(
+                f"the file {self.path!r} is no MCAP file: it does not begin with the mark of MCAP; "
+                "`stampede import` also reads rosbag2 and XDF"
+            )
+
+    def __enter__(self) -> RecordFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def _read(self, offset: int, length: int) -> bytes:
+        try:
+            self._file.seek(offset)
+            return self._file.read(length)
+        except OSError as error:
+            raise FileError(f"the file {self.path!r} cannot be read: {error.strerror or error}") from error
+
+    def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
+        """Yield the records from the byte `offset` on, and the stretches that are none. Ends at the end mark.
+
+        A file that ends without the end mark ends with a Damage of what is left, perhaps of no bytes.
+        """
+        while True:
+            frame = self.frame_at(offset)
+            if frame is None and self.size - offset == len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC:
+                return
+            if frame is not None:
+                yield frame
+                offset = frame.end
+                continue
+            behind = self._next_chunk(offset + 1)
+            end = self.size if behind is None else behind
+            detail = "the file ends without its end mark" if behind is None else "these bytes are no record"
+            yield Damage(offset, end, detail)
+            if behind is None:
+                return
+            offset = behind
+
+    def frame_at(self, offset: int) -> RecordFrame | None:
+        """Return the record at a byte; None if there is no whole record."""
+        head = self._read(offset, _FRAME.size)
+        if len(head) < _FRAME.size:
+            return None
+        opcode, length = _FRAME.unpack(head)
+        known = opcode in _KNOWN_OPCODES or opcode in _PRIVATE_OPCODES
+        if not known or length > self.size - offset - _FRAME.size:
+            return None
+        return RecordFrame(offset, opcode, length)
+
+    def _next_chunk(self, offset: int) -> int | None:
+        """Find the next whole and unharmed chunk at or after a byte. Reads the file in parts."""
+        while offset < self.size:
+            part = self._read(offset, _SEARCH_BYTES + _COMPRESSION_AT + 8)
+            for match in _COMPRESSION.finditer(part, _COMPRESSION_AT):
+                start = match.start() - _COMPRESSION_AT
+                if part[start] == Opcode.CHUNK and self._is_chunk(offset + start):
+                    return offset + start
+            offset += _SEARCH_BYTES
+        return None
+
+    def _is_chunk(self, offset: int) -> bool:
+        frame, head = self.frame_at(offset), self._read(offset + _FRAME.size, _CHUNK_HEAD.size)
+        if frame is None or frame.opcode != Opcode.CHUNK or len(head) < _CHUNK_HEAD.size:
+            return False
+        _, _, uncompressed, _, name_length = _CHUNK_HEAD.unpack(head)
+        stored = self._read(offset + _FRAME.size + _CHUNK_HEAD.size + name_length, 8)
+        length = int.from_bytes(stored, "little") + _CHUNK_HEAD.size + name_length + 8
+        if uncompressed > RECORD_BYTES_MAX or length != frame.length:
+            return False
+        try:
+            self.chunk_records(frame)
+        except FileError:
+            return False
+        return True
+
+    def body(self, frame: RecordFrame) -> bytes:
+        """Read the body of a record. Raises FileError if it is too large."""
+        if frame.length > RECORD_BYTES_MAX:
+            raise FileError(
+                f"the record at byte {frame.offset} of {self.path!r} has {frame.length} bytes; at most "
+                f"{RECORD_BYTES_MAX} are read; the file is damaged, or not made for this reader"
+            )
+        return self._read(frame.offset + _FRAME.size, frame.length)
+
+    def checksum(self, offset: int, end: int) -> int:
+        """Return the CRC-32 of the bytes from `offset` to `end`, exclusive. Reads them in parts."""
+        found = 0
+        while offset < end and (part := self._read(offset, min(_SEARCH_BYTES, end - offset))):
+            found = zlib.crc32(part, found)
+            offset += len(part)
+        return found
+
+    def record(self, frame: RecordFrame, kind: Any) -> Any:
+        """Decode a record as a class of `mcap.records`. Raises FileError."""
+        try:
+            return kind.read(ReadDataStream(BytesIO(self.body(frame))))
+        except DECODE_ERRORS as error:
+            raise self._damaged(frame, error) from error
+
+    def chunk_records(self, frame: RecordFrame) -> list[McapRecord]:
+        """Decode a chunk into its records. Raises FileError if its checksum, its compression or a record is wrong."""
+        chunk: Chunk = self.record(frame, Chunk)
+        try:
+            data = _decompressed(chunk)
+            if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+                raise ValueError("its checksum does not match its content")
+            plain = Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, len(data))
+            return breakup_chunk(plain)
+        except (*DECODE_ERRORS, TypeError) as error:
+            raise self._damaged(frame, error) from error
+
+    def _damaged(self, frame: RecordFrame, error: BaseException) -> FileError:
+        return FileError(
+            f"the record at byte {frame.offset} of {self.path!r} is damaged: {error or type(error).__name__}; "
+            "`stampede file recover` saves the rest"
+        )
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """Return the content of a chunk. Never makes more bytes than it may have, whatever the chunk says."""
+    limit = chunk.uncompressed_size
+    if limit > RECORD_BYTES_MAX:
+        raise ValueError(f"a chunk says that it has {limit} bytes; at most {RECORD_BYTES_MAX} are read")
+    unpack = _UNPACKERS.get(chunk.compression)
+    if unpack is None:
+        raise ValueError(f"its compression {chunk.compression!r} is not known")
+    data = unpack(chunk.data, limit + 1)
+    if len(data) != limit:
+        raise ValueError(f"it has {len(data)} bytes in place of {limit}")
+    return data
+
+
+def _unpacked_zstd(data: bytes, bytes_max: int) -> bytes:
+    with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as reader:
+        return reader.read(bytes_max)
+
+
+def _unpacked_lz4(data: bytes, bytes_max: int) -> bytes:
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=bytes_max))
+
+
+_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+    "": lambda data, bytes_max: data[:bytes_max],
+    "zstd": _unpacked_zstd,
+    "lz4": _unpacked_lz4,
+}

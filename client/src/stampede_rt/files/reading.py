@@ -1,0 +1,320 @@
+"""Reads files chunk by chunk: messages with their facts, gaps, advances, and what is damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    Channel,
+    ChunkIndex,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Statistics,
+)
+from mcap.records import Schema as SchemaRecord
+
+from stampede_rt.errors import FileError
+from stampede_rt.files.entries import (
+    FACTS_TOPIC,
+    INCARNATION_KEY,
+    FileAdvance,
+    FileEntry,
+    ReadFacts,
+    Schema,
+    Topic,
+)
+from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
+from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
+
+SUMMARY_NAME = "stampede.summary"  # of a metadata record
+CLOCKS_NAME = "stampede.clocks"
+_FOOTER_BYTES = 9 + 20 + len(MAGIC)
+_CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
+Event = FileEntry | RecordingGap | FileAdvance
+
+
+@dataclass(slots=True)
+class Content:
+    """What one chunk has. `unknown` counts messages whose topic the file does not name, `bare` those without facts."""
+
+    offset: int
+    end: int
+    entries: list[FileEntry] = field(default_factory=list)
+    gaps: Sequence[RecordingGap] = ()
+    advances: Sequence[FileAdvance] = ()
+    unknown: int = 0
+    bare: int = 0
+
+    def events(self) -> Iterator[Event]:
+        """Yield messages, gaps and advances in the order in which the host had them, channel by channel."""
+        waiting = self._waiting()
+        for entry in self.entries:
+            queue = waiting.get((entry.topic.name, entry.topic.incarnation), [])
+            while queue and entry.seq is not None and queue[0][0] < entry.seq:
+                yield queue.pop(0)[1]
+            yield entry
+        for queue in waiting.values():
+            yield from (event for _, event in queue)
+
+    def _waiting(self) -> dict[tuple[str, int | None], list[tuple[float, Event]]]:
+        """Return the gaps and advances of each channel, with the seq behind which each belongs, in this order."""
+        waiting: dict[tuple[str, int | None], list[tuple[float, Event]]] = {}
+        for gap in self.gaps:
+            last = gap.last_seq if gap.last_seq is not None else float("inf")
+            waiting.setdefault((gap.channel, gap.incarnation), []).append((last, gap))
+        for advance in self.advances:
+            waiting.setdefault((advance.channel, advance.incarnation), []).append((advance.after_seq, advance))
+        for queue in waiting.values():
+            queue.sort(key=lambda one: one[0])
+        return waiting
+
+
+@dataclass(slots=True)
+class FileIndex:
+    """What the end of a whole file says: counts, chunks, topics and metadata, without reading the messages."""
+
+    statistics: Statistics | None = None
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    topics: dict[int, Topic] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+
+
+class FileReader:
+    """Reads one MCAP file. A context manager. Keeps one chunk in memory at a time."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file. Raises FileError if it cannot be read or is no MCAP file."""
+        self._records = RecordFile(path)
+        self.path = self._records.path
+        self.size = self._records.size
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, Topic] = {}
+        self._facts_ids: set[int] = set()
+        self.library = ""
+        self._index: FileIndex | None = None
+        self._looked = False
+        first = self._records.frame_at(len(MAGIC))
+        if first is not None and first.opcode == Opcode.HEADER:
+            self.library = str(self._records.record(first, Header).library)
+
+    def __enter__(self) -> FileReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._records.__exit__()
+
+    @property
+    def index(self) -> FileIndex | None:
+        """The index at the end of the file; None if the file has none, as after a crash of its writer."""
+        if not self._looked:
+            self._looked = True
+            try:
+                self._index = self._read_index()
+            except FileError:  # a damaged index is none
+                self._index = None
+        return self._index
+
+    def contents(self) -> Iterator[Content | Damage | Attachment | Metadata]:
+        """Yield the chunks in the order of the file, damaged stretches, attachments, and metadata."""
+        for frame in self._records.frames():
+            if isinstance(frame, Damage):
+                yield frame
+                continue
+            if frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                end = self.index
+                if end is not None:
+                    return
+                continue  # damaged, or a file without an index: look on for its end mark
+            found: Content | Damage | Attachment | Metadata | None
+            try:
+                found = self._read(frame)
+            except FileError as error:
+                found = Damage(frame.offset, frame.end, error.message)
+            if found is not None:
+                yield found
+
+    def content_at(self, offset: int) -> Content:
+        """Read the chunk at a byte, as the index names it. Raises FileError."""
+        frame = self._records.frame_at(offset)
+        if frame is None or frame.opcode != Opcode.CHUNK:
+            raise FileError(f"the index of {self.path!r} names a chunk at byte {offset}, and there is none")
+        return self._content(frame, self._records.chunk_records(frame))
+
+    def metadata(self, name: str) -> dict[str, str] | None:
+        """Return the last metadata record of that name that the index names; None if there is none."""
+        places = [one for one in (self.index.metadata if self.index else ()) if one.name == name]
+        if not places:
+            return None
+        frame = self._records.frame_at(places[-1].offset)
+        if frame is None or frame.opcode != Opcode.METADATA:
+            return None
+        record = self._records.record(frame, Metadata)
+        return dict(record.metadata) if record.name == name else None
+
+    def summary(self) -> RecordingSummary | None:
+        """Return the summary that a recorder wrote; None if there is none. Raises FileError if it is damaged."""
+        found = self.metadata(SUMMARY_NAME)
+        return None if found is None else summary_of(self.path, found)
+
+    def _read(self, frame: RecordFrame) -> Content | Attachment | Metadata | None:
+        if frame.opcode == Opcode.CHUNK:
+            return self._content(frame, self._records.chunk_records(frame))
+        if frame.opcode == Opcode.MESSAGE:
+            body = self._records.body(frame)
+            if len(body) < 22:
+                raise FileError(f"the message at byte {frame.offset} of {self.path!r} is too short")
+            return self._content(frame, [_message(body)])
+        if frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            kind = SchemaRecord if frame.opcode == Opcode.SCHEMA else Channel
+            self._learn(self._records.record(frame, kind))
+        if frame.opcode == Opcode.ATTACHMENT:
+            return self._records.record(frame, Attachment)  # type: ignore[no-any-return]
+        if frame.opcode == Opcode.METADATA:
+            return self._records.record(frame, Metadata)  # type: ignore[no-any-return]
+        return None
+
+    def _learn(self, record: McapRecord) -> None:
+        if isinstance(record, SchemaRecord):
+            self._schemas[record.id] = Schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel):
+            if record.topic == FACTS_TOPIC:
+                self._facts_ids.add(record.id)
+            self._topics[record.id] = _topic(record, self._schemas)
+
+    def _content(self, frame: RecordFrame, records: Sequence[McapRecord]) -> Content:
+        content = Content(frame.offset, frame.end)
+        for record in records:
+            self._learn(record)
+        messages = [record for record in records if isinstance(record, Message)]
+        try:
+            facts = ReadFacts.decode([one.data for one in messages if self._is_facts(one)])
+        except ValueError as error:
+            raise FileError(f"the chunk at byte {frame.offset} of {self.path!r} is damaged: {error}") from error
+        content.gaps, content.advances = facts.gaps, facts.advances
+        for message in messages:
+            if self._is_facts(message):
+                continue
+            topic = self._topic_of(message.channel_id)
+            if topic is None:
+                content.unknown += 1
+                continue
+            entry = _entry(topic, message, facts)
+            content.bare += topic.incarnation is not None and entry.seq is None
+            content.entries.append(entry)
+        return content
+
+    def _is_facts(self, message: Message) -> bool:
+        if message.channel_id not in self._topics:
+            self._topic_of(message.channel_id)
+        return message.channel_id in self._facts_ids
+
+    def _topic_of(self, number: int) -> Topic | None:
+        """Return a topic. If the chunk that names it is damaged, the index at the end of the file names it, too."""
+        found = self._topics.get(number)
+        if found is None and self.index is not None and (found := self.index.topics.get(number)) is not None:
+            self._topics[number] = found
+            if found.name == FACTS_TOPIC:
+                self._facts_ids.add(number)
+        return found
+
+    def _read_index(self) -> FileIndex | None:
+        place = self._records.frame_at(self.size - _FOOTER_BYTES) if self.size > _FOOTER_BYTES else None
+        if place is None or place.opcode != Opcode.FOOTER:
+            return None
+        footer = self._records.record(place, Footer)
+        start = footer.summary_start
+        if not len(MAGIC) <= start < place.offset:
+            return None
+        if footer.summary_crc and self._records.checksum(start, place.end - 4) != footer.summary_crc:
+            return None
+        index = FileIndex()
+        for frame in self._records.frames(start):
+            if isinstance(frame, Damage):
+                return None
+            if frame.offset >= place.offset:
+                break
+            self._add_to_index(index, frame)
+        return index
+
+    def _add_to_index(self, index: FileIndex, frame: RecordFrame) -> None:
+        if frame.opcode == Opcode.SCHEMA:
+            schema = self._records.record(frame, SchemaRecord)
+            index.schemas[schema.id] = Schema(schema.name, schema.encoding, schema.data)
+        elif frame.opcode == Opcode.CHANNEL:
+            channel = self._records.record(frame, Channel)
+            index.topics[channel.id] = _topic(channel, index.schemas)
+        elif frame.opcode == Opcode.STATISTICS:
+            index.statistics = self._records.record(frame, Statistics)
+        elif frame.opcode == Opcode.CHUNK_INDEX:
+            index.chunks.append(self._records.record(frame, ChunkIndex))
+        elif frame.opcode == Opcode.METADATA_INDEX:
+            index.metadata.append(self._records.record(frame, MetadataIndex))
+
+
+def _message(body: bytes) -> Message:
+    number = int.from_bytes
+    return Message(
+        channel_id=number(body[:2], "little"),
+        sequence=number(body[2:6], "little"),
+        log_time=number(body[6:14], "little"),
+        publish_time=number(body[14:22], "little"),
+        data=body[22:],
+    )
+
+
+def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
+    metadata = dict(channel.metadata)
+    text = metadata.pop(INCARNATION_KEY, "")
+    incarnation = int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None
+    schema = schemas.get(channel.schema_id) if channel.schema_id else None
+    return Topic(channel.topic, channel.message_encoding, incarnation, schema, tuple(metadata.items()))
+
+
+def _entry(topic: Topic, message: Message, facts: ReadFacts) -> FileEntry:
+    found = facts.of(topic, message.sequence)
+    if found is None:
+        return FileEntry(
+            topic, message.log_time, message.publish_time, message.sequence, message.data, None, message.log_time,
+            None, {}, content_type_of_encoding(topic.encoding),
+        )  # fmt: skip
+    time = message.log_time if found.time is None else found.time
+    return FileEntry(
+        topic, message.log_time, message.publish_time, message.sequence, message.data, found.seq, time, found.duration,
+        found.attributes, found.content_type,
+    )  # fmt: skip
+
+
+def content_type_of_encoding(encoding: str) -> str:
+    """Return the content type for a message encoding of MCAP."""
+    known = _CONTENT_TYPES.get(encoding)
+    if known is not None:
+        return known
+    return encoding if "/" in encoding else f"application/x-{encoding}"
+
+
+def summary_fields(summary: RecordingSummary) -> dict[str, str]:
+    """Return the metadata that keeps a summary."""
+    channels = json.dumps([one.to_json() for one in summary.channels], ensure_ascii=False, separators=(",", ":"))
+    return {"version": "1", "channels": channels, "absent": json.dumps(list(summary.absent))}
+
+
+def summary_of(path: str, values: dict[str, str]) -> RecordingSummary:
+    """Return the summary in a metadata record. Raises FileError if it is damaged."""
+    try:
+        channels: list[Any] = json.loads(values["channels"])
+        absent = tuple(str(one) for one in json.loads(values.get("absent", "[]")))
+        found = tuple(RecordedCounts.from_json(one) for one in channels)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise FileError(f"the summary of the file {path!r} is damaged: {error}") from error
+    return RecordingSummary(path=path, channels=found, absent=absent)

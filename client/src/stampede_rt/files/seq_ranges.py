@@ -1,0 +1,45 @@
+"""A set of seqs, kept as ranges: the seqs of a recording have few holes. Pure."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+
+
+class SeqRanges:
+    """Whole numbers, as ranges that do not touch."""
+
+    def __init__(self) -> None:
+        self._firsts: list[int] = []
+        self._lasts: list[int] = []
+
+    def __contains__(self, seq: int) -> bool:
+        place = bisect_right(self._firsts, seq) - 1
+        return place >= 0 and seq <= self._lasts[place]
+
+    def add(self, seq: int) -> bool:
+        """Add a seq. Returns whether it is new."""
+        if seq in self:
+            return False
+        self.add_range(seq, seq)
+        return True
+
+    def add_range(self, first: int, last: int) -> None:
+        """Add the seqs from `first` to `last`, inclusive."""
+        begin = bisect_right(self._lasts, first - 2)  # the first range that touches or follows
+        end = bisect_right(self._firsts, last + 1)
+        if begin < end:
+            first, last = min(first, self._firsts[begin]), max(last, self._lasts[end - 1])
+        self._firsts[begin:end], self._lasts[begin:end] = [first], [last]
+
+    def missing(self, first: int, last: int) -> Iterator[tuple[int, int]]:
+        """Yield the ranges from `first` to `last`, inclusive, that the set lacks."""
+        place = bisect_right(self._lasts, first - 1)
+        while first <= last:
+            if place >= len(self._firsts) or self._firsts[place] > last:
+                yield first, last
+                return
+            if self._firsts[place] > first:
+                yield first, self._firsts[place] - 1
+            first = self._lasts[place] + 1
+            place += 1

@@ -1,0 +1,127 @@
+"""Counts what a recording has of one channel, and finds out what is missing. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from stampede_rt.values.model import Item
+from stampede_rt.values.recording import GAPS_KEPT_MAX, NOT_READ, UNEXPLAINED, RecordedCounts, RecordingGap
+
+
+class ChannelTally:
+    """Counts the items and gaps of one incarnation of a channel.
+
+    The host numbers the items that it accepts. `live_seq` is the seq of the first item after the recording began.
+    Every later seq belongs to the recording, so the tally knows how many items there must be, apart from the gaps that
+    the host has told.
+    """
+
+    def __init__(self, channel: str, incarnation: int, live_seq: int) -> None:
+        self.channel = channel
+        self.incarnation = incarnation
+        self._live_seq = live_seq
+        self._end_seq = live_seq - 1  # the last seq of the recording
+        self._recorded = self._live_recorded = self._payload_bytes = 0
+        self._told = 0  # missing items by the gaps
+        self._gaps: list[RecordingGap] = []
+        self._gap_count = 0
+        self._first_seq: int | None = None
+        self._last_seq: int | None = None
+        self._start: int | None = None
+        self._end: int | None = None
+        self.advance: int | None = None
+        self.written_to = live_seq - 1  # the last seq that the file has, or names as missing
+        self.sealed = False  # whether the channel's part of the recording has ended
+
+    @property
+    def recorded(self) -> int:
+        """The number of items in the file."""
+        return self._recorded
+
+    @property
+    def end_seq(self) -> int:
+        """The last seq that belongs to the recording, as known so far."""
+        return self._end_seq
+
+    def add(self, items: Sequence[Item]) -> None:
+        """Count items that are in the file now. Their seqs rise."""
+        if not items:
+            return
+        times = [item.time for item in items]
+        self._recorded += len(items)
+        self._live_recorded += sum(item.seq >= self._live_seq for item in items)
+        self._payload_bytes += sum(item.payload_length_bytes for item in items)
+        self._first_seq = items[0].seq if self._first_seq is None else self._first_seq
+        self._last_seq = items[-1].seq
+        self._start = min(times) if self._start is None else min(self._start, *times)
+        self._end = max(times) if self._end is None else max(self._end, *times)
+        self.reaches(items[-1].seq)
+
+    def add_gap(self, gap: RecordingGap) -> None:
+        """Count a gap that is in the file now."""
+        self._told += gap.items or 0
+        self._gap_count += 1
+        if len(self._gaps) < GAPS_KEPT_MAX:
+            self._gaps.append(gap)
+        if gap.last_seq is not None:
+            self.reaches(gap.last_seq)
+
+    def reaches(self, seq: int) -> None:
+        """The recording reaches at least to `seq`, inclusive."""
+        self._end_seq = max(self._end_seq, seq)
+
+    def ends(self, accepted_to: int, read_to: int) -> list[RecordingGap]:
+        """End at the seq `accepted_to`, the last that the host has accepted. The stream has been read to `read_to`.
+
+        Returns the gaps that nobody has told: items that were not read, and items without any reason. The caller
+        writes them, and adds them here.
+        """
+        self.reaches(accepted_to)
+        gaps, unread = [], max(0, accepted_to - read_to)
+        if unread:
+            detail = f"the recording ended before it had read seq {read_to + 1} to {accepted_to}"
+            gaps.append(self._gap(NOT_READ, detail, read_to + 1, accepted_to, unread))
+        if unexplained := max(0, self._live_missing() - self._told - unread):
+            detail = f"the host accepted {unexplained} items more than it has sent or named as missing"
+            gaps.append(self._gap(UNEXPLAINED, detail, self._live_seq, self._end_seq, unexplained))
+        return gaps
+
+    def _gap(self, reason: str, detail: str, first_seq: int, last_seq: int, items: int) -> RecordingGap:
+        return RecordingGap(
+            channel=self.channel, incarnation=self.incarnation, reason=reason, detail=detail, first_seq=first_seq,
+            last_seq=last_seq, items=items,
+        )  # fmt: skip
+
+    def _live_missing(self) -> int:
+        return self._end_seq - self._live_seq + 1 - self._live_recorded
+
+    def counts(self) -> RecordedCounts:
+        """Return the counts so far."""
+        live = self._end_seq - self._live_seq + 1
+        held = self._recorded - self._live_recorded  # items of before the recording began
+        return RecordedCounts(
+            channel=self.channel,
+            incarnation=self.incarnation,
+            accepted=live + held + max(0, self._told - self._live_missing()),
+            recorded=self._recorded,
+            missing=max(self._told, self._live_missing()),
+            gaps=tuple(self._gaps),
+            gap_count=self._gap_count,
+            payload_bytes=self._payload_bytes,
+            first_seq=self._first_seq,
+            last_seq=self._last_seq,
+            start=self._start,
+            end=self._end,
+            advance=self.advance,
+        )
+
+
+def merged(counts: RecordedCounts, gap: RecordingGap) -> RecordedCounts:
+    """Return the counts with one more gap."""
+    missing = gap.items or 0
+    gaps = (*counts.gaps, gap)[:GAPS_KEPT_MAX]
+    return replace(
+        counts, accepted=counts.accepted + missing, missing=counts.missing + missing, gaps=gaps,
+        gap_count=counts.gap_count + 1,
+    )  # fmt: skip

@@ -1,0 +1,130 @@
+"""The values of recordings: gaps, and the counts of each recorded channel. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+GAPS_KEPT_MAX = 1000  # of one channel, in a summary; the file itself names all
+UNEXPLAINED = "UNEXPLAINED"
+NOT_READ = "NOT_READ"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordingGap:
+    """Items of a channel that a recording lacks.
+
+    - `reason`: "COLLECTED" (retention took the items before the recorder read them), "LOST" (their host was lost),
+      "DELETED" (the channel was deleted), "NOT_READ" (the recording ended first), "DAMAGED" (the file was damaged
+      there), "UNEXPLAINED" (the host accepted the items, and sent neither them nor a reason). `detail` explains it.
+    - `first_seq` and `last_seq` enclose the missing items; None: not known. `items` is their number; None: not known.
+    - `start` and `end` are the stretch of time in which items may be missing, in nanoseconds; None: not known.
+    """
+
+    channel: str
+    incarnation: int
+    reason: str
+    detail: str
+    first_seq: int | None = None
+    last_seq: int | None = None
+    items: int | None = None
+    start: int | None = None
+    end: int | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the gap as a JSON object. The incarnation is text, because it may exceed the integers of JSON."""
+        return asdict(self) | {"incarnation": str(self.incarnation)}
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RecordingGap:
+        """Return the gap of a JSON object. Raises ValueError, KeyError or TypeError if the object is no gap."""
+        numbers = {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "items", "start", "end")}
+        return cls(
+            channel=str(value["channel"]),
+            incarnation=int(value["incarnation"]),
+            reason=str(value["reason"]),
+            detail=str(value.get("detail", "")),
+            **numbers,
+        )
+
+
+def _whole(value: Any) -> int | None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
+        raise ValueError(f"{value!r} is no whole number")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedCounts:
+    """One incarnation of a channel in a recording: `accepted == recorded + missing`, always.
+
+    - `accepted` counts the items that the host accepted and that belong to the recording, `recorded` those in the file,
+      and `missing` those that the gaps name. `gaps` has the first 1000 gaps. A gap whose number of items is not known
+      counts as 0 in `missing`; `complete` is then False all the same.
+    - `first_seq` and `last_seq` are those of the recorded items, `start` and `end` their least and greatest time. None
+      without items. `advance` is the channel's last advance in the recording.
+    """
+
+    channel: str
+    incarnation: int
+    accepted: int
+    recorded: int
+    missing: int
+    gaps: Sequence[RecordingGap]
+    gap_count: int
+    payload_bytes: int
+    first_seq: int | None
+    last_seq: int | None
+    start: int | None
+    end: int | None
+    advance: int | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file has every item that belongs to the recording."""
+        return not self.gap_count
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the counts as a JSON object."""
+        gaps = [gap.to_json() for gap in self.gaps]
+        return asdict(self) | {"incarnation": str(self.incarnation), "gaps": gaps}
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RecordedCounts:
+        """Return the counts of a JSON object. Raises ValueError, KeyError or TypeError if the object has none."""
+        counts: dict[str, Any] = {name: _whole(value[name]) or 0 for name in _COUNTS}
+        counts |= {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "start", "end", "advance")}
+        gaps = tuple(RecordingGap.from_json(gap) for gap in value["gaps"][:GAPS_KEPT_MAX])
+        return cls(channel=str(value["channel"]), incarnation=int(value["incarnation"]), gaps=gaps, **counts)
+
+
+_COUNTS = ("accepted", "recorded", "missing", "gap_count", "payload_bytes")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordingSummary:
+    """What a finished recording has. `path` is the file.
+
+    `absent` lists the names and globs that matched no channel, and channels that the recording could not follow.
+    `complete` is False if anything is missing.
+    """
+
+    path: str
+    channels: Sequence[RecordedCounts]
+    absent: Sequence[str] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing."""
+        return not self.absent and all(one.complete for one in self.channels)
+
+    @property
+    def recorded(self) -> int:
+        """The number of recorded items of all channels."""
+        return sum(one.recorded for one in self.channels)
+
+    @property
+    def missing(self) -> int:
+        """The number of missing items of all channels, as far as it is known."""
+        return sum(one.missing for one in self.channels)

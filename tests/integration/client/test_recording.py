@@ -1,0 +1,232 @@
+"""Recordings of live channels, with both clients."""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt._sync import channel_recording
+from stampede_rt.files import writing
+from stampede_rt.files.editing import verify
+from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.files.recordings import read
+from tests.support.waiting import wait_until
+
+cluster = cluster_fixture(hosts=2, supernodes=1)
+MS = 1_000_000
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+def items_of(path: Path, channel: str) -> list[st.Item]:
+    events, damages = read(path)
+    assert not damages
+    return [event.to_item() for event in events if isinstance(event, FileEntry) and event.topic.name == channel]
+
+
+def test_the_past_and_the_future_of_a_channel_are_recorded(rt: st.Connection, tmp_path: Path) -> None:
+    channel, path = rt.channel("both", max_age="60s"), tmp_path / "a.mcap"
+    base = st.now() - 5_000 * MS
+    channel.put(b"too old", time=base - 4_000 * MS)
+    for number in range(20):
+        channel.put(b"%d" % number, time=base + number * MS, duration="1ms", attributes={"n": str(number)})
+    with rt.record(channel, path, since="6s") as recorder:
+        channel.put(b"late", time=base + 3 * MS)
+        channel.put(b"new", content_type="text/plain")
+    check_both(path, [*channel.get(st.OLDEST, st.NOW)], recorder.summary)
+
+
+async def test_the_asyncio_client_records_the_same(cluster: LocalCluster, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    async with aio.connect(cluster.address) as rt:
+        channel = await rt.channel("aio/both", max_age="60s")
+        base = st.now() - 5_000 * MS
+        await channel.put(b"too old", time=base - 4_000 * MS)
+        for number in range(20):
+            await channel.put(b"%d" % number, time=base + number * MS, duration="1ms", attributes={"n": str(number)})
+        async with rt.record("aio/*", path, since="6s") as recorder:
+            await channel.put(b"late", time=base + 3 * MS)
+            await channel.put(b"new", content_type="text/plain")
+        summary = await recorder.wait()
+        held = [*await channel.get(st.OLDEST, st.NOW)]
+    check_both(path, held, summary)
+
+
+def check_both(path: Path, held: list[st.Item], summary: st.RecordingSummary | None) -> None:
+    expected = {item.seq: item._replace(end=None) for item in held if item.payload != b"too old"}
+    found = items_of(path, _only_name(summary))
+    assert [item._replace(end=None) for item in found] == [expected[seq] for seq in sorted(expected)]
+    assert summary is not None
+    (counts,) = summary.channels
+    assert (counts.accepted, counts.recorded, counts.missing) == (22, 22, 0)
+    assert summary.complete
+    assert verify(path).intact
+
+
+def _only_name(summary: st.RecordingSummary | None) -> str:
+    assert summary is not None
+    return summary.channels[0].channel
+
+
+def test_a_glob_follows_channels_that_appear_later_from_their_first_item(rt: st.Connection, tmp_path: Path) -> None:
+    rt.channel("rig/one").put(b"held")
+    path = tmp_path / "a.mcap"
+    with rt.record(["rig/*", "other"], path) as recorder:
+        late = rt.channel("rig/two")
+        for number in range(5):
+            late.put(b"%d" % number)
+        rt.channel("aside").put(b"not recorded")
+        wait_until(lambda: "rig/two" in recorder.channels)
+    assert recorder.summary is not None
+    assert [(one.channel, one.recorded) for one in recorder.summary.channels] == [("rig/one", 0), ("rig/two", 5)]
+    assert recorder.summary.absent == ("no channel matches 'other'",)
+    assert not recorder.summary.complete
+    assert [item.payload for item in items_of(path, "rig/two")] == [b"0", b"1", b"2", b"3", b"4"]
+
+
+def test_advances_are_recorded_behind_the_items_that_they_follow(rt: st.Connection, tmp_path: Path) -> None:
+    channel, path = rt.channel("advancing", max_age="60s"), tmp_path / "a.mcap"
+    base = st.now() - 10_000 * MS
+    with rt.record(channel, path):
+        first = channel.put(b"1", time=base)
+        channel.advance(base + 5 * MS)
+        second = channel.put(b"2", time=base + 6 * MS)
+        channel.advance(base + 7 * MS)
+    events, _ = read(path)
+    advances = [event for event in events if isinstance(event, FileAdvance)]
+    assert advances[-1] == FileAdvance("advancing", second.incarnation, base + 7 * MS, second.seq)
+    assert all(one.time < base + 7 * MS or one.after_seq >= first.seq for one in advances)
+
+
+def test_what_a_slow_recording_lost_is_named_exactly(
+    rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel, path = rt.channel("fast", max_items=50), tmp_path / "a.mcap"
+    gate, held = threading.Event(), writing.FileWriter.add
+
+    def slow(writer: writing.FileWriter, entries: object) -> None:
+        gate.wait(20)
+        held(writer, entries)  # type: ignore[arg-type]
+
+    gate.set()
+    monkeypatch.setattr(writing.FileWriter, "add", slow)
+    with rt.record(channel, path) as recorder:
+        gate.clear()
+        for _ in range(40):
+            with channel.producer() as producer:
+                for _ in range(50):
+                    producer.put(bytes(10_000))
+        gate.set()
+    assert channel.stats().accepted == 2000
+    assert recorder.summary is not None
+    (counts,) = recorder.summary.channels
+    assert counts.accepted == 2000 == counts.recorded + counts.missing
+    assert counts.missing > 0
+    assert {gap.reason for gap in counts.gaps} == {"COLLECTED"}
+    seqs = {item.seq for item in items_of(path, "fast")}
+    named = {seq for gap in counts.gaps for seq in range(gap.first_seq or 0, (gap.last_seq or 0) + 1)}
+    assert seqs | named == set(range(1, 2001))
+    assert not seqs & named
+    assert verify(path).summary.channels[0].gaps == counts.gaps
+
+
+def test_more_of_the_past_than_the_channel_holds_is_a_named_gap(rt: st.Connection, tmp_path: Path) -> None:
+    channel = rt.channel("short", max_items=3)
+    for number in range(10):
+        channel.put(b"%d" % number)
+    with rt.record(channel, tmp_path / "a.mcap", since="30s", for_="0s") as recorder:
+        summary = recorder.wait()
+    assert summary is not None
+    (counts,) = summary.channels
+    assert counts.recorded == 3
+    assert [gap.reason for gap in counts.gaps] == ["COLLECTED"]
+    assert "give it a longer max_age" in counts.gaps[0].detail
+    assert not summary.complete
+
+
+def test_a_deleted_channel_ends_with_a_gap_and_the_others_go_on(rt: st.Connection, tmp_path: Path) -> None:
+    gone, stays = rt.channel("gone"), rt.channel("stays")
+    with rt.record([gone, stays], tmp_path / "a.mcap") as recorder:
+        gone.put(b"1")
+        wait_until(lambda: recorder.recorded == 1)
+        gone.delete()
+        stays.put(b"2")
+        wait_until(lambda: recorder.recorded == 2)
+    assert recorder.summary is not None
+    by_name = {one.channel: one for one in recorder.summary.channels}
+    assert [gap.reason for gap in by_name["gone"].gaps] == ["DELETED"]
+    assert by_name["stays"].complete
+
+
+def test_a_full_disk_ends_the_recording_with_an_error_and_keeps_what_was_written(
+    rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel, path = rt.channel("disk"), tmp_path / "a.mcap"
+    recorder = rt.record(channel, path)
+    channel.put(b"kept")
+    wait_until(lambda: recorder.recorded == 1)
+    recorder._sink.do(recorder._sink.writer.flush)
+
+    def full(entries: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(recorder._sink.writer, "_add", full)
+    channel.put(b"lost")
+    with pytest.raises(st.FileError, match="No space left on device; free space"):
+        recorder.wait(20)
+    assert [item.payload for item in _readable(path)] == [b"kept"]
+
+
+def _readable(path: Path) -> list[st.Item]:
+    events, _ = read(path)
+    return [event.to_item() for event in events if isinstance(event, FileEntry)]
+
+
+def test_a_file_that_exists_is_not_overwritten_by_accident(rt: st.Connection, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("precious")
+    with pytest.raises(st.FileError, match="exists"):
+        rt.record("any", path)
+    assert path.read_text() == "precious"
+
+
+@pytest.mark.parametrize("wrong", [{"since": 30}, {"compression": "gzip"}, {"for_": "-1s"}, {"overwrite": "yes"}])
+def test_wrong_arguments_make_no_file(rt: st.Connection, tmp_path: Path, wrong: dict[str, object]) -> None:
+    with pytest.raises(st.InvalidArgument):
+        rt.record("any", tmp_path / "a.mcap", **wrong)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
+    rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel, gate = rt.channel("stuck", max_bytes=50_000_000), threading.Event()
+    held = channel_recording.ChannelRecording._write
+
+    def stuck(one: object, *arguments: object) -> None:
+        gate.wait(20)
+        held(one, *arguments)  # type: ignore[arg-type]
+
+    recorder = rt.record(channel, tmp_path / "a.mcap")
+    monkeypatch.setattr(channel_recording.ChannelRecording, "_write", stuck)
+    threading.Timer(1.0, gate.set).start()
+    with recorder:
+        for _ in range(30):
+            channel.put(bytes(200_000))
+        recorder.hurry(0.05)
+    assert recorder.summary is not None
+    (counts,) = recorder.summary.channels
+    assert counts.accepted == 30 == counts.recorded + counts.missing
+    assert counts.gaps[-1].reason == "NOT_READ"

@@ -1,0 +1,216 @@
+"""`stampede record` and `stampede file ...`, as typed at a shell."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.main import main
+from stampede_rt.files.entries import Topic, item_entry
+from stampede_rt.files.reading import FileReader
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.files.recordings import INCARNATION, entries, gap, item, read, seqs_of, write
+from tests.support.processes import started
+from tests.support.waiting import wait_until
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+@pytest.fixture
+def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command: its exit status, and what it printed."""
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+
+    def command(*words: str | Path) -> tuple[int, str, str]:
+        capsys.readouterr()
+        status = main([str(word) for word in words])
+        printed = capsys.readouterr()
+        return status, printed.out, printed.err
+
+    return command
+
+
+def test_the_past_of_a_channel_becomes_a_file(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+    channel, path = rt.channel("flight", max_age="60s"), tmp_path / "a.mcap"
+    for number in range(5):
+        channel.put(b"%d" % number)
+    status, out, told = run("record", "fli*", "--since", "30s", "--for", "0s", "-o", path)
+    assert (status, out.splitlines()[1].split()[:4]) == (0, ["flight", "5", "5", "0"])
+    assert "recording flight" in told
+    status, out, _ = run("file", "info", path)
+    assert status == 0
+    assert "stampede-rt" in out
+    shown = json.loads(run("file", "info", path, "--summary", "json")[1])
+    assert shown["recording"][0]["recorded"] == 5
+    assert run("file", "verify", path)[0] == 0
+
+
+def test_the_status_is_3_if_anything_is_missing(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+    channel = rt.channel("narrow", max_items=2)
+    for number in range(5):
+        channel.put(b"%d" % number)
+    status, out, _ = run("record", "narrow", "--since", "30s", "--for", "0s", "-o", tmp_path / "a.mcap")
+    assert status == 3
+    assert "missing: narrow: an unknown number of items: COLLECTED" in out
+    assert run("file", "verify", tmp_path / "a.mcap")[0] == 3
+    status, out, _ = run("record", "nobody", "--for", "0s", "-o", tmp_path / "b.mcap", "--summary", "json")
+    assert status == 3
+    assert json.loads(out)["absent"] == ["no channel matches 'nobody'"]
+
+
+def recording(cluster: LocalCluster, *words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "stampede_rt.cli", "record", "--url", cluster.address, *map(str, words)]
+
+
+def test_ctrl_c_is_the_regular_end_of_a_recording(cluster: LocalCluster, rt: st.Connection, tmp_path: Path) -> None:
+    channel, path = rt.channel("until"), tmp_path / "a.mcap"
+    with started(recording(cluster, "until", "-o", path), stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        assert "until Ctrl-C" in process.stderr.readline()
+        for number in range(10):
+            channel.put(b"%d" % number)
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert out.splitlines()[1].split()[:4] == ["until", "10", "10", "0"]
+    with FileReader(path) as reader:
+        assert reader.index is not None
+
+
+def test_a_recording_that_is_killed_can_be_recovered(
+    cluster: LocalCluster, rt: st.Connection, run: Command, tmp_path: Path
+) -> None:
+    channel, path, saved = rt.channel("killed", max_age="60s"), tmp_path / "a.mcap", tmp_path / "b.mcap"
+    with started(recording(cluster, "killed", "-o", path), stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        process.stderr.readline()
+        for _ in range(30):
+            channel.put(os.urandom(100_000))
+        wait_until(lambda: len(seqs_of(read(path)[0], "killed")) >= 20)
+        process.send_signal(signal.SIGKILL)
+    status, out, told = run("file", "recover", path, "-o", saved)
+    assert status == 3  # nobody knows what came after
+    seqs = seqs_of(read(saved)[0], "killed")
+    assert seqs == list(range(1, len(seqs) + 1))
+    assert len(seqs) >= 20
+    assert f"killed: an unknown number of items, seq {len(seqs) + 1} to ?: DAMAGED" in out
+    assert "the file ends without its end mark" in told
+    held = {one.seq: one.payload for one in channel.get(st.OLDEST, st.NOW)}
+    assert all(held[one.seq or 0] == one.data for one in read(saved)[0] if getattr(one, "seq", None))
+    assert run("file", "verify", saved)[0] == 3
+
+
+def test_each_item_of_an_event_channel_begins_a_file(cluster: LocalCluster, rt: st.Connection, tmp_path: Path) -> None:
+    channel, events = rt.channel("on/data", max_age="60s"), rt.channel("on/crash")
+    channel.put(b"before")
+    words = ["on/data", "--on", "on/crash", "--since", "30s", "--for", "0s", "-o", tmp_path / "crash.mcap"]
+    with started(recording(cluster, *words), stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        process.stderr.readline()
+        for number in (1, 2):
+            wait_until(lambda: events.stats().subscriptions == 1)
+            events.put(b"crash")
+            path = tmp_path / f"crash-{number:06d}.mcap"
+            wait_until(lambda path=path: path.exists() and _is_finished(path))
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["crash-000001.mcap", "crash-000002.mcap"]
+    assert seqs_of(read(tmp_path / "crash-000002.mcap")[0], "on/data") == [1]
+
+
+def _is_finished(path: Path) -> bool:
+    try:
+        with FileReader(path) as reader:
+            return reader.index is not None
+    except st.FileError:  # nothing is written yet
+        return False
+
+
+def test_wrong_usage_says_what_to_write(run: Command, tmp_path: Path) -> None:
+    status, _, told = run("record", "any", "--on", "event", "-o", tmp_path / "a.mcap")
+    assert (status, "--on needs --for" in told) == (2, True)
+    status, _, told = run("record", "any", "--since", "30", "-o", tmp_path / "a.mcap")
+    assert (status, "--since" in told) == (2, True)
+    status, _, told = run("file", "info", tmp_path / "none.mcap")
+    assert (status, "No such file" in told) == (1, True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_are_cut_and_merged(run: Command, tmp_path: Path) -> None:
+    one = write(tmp_path / "1.mcap", [*entries("cam", range(1, 11)), gap("cam", 11, 15)])
+    two = write(tmp_path / "2.mcap", entries("cam", range(8, 21)))
+    both = tmp_path / "3.mcap"
+    status, out, _ = run("file", "merge", one, two, "-o", both)
+    assert (status, out.splitlines()[1].split()[:4]) == (0, ["cam", "20", "20", "0"])
+    start = item(5).time
+    status, out, _ = run("file", "cut", both, "--from", start, "--to", start + 3_000_000, "-o", tmp_path / "4.mcap")
+    assert seqs_of(read(tmp_path / "4.mcap")[0]) == [5, 6, 7]
+    assert run("file", "cut", both, "--channel", "imu", "-o", tmp_path / "5.mcap")[1:] == (
+        f"{tmp_path / '5.mcap'} has no channels\n", f"stampede: {tmp_path / '5.mcap'} has no items\n",
+    )  # fmt: skip
+
+
+def test_names_in_a_hostile_file_are_escaped_at_the_terminal(run: Command, tmp_path: Path) -> None:
+    bad = Topic("\x1b]0;title\x07cam", "json\x1b[2J", INCARNATION)
+    path = write(tmp_path / "a.mcap", [item_entry(bad, item(1)), gap("\x1b[31mgap", 1, 2)])
+    for verb in ("info", "verify"):
+        _, out, told = run("file", verb, path)
+        assert "\x1b" not in out + told
+        assert "\\x1b" in out
+
+
+def test_a_torn_file_has_no_info_but_a_way_out(run: Command, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 30)), finish=False)
+    status, _, told = run("file", "info", path)
+    assert (status, "`stampede file recover`" in told) == (1, True)
+    status, _, told = run("file", "verify", path)
+    assert (status, "ends without its end mark" in told) == (1, True)
+
+
+def test_the_help_loads_no_library_of_files() -> None:
+    code = "import sys; from stampede_rt.cli.commands import run\ntry: run(['--help'])\nexcept SystemExit: pass\n"
+    code += "libraries = ('mcap', 'lz4', 'zstandard', 'rosbags', 'pyxdf', 'pyarrow', 'numpy')\n"
+    code += "print([name for name in libraries if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_without_the_library_the_error_names_the_extra(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = ("mcap", "stampede_rt.files.w", "stampede_rt._sync.rec")
+    for name in [one for one in sys.modules if one.startswith(loaded)]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    status, _, told = run("record", "any", "--for", "0s", "-o", tmp_path / "a.mcap")
+    assert (status, "pip install 'stampede-rt[files]'" in told) == (1, True)
+
+
+def test_two_threads_of_a_recording_do_not_share_a_turn(rt: st.Connection, tmp_path: Path) -> None:
+    channels = [rt.channel(f"many/{number}") for number in range(8)]
+    with rt.record("many/*", tmp_path / "a.mcap") as recorder:
+        threads = [threading.Thread(target=lambda one=one: [one.put(b"x") for _ in range(25)]) for one in channels]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert recorder.summary is not None
+    assert [one.recorded for one in recorder.summary.channels] == [25] * 8

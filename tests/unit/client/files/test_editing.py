@@ -1,0 +1,145 @@
+"""Torn and damaged files, cuts and merges."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import FileError, InvalidArgument
+from stampede_rt.files.editing import cut, recover, verify
+from stampede_rt.files.entries import FileAdvance
+from stampede_rt.files.merging import merge
+from stampede_rt.files.reading import Content, FileReader
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, read, seqs_of, write
+
+ITEMS = range(1, 101)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """Two channels, ten items in each chunk."""
+    left, right = entries("cam", ITEMS), entries("imu", ITEMS)
+    return write(tmp_path / "whole.mcap", [one for pair in zip(left, right, strict=True) for one in pair])
+
+
+def chunk_ends(path: Path) -> list[int]:
+    with FileReader(path) as reader:
+        return [part.end for part in reader.contents() if isinstance(part, Content)]
+
+
+def test_a_whole_file_is_intact(whole: Path) -> None:
+    report = verify(whole)
+    assert report.intact
+    assert report.summary.complete
+    assert [(one.channel, one.recorded) for one in report.summary.channels] == [("cam", 100), ("imu", 100)]
+
+
+def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: Path, tmp_path: Path) -> None:
+    content, ends = whole.read_bytes(), chunk_ends(whole)
+    torn, saved = tmp_path / "torn.mcap", tmp_path / "saved.mcap"
+    places = {*range(8, len(content), 211), *ends, *(end - 1 for end in ends), *(end + 1 for end in ends)}
+    for length in sorted(places):
+        torn.write_bytes(content[:length])
+        report = recover(torn, saved, overwrite=True)
+        expected = list(range(1, 5 * sum(end <= length for end in ends) + 1))
+        events, damages = read(saved)
+        assert not damages
+        assert seqs_of(events) == seqs_of(events, "imu") == expected, length
+        assert report.damages[-1].end == length
+        for counts in report.summary.channels:  # says what is missing, for each channel that it knows of
+            assert counts.gaps[-1].first_seq == expected[-1] + 1
+            assert counts.gaps[-1].reason == "DAMAGED"
+        assert verify(saved).intact
+
+
+def test_a_flipped_bit_costs_its_chunk_only_and_the_gap_names_its_items(whole: Path, tmp_path: Path) -> None:
+    content, ends = whole.read_bytes(), chunk_ends(whole)
+    flipped, saved = tmp_path / "flipped.mcap", tmp_path / "saved.mcap"
+    drawn = random.Random(7)
+    for _ in range(150):
+        place = drawn.randrange(60, ends[-1])
+        changed = bytearray(content)
+        changed[place] ^= 1 << drawn.randrange(8)
+        flipped.write_bytes(changed)
+        report = recover(flipped, saved, overwrite=True)
+        seqs = seqs_of(read(saved)[0])
+        lost = sorted(set(ITEMS) - {seq for seq in seqs if seq is not None})
+        assert len(lost) in (0, 5), (place, lost)
+        for counts in report.summary.channels:
+            named = [seq for one in counts.gaps for seq in range(one.first_seq or 0, (one.last_seq or 0) + 1)]
+            assert named == lost, place
+            assert counts.accepted == 100 == counts.recorded + counts.missing
+        assert bool(lost) <= bool(report.damages)
+
+
+def test_flipped_bits_anywhere_never_end_in_another_error(whole: Path, tmp_path: Path) -> None:
+    content, drawn = whole.read_bytes(), random.Random(3)
+    flipped, saved = tmp_path / "flipped.mcap", tmp_path / "saved.mcap"
+    for _ in range(100):
+        changed = bytearray(content)
+        for _ in range(20):
+            changed[drawn.randrange(8, len(content))] ^= 1 << drawn.randrange(8)
+        flipped.write_bytes(changed)
+        recover(flipped, saved, overwrite=True)
+        assert verify(saved).intact
+
+
+def test_verify_finds_items_that_the_summary_has_and_the_file_has_not(whole: Path, tmp_path: Path) -> None:
+    content, ends = whole.read_bytes(), chunk_ends(whole)
+    shorter = tmp_path / "shorter.mcap"
+    shorter.write_bytes(content[: ends[3]] + content[ends[4] :])
+    report = verify(shorter)
+    assert not report.intact
+
+
+def test_recover_does_not_write_over_its_source_or_another_file(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="is the file to read"):
+        recover(whole, whole, overwrite=True)
+    with pytest.raises(FileError, match="exists"):
+        recover(whole, write(tmp_path / "b.mcap", []))
+
+
+def test_a_cut_keeps_items_gaps_and_advances_of_its_time(tmp_path: Path) -> None:
+    events = [
+        *entries("cam", range(1, 21)), gap("cam", 21, 25), *entries("cam", range(26, 41)),
+        FileAdvance("cam", INCARNATION, START + 41 * MS, 40), gap("cam", 41, 50), *entries("cam", range(51, 61)),
+        *entries("imu", range(1, 61)),
+    ]  # fmt: skip
+    path = write(tmp_path / "a.mcap", events, chunk_items=7)
+    output = tmp_path / "b.mcap"
+    summary = cut(path, output, start=START + 10 * MS, end=START + 35 * MS, chosen=lambda name: name == "cam")
+    found, _ = read(output)
+    assert seqs_of(found) == [*range(10, 21), *range(26, 35)]
+    assert not seqs_of(found, "imu")
+    assert [one.gaps for one in summary.channels] == [(gap("cam", 21, 25),)]
+    assert verify(output).intact
+    cut(path, output, start=START + 30 * MS, end=START + 100 * MS, overwrite=True)
+    found, _ = read(output)
+    assert [one for one in found if isinstance(one, FileAdvance)] == [events[36]]
+    assert len(seqs_of(found, "imu")) == 31
+
+
+def test_a_damaged_file_is_recovered_before_it_is_cut(whole: Path, tmp_path: Path) -> None:
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole.read_bytes()[:2000])
+    with pytest.raises(FileError, match="stampede file recover"):
+        cut(torn, tmp_path / "b.mcap", start=0, end=1)
+
+
+def test_merged_files_have_each_item_once_and_fill_each_others_gaps(tmp_path: Path) -> None:
+    one = write(
+        tmp_path / "1.mcap", [*entries("cam", range(1, 41)), gap("cam", 41, 60), *entries("cam", range(61, 81))]
+    )
+    two = write(tmp_path / "2.mcap", [gap("cam", 1, 9), *entries("cam", range(10, 51)), gap("cam", 51, 80)])
+    three = write(tmp_path / "3.mcap", entries("imu", range(1, 5)))
+    output = tmp_path / "all.mcap"
+    summary = merge([one, two, three], output)
+    found, _ = read(output)
+    assert seqs_of(found) == [*range(1, 51), *range(61, 81)]
+    assert seqs_of(found, "imu") == [1, 2, 3, 4]
+    cam = summary.channels[0]
+    assert (cam.accepted, cam.recorded, cam.missing) == (80, 70, 10)
+    assert [(gap.first_seq, gap.last_seq) for gap in cam.gaps] == [(51, 60)]
+    assert verify(output).intact
