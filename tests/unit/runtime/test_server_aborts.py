@@ -1,4 +1,7 @@
-"""What a call held goes with the call, also when it was refused: nothing is left to the garbage collector."""
+"""What a call held goes with the call, also when it was refused: nothing is left to the garbage collector.
+
+A stream that its service ends during its first write tells its caller why.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import asyncio
 import contextlib
 import gc
 import weakref
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import grpc
@@ -14,13 +17,16 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime import stream_headers
 from stampede_rt_runtime.access.open_call import OpenCall
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
+from stampede_rt_runtime.stream_headers import send_headers
 
 LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
 RESOLVE = "/stampede_rt.v1.DirectoryService/ResolveChannel"
+LIMIT_S = 20.0
 SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_Charged"}  # what the server's side of a call has
 UPDATE = "/stampede_rt.v1.DirectoryService/UpdateChannel"
 
@@ -114,3 +120,60 @@ async def test_the_task_of_a_call_is_freed_without_the_collector(method: str) ->
             gc.garbage.clear()
             await channel.close()
     assert kept == []
+
+
+async def ended_during(context: Any, step: Callable[[], Awaitable[Any]]) -> None:
+    """Cancel the step once it waits, as the end of a stream does, and end the call with a status."""
+    task = asyncio.current_task()
+    assert task is not None
+    asyncio.get_running_loop().call_soon(task.cancel)
+    try:
+        await step()
+    except asyncio.CancelledError:
+        task.uncancel()
+        await context.abort(grpc.StatusCode.FAILED_PRECONDITION, "the service ended it")
+
+
+async def code_of(behavior: Callable[[Any, Any], Any]) -> grpc.StatusCode:
+    """The status of a stream of `behavior` at a real server."""
+
+    def register(server: grpc.aio.Server) -> None:
+        handlers = {"Stream": grpc.stream_stream_rpc_method_handler(behavior)}
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("test.Streams", handlers),))
+
+    async with serving(register) as server, dial(server.address, secret=None) as channel:
+        call: Any = channel.stream_stream("/test.Streams/Stream")(timeout=LIMIT_S)
+        await call.write(b"request")
+        with pytest.raises(grpc.aio.AioRpcError) as ended:
+            async for _ in call:
+                pass
+        return ended.value.code()
+
+
+@pytest.mark.parametrize("earlier_writes", [0, 1])
+async def test_a_stream_that_is_ended_during_a_write_gets_its_status(earlier_writes: int) -> None:
+    """One that was ended during its first write had no status, and its caller waited for ever."""
+
+    async def behavior(request: Any, context: Any) -> None:
+        for _ in range(earlier_writes):
+            await context.write(b"earlier")
+        await ended_during(context, lambda: context.write(b"message"))
+
+    assert await code_of(behavior) is grpc.StatusCode.FAILED_PRECONDITION
+
+
+async def test_headers_that_nobody_takes_hold_up_the_end_of_a_stream_for_a_limited_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(stream_headers, "HEADERS_SECONDS_MAX", 0.01)
+
+    class Stuck:
+        def send_initial_metadata(self, _: Any) -> Any:
+            return asyncio.Event().wait()
+
+    sending = asyncio.create_task(send_headers(Stuck()))  # type: ignore[arg-type]
+    await asyncio.sleep(0)
+    sending.cancel()
+    async with asyncio.timeout(LIMIT_S):
+        with pytest.raises(asyncio.CancelledError):
+            await sending

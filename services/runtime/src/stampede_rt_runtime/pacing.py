@@ -25,6 +25,7 @@ from stampede_rt_runtime.handlers import behavior_of, is_stream, with_behavior
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.working import CallerWork, charged, costs_of
 from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.stream_headers import send_headers
 
 STREAMS_PER_TURN = 4
 """Their steps take up to 0.5 ms. With 16 in a turn each step would take 0.3 us less (decision 0123)."""
@@ -118,6 +119,7 @@ class PacedContext:
         """`caller`: None for one without quotas. `at_once`: None if all messages go to the stream."""
         self._context = context
         self._at_once = at_once
+        self._has_headers = False
         self._reads = reads
         self._writes = writes
         self._caller = caller or unlimited()
@@ -133,6 +135,9 @@ class PacedContext:
 
     async def write(self, message: Any) -> None:
         """Write a message. Returns when gRPC has taken the message and the gate admits the stream."""
+        if not self._has_headers:
+            self._has_headers = True
+            await send_headers(self._context)
         await self._context.write(message)
         if not self._writes.admits(self._caller):
             await self._writes.turn(self._caller)

@@ -1,0 +1,31 @@
+"""Sends the headers of a stream before its first message.
+
+gRPC would send them with the first message, and note that only when this write has ended. If the service ends it
+during the write, gRPC sends the headers again, with the status. This fails, and the caller would wait for ever.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt_runtime.rpc import Context
+
+HEADERS_SECONDS_MAX = 2.0
+"""How long the end of a stream waits for its headers. They wait only if the caller's system takes nothing at all."""
+
+
+async def send_headers(context: Context) -> None:
+    """Send the headers, and let a cancellation of the task wait until gRPC has noted that. Raises InternalError.
+
+    Streams over sockets have no headers.
+    """
+    send = getattr(context, "send_initial_metadata", None)
+    if send is None:
+        return
+    sending = asyncio.ensure_future(send(()))
+    try:
+        await asyncio.shield(sending)
+    except asyncio.CancelledError:
+        sending.add_done_callback(lambda sent: sent.cancelled() or sent.exception())  # the status fails likewise
+        await asyncio.wait({sending}, timeout=HEADERS_SECONDS_MAX)
+        raise
