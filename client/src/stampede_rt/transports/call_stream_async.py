@@ -1,4 +1,7 @@
-"""An open bidirectional stream on asyncio, whose task reads the responses."""
+"""An open bidirectional stream on asyncio. One task of the stream sends the requests, and another reads the responses.
+
+The callers wait for futures. `call_stream_sync` has the same stream for threads, which need neither.
+"""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
-from weakref import WeakSet, ref
+from weakref import WeakSet
 
 import grpc
 import grpc.experimental
@@ -14,12 +14,13 @@ import grpc.experimental
 from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.cluster.transport_choice import Transport
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error, raise_from_rpc_error
-from stampede_rt.transports import forking, single_thread_call
+from stampede_rt.transports import single_thread_call
 from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
-from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
+from stampede_rt.transports.call_stream_sync import CallStream, LockstepStream
+from stampede_rt.transports.concurrency_sync import within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
@@ -29,7 +30,7 @@ from stampede_rt.transports.socket_connecting_sync import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
 from stampede_rt.transports.socket_sync import SocketCall
-from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed, limit_of
+from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -69,9 +70,9 @@ class ServerEndpoint(Stubs):
         self._enqueue = methods.stream_stream(ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString)
         self._watchdog = Watchdog()
         self._of_thread = threading.local()
-        self._exchanges: WeakSet[_Exchange] = WeakSet()
+        self._call_streams: WeakSet[CallStream] = WeakSet()
         self._socket_calls: WeakSet[SocketCall] = WeakSet()
-        self._mutex = threading.Lock()  # guards the exchanges, and the calls over sockets
+        self._mutex = threading.Lock()  # guards the streams, and the calls over sockets
         self._closed = False
         self.is_stuck = False
         """Whether an interrupt has left a lock of gRPC locked. gRPC's threads then serve no call of this endpoint."""
@@ -194,81 +195,25 @@ class ServerEndpoint(Stubs):
         self._channel.close()
         with self._mutex:
             self._closed = True
-            exchanges, calls = tuple(self._exchanges), tuple(self._socket_calls)
+            streams, calls = tuple(self._call_streams), tuple(self._socket_calls)
         for call in calls:
             call.cancel()
-        for exchange in exchanges:  # gRPC's sending threads wait for requests even when the channel is closed
-            exchange.end()
+        for stream in streams:  # gRPC's sending threads wait for requests even when the channel is closed
+            stream.end()
 
-    def opened(self, exchange: _Exchange) -> None:
-        """Keep a weak reference to `exchange`, and end it when this endpoint closes."""
+    def opened(self, stream: CallStream) -> None:
+        """Keep a weak reference to `stream`, and end it when this endpoint closes."""
         with self._mutex:
-            self._exchanges.add(exchange)
+            self._call_streams.add(stream)
             over = self._closed
         if over:  # the endpoint was closed after the call began
-            exchange.end()
+            stream.end()
 
     def ended(self) -> None:
         """Return at once. The threads of streams are daemons, and end by themselves."""
 
 
-class _Exchange:
-    """An open bidirectional stream."""
-
-    def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, *, in_turn: bool) -> None:
-        self._endpoint = ref(endpoint)
-        self._target = endpoint.target
-        self._call = endpoint.begin_bidi(method, in_turn=in_turn, reads_on=True)
-        self.broken = False
-        self._forks = forking.forks()
-        endpoint.opened(self)
-        # Only the thread that opened this stream may use it. When that thread ends, Python drops this object, and the
-        # library closes the stream.
-        when_dropped(self, self._call.cancel)
-
-    def _error(self, error: BaseException) -> StampedeError:
-        self.cancel()
-        if isinstance(error, grpc.RpcError):
-            return from_rpc_error(error, self._target)
-        return Unavailable(f"{self._target} ended the stream")
-
-    def cancel(self) -> None:
-        """End the stream, within END_LIMIT_S. If it does not end, the next call opens a new connection."""
-        self.broken = True
-        if not within_limit(self.end) and (endpoint := self._endpoint()) is not None:
-            endpoint.is_stuck = True
-
-    def end(self) -> None:
-        """End the stream. Call this on a thread that may wait for gRPC's locks."""
-        self.broken = True
-        if self._forks == forking.forks():
-            self._call.cancel()
-
-
-class _Lockstep(_Exchange):
-    """A stream with at most one request under way."""
-
-    def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, watchdog: Watchdog) -> None:
-        super().__init__(endpoint, method, in_turn=True)
-        self._limit = limit_of(self._call, watchdog)
-        self._next_id = 0
-
-    def _next(self, limit: list[bool]) -> Any:
-        try:
-            return next(self._call)
-        except (grpc.RpcError, StopIteration) as error:
-            failure = self._error(error)
-            if limit:
-                raise DeadlineExceeded(
-                    f"{self._target} did not answer in time; it may be overloaded or stopped"
-                ) from error
-            raise failure from error
-        except BaseException:  # an interrupt: otherwise the next request would get the answer of this one
-            self.cancel()
-            raise
-
-
-class GetExchange(_Lockstep):
+class GetExchange(LockstepStream):
     """Gets on one open stream, one at a time."""
 
     def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
@@ -296,7 +241,7 @@ class GetExchange(_Lockstep):
             raise
 
 
-class PutExchange(_Lockstep):
+class PutExchange(LockstepStream):
     """Puts on one open stream, one at a time."""
 
     one_at_a_time = True
@@ -317,7 +262,7 @@ class PutExchange(_Lockstep):
         return acks[0]
 
 
-class PutDuplex(_Exchange):
+class PutDuplex(CallStream):
     """Puts on one open stream. A thread passes each response to `on_response`, and calls `on_end` once at the end."""
 
     def __init__(
