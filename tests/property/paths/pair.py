@@ -1,8 +1,8 @@
-"""A channel behind a whole path and the oracle side by side: every step is made on both, and everything agrees.
+"""Makes every step on a channel behind a whole path and on the oracle, and checks that the two agree.
 
-The methods are the language in which stories are told, whatever the path: those for reads and subscriptions are in
-`path_reads`, those for puts in `path_puts`. After each of them nothing is under way except what has to wait by the
-book; so each answer is known to the nanosecond although the path may be a concurrent one.
+`PathPair` has one method for each kind of step. The steps of puts are in `puts.py`, those of reads in `reads.py`. Each
+method waits until nothing is under way, except calls that wait by the rules of the oracle. So each answer is known to
+the nanosecond, although a path may be concurrent.
 """
 
 from __future__ import annotations
@@ -20,17 +20,20 @@ from tests.property.paths.values import merge, stated
 
 
 class PathPair(PathPuts):
-    """One channel, twice, and everybody who has to do with it."""
+    """One channel behind a path and in the oracle, with its producers, readers and consumers."""
 
     def tick(self, nanos: int, wall_step: int = 0) -> None:
-        """Time passes; the host's clock follows a wall clock that was set by bending, never by stepping."""
+        """Let time pass, and set the wall clock on or back by `wall_step`.
+
+        The host's clock follows slowly, without a step.
+        """
         before, self.clock = self.clock, self.host.tick(nanos, wall_step=wall_step)
         passed = self.clock - before
         assert passed == nanos or (nanos // 2 <= passed <= nanos + nanos // 2 + 1)
         self._changed()
 
     def advance(self, instant: int) -> None:
-        """A promise; one too far ahead is refused."""
+        """Advance the channel. The host refuses an instant that is too far in the future."""
         holds = self.oracle.advance(instant, self.clock)
         outcome = self.outcome(lambda: self.channel.advance(instant))
         if not holds:
@@ -40,7 +43,10 @@ class PathPair(PathPuts):
             self._changed()
 
     def configure(self, change: Policy) -> None:
-        """Other limits while it runs; what is left out stays. Those that cannot hold are refused and change nothing."""
+        """Change the policy.
+
+        Fields that `change` leaves out stay. An impossible policy is refused, and changes nothing.
+        """
         merged = merge(self.policy, change)
         outcome = self.outcome(lambda: self.channel.configure(**stated(change)))
         if not _can_hold(merged):
@@ -53,17 +59,20 @@ class PathPair(PathPuts):
         self._changed()
 
     def consume(self, consumer_id: int, seqs: Sequence[int], lease: int) -> None:
-        """By any consumer, for any time."""
+        """Consume items as a consumer of any id, with a lease of any length."""
         self._consume(consumer_id, seqs, lease, lambda: self.surface.consume(self.channel, consumer_id, seqs, lease))
 
     def consume_as_participant(self, seqs: Sequence[int]) -> None:
-        """By the first participant, whose place the library keeps. As far as a story goes, that lease does not end."""
+        """Consume items by a handle of the client, which keeps a consumer place.
+
+        Its lease does not end during a test.
+        """
         items = [self.item(self.oracle.log[seq].time, seq) for seq in seqs]
         self._consume(OWN_CONSUMER, seqs, LEASE_NANOS, lambda: self.handles[0].consume(items))
 
     @property
     def keeps_a_place(self) -> bool:
-        """The library renews a lease, of which only real time knows when."""
+        """Whether the client keeps a consumer place. It renews the lease in real time, so tests cannot say when."""
         places = self.oracle.consumers
         return places is not None and any(place.consumer_id == OWN_CONSUMER for place in places.taken)
 
@@ -85,7 +94,7 @@ class PathPair(PathPuts):
         self.settle()
 
     def end(self) -> None:
-        """The channel is deleted, and whoever waits for it is told."""
+        """Delete the channel, and check that all waiting calls end with ChannelNotFound."""
         for follower in self.followers:
             follower.followed.subscription.close()
         self.surface.do(self.channel.delete)

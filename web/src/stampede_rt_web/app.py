@@ -45,7 +45,9 @@ class WebSettings:
     )
     secret_file: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", help="the file of the cluster's secret; without it: as every client finds it"),
+        metadata=setting(
+            metavar="FILE", help="the file of the cluster's secret; without it the page looks where all clients do"
+        ),
     )
     channels: str = field(
         default="*", metadata=setting(metavar="GLOB", shared=False, help="the channels that the page lists")
@@ -53,12 +55,16 @@ class WebSettings:
     token_file: Path | None = field(
         default=None,
         metadata=setting(
-            metavar="FILE", shared=False, help="the file of the login token, made if absent; needed beyond loopback"
+            metavar="FILE",
+            shared=False,
+            help="the file of the login token, made if absent; needed on addresses beyond loopback",
         ),
     )
     tls_certificate: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", shared=False, help="the page's certificate (PEM); needed beyond loopback"),
+        metadata=setting(
+            metavar="FILE", shared=False, help="the page's certificate (PEM); needed on addresses beyond loopback"
+        ),
     )
     tls_key: Path | None = field(
         default=None, metadata=setting(metavar="FILE", shared=False, help="the private key (PEM) of the certificate")
@@ -70,7 +76,7 @@ class WebSettings:
 
     @property
     def may_listen_anywhere(self) -> bool:
-        """Whether the page has what it needs to be seen from other machines: TLS and a login."""
+        """Whether other machines may see the page: it has TLS and a login."""
         return self.token_file is not None and self.tls_certificate is not None
 
 
@@ -81,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings = load_settings(WebSettings, service="web", argv=words, environ=os.environ)
         address = check_listen(settings.listen, allow_insecure_anywhere=settings.may_listen_anywhere)
         token = None if settings.token_file is None else read_token(settings.token_file)
-        if settings.secret_file is not None:  # the client reads it from here, and so does the examination of the parts
+        if settings.secret_file is not None:  # the client and `examine` of `stampede doctor` read it there
             os.environ["STAMPEDE_SECRET_FILE"] = str(settings.secret_file)
         asyncio.run(_serve(settings, address, token))
     except HelpRequested as asked:
@@ -101,7 +107,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def read_token(path: Path) -> str:
-    """Return the login token in the file. Makes the file, which only this user may read, if it is absent.
+    """Return the login token in the file. If the file is absent, makes one that only this user may read.
 
     Raises CannotListen if the token is too short, and OSError.
     """
@@ -171,7 +177,7 @@ def _sockets(address: Address) -> list[socket.socket]:
         try:
             one = socket.create_server((where[0], port), family=family, backlog=CONNECTIONS_MAX)
         except OSError:
-            if sockets:  # a machine without IPv6 whose names still have IPv6 addresses
+            if sockets:  # on a machine without IPv6, a name may still have an IPv6 address
                 continue
             raise
         port = one.getsockname()[1]

@@ -1,7 +1,7 @@
-"""What the page draws of a track in an interval: each item, or the number of items in each pixel. Pure.
+"""The drawing of a track in an interval: each item, or the number of items in each pixel. Pure.
 
-JavaScript's numbers cannot hold nanoseconds since the epoch. So instants travel as microseconds after `base`, the start
-of the interval, and `base` itself as text.
+JavaScript's numbers cannot hold nanoseconds since the epoch. So the answer gives instants as microseconds after `base`,
+the start of the interval, and `base` itself as text.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 
 from stampede_rt_web.track import ABSENT, ItemTrack
 
-PIXELS_FOR_ITEM_MIN = 3  # if an item has less room than this, the page draws the density
-WIDTH_MAX = 4096
-MARKS_SHOWN_MAX = 64
+PIXELS_FOR_ITEM_MIN = 3  # if items have less room than this, the page draws the number of items in each pixel
+WIDTH_MAX = 4096  # pixels
+MARKS_SHOWN_MAX = 64  # the latest marks of the interval
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,7 +30,10 @@ class Window:
 
 
 def draw(track: ItemTrack, window: Window, *, overlap_nanos: int = 0) -> dict[str, Any]:
-    """Return the drawing of a track as JSON values. Its size depends on the window's width, not on the items."""
+    """Return the drawing of a track as JSON values. The window's width limits its size, however many items there are.
+
+    `overlap_nanos`: the channel's policy `overlap`.
+    """
     inside = track.between(window.start, window.end)
     drawing: dict[str, Any] = {"count": _count(track, window), "marks": _marks(track, window)}
     if len(inside) * PIXELS_FOR_ITEM_MIN <= window.width:
@@ -41,7 +44,7 @@ def draw(track: ItemTrack, window: Window, *, overlap_nanos: int = 0) -> dict[st
 
 
 def _item(track: ItemTrack, index: int, window: Window, overlap_nanos: int) -> list[float | None]:
-    """Return [begin, end, seq, bytes]; the end is None if the item has no duration."""
+    """Return [begin, end, seq, payload bytes]. The end of the span is None if the item has no duration."""
     time, duration = track.times[index], track.durations[index]
     end: float | None = None
     if duration != ABSENT:

@@ -1,7 +1,7 @@
-"""Keeps tracks of channels up to date by reads without payloads, at the pace of the pages that show them.
+"""Keeps tracks of channels up to date by reads without payloads, as often as pages ask for drawings of them.
 
-One read for each channel serves all pages. A page that shows a channel asks for its drawing some times a second. The
-read then asks the host for the items that came since the read before.
+A page asks for the drawing of each channel that it shows several times a second. The server then reads the items that
+came since its last read of the channel. One read serves all pages.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from stampede_rt.values.timeline import NEWEST, OLDEST
 from stampede_rt_web.drawing import Window
 from stampede_rt_web.track import ITEMS_MAX, ItemTrack, Mark, TrackItem
 
-PAGE_ITEMS = 4096  # the items of one read
-TRACKS_MAX = 64  # the tracks with the most recent readers stay
-REFRESH_NANOS = 150_000_000  # pages that ask more often get the same items
+PAGE_ITEMS = 4096  # the most items of one read
+TRACKS_MAX = 64
+REFRESH_NANOS = 150_000_000  # the least time between two reads of one channel
 
 
 class FollowedChannel:
-    """One channel's handle and track, and what the last read left open."""
+    """One channel's handle and track, and the state of the reads that fill the track."""
 
     def __init__(self, channel: aio.Channel) -> None:
         self.channel = channel
         self.track = ItemTrack()
         self.failure = ""
-        self.is_gone = False  # the channel was deleted; another one of its name needs another handle
+        self.is_gone = False  # the channel was deleted; a new channel of the same name needs another handle
         self._lock = asyncio.Lock()
         self._read_at = 0
         self._newest: int | None = None  # None: the first read has not come yet
@@ -36,9 +36,10 @@ class FollowedChannel:
         self._refused: dict[str, int] | None = None
 
     async def refresh(self, window: Window, stats: ChannelStats | None) -> None:
-        """Read the new items, and older ones if the window begins before the track. At most one read at a time.
+        """Read the new items, and older ones if the window begins before the track.
 
-        A failed read leaves the track as it is, and its sentence in `failure`.
+        Does nothing within REFRESH_NANOS after the last call that read. If a read fails, the track stays as it is, and
+        `failure` says why.
         """
         async with self._lock:
             now = time.time_ns()
@@ -110,7 +111,10 @@ class FollowedChannel:
 
 
 class FollowedChannels:
-    """The channels that pages show, by name. At most TRACKS_MAX; the one that nobody reads for longest goes first."""
+    """The channels that pages show, by name.
+
+    Beyond TRACKS_MAX, forgets the channel that no page has shown for longest.
+    """
 
     def __init__(self) -> None:
         self._followed: OrderedDict[str, FollowedChannel] = OrderedDict()

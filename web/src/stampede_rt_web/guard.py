@@ -1,7 +1,8 @@
-"""Who may see the page: the login token, the check of the Host header, and the headers that fence scripts.
+"""Who may see the page: the login token, the check of the Host header, and the headers that limit scripts.
 
-On loopback the page needs no login. A page of another site could reach it there by a name that leads to 127.0.0.1, so
-the server answers only requests whose Host header is a name of loopback. Elsewhere the page has TLS and a login.
+On loopback the page needs no login. A script of another site could reach the page by a name that leads to 127.0.0.1
+(DNS rebinding). So the server answers only requests whose Host header is a name of loopback. On other addresses the
+page has TLS and a login.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ _LOGIN = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>St
 
 
 class Guard:
-    """ASGI middleware. `token` is None if the page needs no login; `secure` says whether the page has TLS."""
+    """ASGI middleware. `token` is None if the page needs no login; `secure` says whether the page has TLS.
+
+    With `loopback_only` it answers only requests whose Host header is a name of loopback.
+    """
 
     def __init__(self, app: ASGIApp, *, token: str | None, secure: bool, loopback_only: bool) -> None:
         self._app = app
@@ -45,18 +49,18 @@ class Guard:
         self._loopback_only = loopback_only
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or refuse it. Every answer gets the headers that fence scripts."""
+        """Answer a request, or refuse it. Every answer gets the headers that limit scripts."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
 
-        async def fenced(message: Message) -> None:
+        async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
                 message["headers"] = [*message.get("headers", ()), *headers]
             await send(message)
 
-        await (await self._refusal(Request(scope, receive)) or self._app)(scope, receive, fenced)
+        await (await self._refusal(Request(scope, receive)) or self._app)(scope, receive, with_headers)
 
     async def _refusal(self, request: Request) -> Response | None:
         """Return the answer for a request that the app must not see; None if the app may answer."""

@@ -1,4 +1,4 @@
-"""The item of each channel at one instant, with a preview, and the steps from item to item."""
+"""Finds the item of a channel at an instant, with a preview, and the times of the items before and after."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from stampede_rt_web.preview import picture_of, preview_of
 
 PICTURES_BYTES_MAX = 64 * 1024 * 1024
 PICTURE_BYTES_MAX = 8 * 1024 * 1024  # a larger picture is not shown
-NEWEST_NANOS = 150_000_000  # pages that follow the newest item more often than this get the same answer
+NEWEST_NANOS = 150_000_000  # pages that ask for the newest item more often get the same answer
 
 Key = tuple[bytes, int, int]  # the channel's id, its incarnation, and the item's seq
 Direction = Literal["next", "previous"]
 
 
 class PictureCache:
-    """The pictures that pages will fetch, by item; at most PICTURES_BYTES_MAX. The oldest goes first."""
+    """The pictures that pages will fetch, by item. Beyond PICTURES_BYTES_MAX, drops the picture that was kept first."""
 
     def __init__(self) -> None:
         self._pictures: OrderedDict[str, tuple[str, bytes]] = OrderedDict()
         self._bytes = 0
 
     def keep(self, key: str, content_type: str, picture: bytes) -> None:
-        """Keep a picture until the room is needed for others."""
+        """Keep a picture until later pictures need its room."""
         if key not in self._pictures:
             self._pictures[key] = (content_type, picture)
             self._bytes += len(picture)
@@ -37,21 +37,24 @@ class PictureCache:
             self._bytes -= len(gone)
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Return the content type and the bytes of a picture; None if it is not here any more."""
+        """Return the content type and the bytes of a picture; None if the cache has dropped it."""
         return self._pictures.get(key)
 
 
 class ItemPreviews:
-    """Answers what a channel held at an instant. Several pages that ask for the newest item share one read."""
+    """Makes answers with the item of a channel at an instant.
+
+    Several pages that ask for the newest item share one read.
+    """
 
     def __init__(self) -> None:
         self.pictures = PictureCache()
         self._newest: OrderedDict[tuple[str, str], tuple[int, dict[str, Any]]] = OrderedDict()
 
     async def at(self, reader: aio.Channel | aio.GroupChannel, group: str, instant: int | None) -> dict[str, Any]:
-        """Return the item whose span holds `instant` (nanoseconds), or the newest one if `instant` is None.
+        """Return the answer with the item whose span contains `instant` (nanoseconds); None: the newest item.
 
-        The answer says why there is none.
+        If there is no such item, the answer says why.
         """
         key = (reader.name, group)
         if instant is None and key in self._newest and time.time_ns() - self._newest[key][0] < NEWEST_NANOS:
@@ -94,7 +97,7 @@ class ItemPreviews:
 
 
 async def step(reader: aio.Channel | aio.GroupChannel, instant: int, direction: Direction) -> str | None:
-    """Return the time of the next later or earlier item than `instant`, as text; None if there is none."""
+    """Return the time of the first item after `instant`, or of the last item before it, as text; None: there is none."""
     found = await reader.get(
         OLDEST,
         NEWEST,

@@ -1,4 +1,4 @@
-"""The state of the whole cluster, as the page shows it: read at most once a second, and only while a page asks."""
+"""The state of the whole cluster, as the page shows it. The server reads it at most once a second, while pages ask."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from stampede_rt.cli.output import policy_text
 
 COUNTERS_NANOS = 1_000_000_000  # the least time between two reads of counters
 LISTS_NANOS = 3_000_000_000  # the least time between two reads of the directory's lists
-REST_FACTOR = 5  # a read that takes long is followed by a rest of this many times its own length
-DETAILS_MAX = 64  # groups and queues whose state the page asks for, one by one
-ROWS_MAX = 2000  # channels that one answer lists
+REST_FACTOR = 5  # after a long read, the server reads nothing for this many times the time that the read took
+DETAILS_MAX = 64  # the most groups, and the most queues, whose state the server reads
+ROWS_MAX = 2000  # the most channels that one answer lists
 
 Value = TypeVar("Value")
 
 
 class Overview:
-    """Reads lists and counters of a cluster. `channels_glob` limits the channels."""
+    """Reads lists and counters of a cluster. Reads only channels whose names match `channels_glob`."""
 
     def __init__(self, channels_glob: str) -> None:
         self._glob = channels_glob
@@ -108,7 +108,7 @@ class Overview:
         self.stats = stats
 
     async def _unless_refused(self, what: str, read: Callable[[], Awaitable[Value]], otherwise: Value) -> Value:
-        """Return the answer of `read`. If it fails, note why, and return `otherwise`."""
+        """Return the answer of `read`. If it fails, add the reason to the notes of the page, and return `otherwise`."""
         try:
             return await read()
         except StampedeError as error:
@@ -146,7 +146,7 @@ class Overview:
         }
 
     def _rate(self, name: str, stats: ChannelStats) -> tuple[float | None, float | None]:
-        """Return the items and bytes a second since the read before; None at the first read."""
+        """Return the items and the bytes per second since the previous read; (None, None) if they are not known."""
         before = self._rates.get(name)
         self._rates[name] = (stats.host_time, stats.accepted, stats.accepted_bytes)
         if before is None or stats.host_time <= before[0] or stats.accepted < before[1]:

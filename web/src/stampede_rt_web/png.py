@@ -8,14 +8,14 @@ from typing import Any
 
 SIDE_MAX = 512
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # grey, RGB, RGBA; by the number of values for a pixel
+_COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # grey, RGB, RGBA, by the number of values of a pixel
 
 
 def png_of(array: Any) -> bytes | None:
     """Return a numpy array as a PNG of at most SIDE_MAX pixels on a side; None if it is no picture.
 
-    A picture has the shape (height, width), or (height, width, 1, 3 or 4). Numbers that are no bytes are spread over
-    black to white between the least and the greatest of the shown ones.
+    A picture has the shape (height, width), or (height, width, 1, 3 or 4). Numbers of other types than uint8 are
+    scaled: the least shown number becomes black (0), the greatest white (255).
     """
     import numpy as np
 

@@ -1,7 +1,7 @@
-"""What the page shows of an item's payload: a picture, a wave form, a plot, text or bytes. Pure.
+"""The preview of an item's payload: a picture, a wave form, a plot, text or bytes. Pure.
 
-A payload comes from any producer, so nothing here believes it. Each preview has a bound in bytes. Pictures travel as
-bytes with a content type from a short list, and never as SVG, which could hold a script.
+Payloads come from any producers, so this module expects every payload to be malformed or hostile. Each preview has a
+bound in bytes. A picture has a content type of PICTURE_TYPES, and is never SVG, which could contain a script.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ PICTURE_TYPES = {"image/jpeg": b"\xff\xd8\xff", "image/png": b"\x89PNG\r\n\x1a\n
 """The content types of pictures, and the first bytes of their payloads."""
 DECODED_BYTES_MAX = 4 * 1024 * 1024  # a larger array or JSON text is shown as bytes
 TEXT_CHARACTERS_MAX = 2000
-HEX_BYTES_MAX = 256
-POINTS_MAX = 512
-NUMBERS_MAX = 8
+HEX_BYTES_MAX = 256  # the bytes of a payload that the preview shows in hexadecimal
+POINTS_MAX = 512  # the most points of a plot or wave form
+NUMBERS_MAX = 8  # the most numbers of a JSON object
 _RATE = re.compile(r"rate=(\d{1,7})")
 
 
@@ -37,7 +37,7 @@ def picture_of(content_type: str, payload: bytes) -> tuple[str, bytes] | None:
 
 
 def preview_of(content_type: str, payload: bytes) -> dict[str, Any]:
-    """Return the preview of a payload as JSON values. `kind` says which one: picture, wave, plot, json, text or hex."""
+    """Return the preview of a payload as JSON values. `kind` is picture, wave, plot, json, text or hex."""
     kind = _kind(content_type)
     if picture_of(content_type, payload) is not None:
         return {"kind": "picture", **(_array_facts(payload) if kind == NumpyCodec.content_type else {})}
@@ -66,7 +66,7 @@ def hex_lines(payload: bytes) -> str:
 
 
 def numbers_in(value: Any) -> dict[str, float]:
-    """Return the finite numbers of a JSON value, by their names: a bare number as "value", or those of an object."""
+    """Return the finite numbers of a JSON object by their names. A JSON number by itself has the name "value"."""
     if isinstance(value, dict):
         named = {name: one for name, one in value.items() if _is_number(one)}
         return {str(name)[:64]: float(one) for name, one in list(named.items())[:NUMBERS_MAX]}
@@ -109,7 +109,10 @@ def _plot(payload: bytes) -> dict[str, Any] | None:
 
 
 def _wave(content_type: str, payload: bytes) -> dict[str, Any]:
-    """Return the least and the greatest sample of each of at most POINTS_MAX stretches, between -1 and 1."""
+    """Divide the samples into at most POINTS_MAX parts, and return the least and the greatest sample of each part.
+
+    Samples are from -1 to 1.
+    """
     import numpy as np
 
     samples = np.frombuffer(payload[: len(payload) // 2 * 2], dtype="<i2")

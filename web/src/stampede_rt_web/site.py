@@ -1,6 +1,7 @@
-"""The page's requests: static files, the state of the cluster, drawings of tracks, items and pictures.
+"""Answers the page's requests: static files, the state of the cluster, drawings of tracks, items and pictures.
 
-All requests read. Each has a bound on what it may name, and the answers are JSON with escaped non-ASCII letters.
+No request changes anything. A request names at most TRACKS_MAX channels. Answers are JSON with escaped non-ASCII
+letters.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from stampede_rt_web.items import Direction, ItemPreviews, step
 from stampede_rt_web.overview import Overview
 
 STATIC = Path(__file__).parent / "static"
-FINDINGS_NANOS = 10_000_000_000  # pages that ask for the findings more often get the same ones
-CONNECT_REST_SECONDS = 1.0  # after a failed attempt to connect
+FINDINGS_NANOS = 10_000_000_000  # pages that ask for the findings of `stampede doctor` more often get the same findings
+CONNECT_REST_SECONDS = 1.0  # the least time between a failed attempt to connect and the next one
 
 
 class Site:
@@ -128,7 +129,7 @@ class Site:
             return {"channel": name, "failure": error.message}
 
     async def _reader(self, rt: aio.Connection, name: str, group: str) -> aio.Channel | aio.GroupChannel:
-        """Return the channel, or the group's view of it if it is a member."""
+        """Return the channel `name`; if it is a member of `group`, its descriptor in the group."""
         if group:
             opened = await rt.group(group)
             if any(member.name == name for member in opened):
@@ -157,7 +158,7 @@ class Site:
     async def _answer_picture(self, request: Request) -> Response:
         found = self._previews.pictures.get(request.path_params["key"])
         if found is None:
-            raise HTTPException(404, "This picture is not kept any more; ask for its item again.")
+            raise HTTPException(404, "The server does not keep this picture any more; ask for its item again.")
         return Response(found[1], media_type=found[0])
 
 

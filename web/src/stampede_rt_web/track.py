@@ -16,8 +16,8 @@ from typing import Literal, NamedTuple
 
 ITEMS_MAX = 32_768
 MARKS_MAX = 256
-MISSING_MAX = 4096
-ABSENT = -1  # in the column of durations: the item has none
+MISSING_MAX = 4096  # the seqs of accepted items that the track does not hold
+ABSENT = -1  # in the column of durations: the item has no duration
 
 MarkKind = Literal["late", "refused", "lost", "missed"]
 
@@ -45,7 +45,10 @@ class Mark:
 
 
 class ItemTrack:
-    """The items of one channel, in the order of their times; of equal times, in the order of their seqs."""
+    """The items of one channel, in the order of their times.
+
+    `seq_max` is the highest seq that the channel has accepted, as far as the track knows.
+    """
 
     def __init__(self) -> None:
         self.times = array("q")
@@ -73,7 +76,7 @@ class ItemTrack:
             self.incarnation, self.seq_max, self._missing = incarnation, 0, set()
 
     def extend(self, items: Iterable[TrackItem]) -> None:
-        """Add items that are later than all others of the track. Seqs that they leave out become missing."""
+        """Add items that are later than all others of the track. The seqs between theirs become missing."""
         for item in items:
             if self.seq_max and item.seq > self.seq_max + 1:
                 self._note_missing(range(self.seq_max + 1, item.seq))
@@ -83,7 +86,10 @@ class ItemTrack:
         self._forget_oldest()
 
     def prepend(self, items: Iterable[TrackItem]) -> None:
-        """Add older items, in time order, before all others, as far as there is room."""
+        """Add items that are older than all others of the track, in time order.
+
+        If there is no room for all, drop the oldest.
+        """
         older = list(items)
         older = older[max(0, len(older) - (ITEMS_MAX - len(self))) :]
         self.times = array("q", [item.time for item in older]) + self.times
@@ -93,7 +99,10 @@ class ItemTrack:
         self.seq_max = max([self.seq_max, *(item.seq for item in older)])
 
     def add_late(self, items: Iterable[TrackItem], now: int) -> None:
-        """Add those of `items` that are missing, each with a mark. Other missing seqs are then given up as missed."""
+        """Add those of `items` that are missing, each with a mark "late".
+
+        One mark "missed" then stands for all items that are still missing, and the track forgets their seqs.
+        """
         for item in items:
             if item.seq in self._missing:
                 self._missing.discard(item.seq)
@@ -107,7 +116,7 @@ class ItemTrack:
         self._forget_oldest()
 
     def expect(self, seq: int) -> None:
-        """Note that the channel has accepted items up to `seq`. Those beyond the newest seen seq become missing."""
+        """Note that the channel has accepted items up to `seq`. Seqs above `seq_max` become missing."""
         if seq > self.seq_max:
             self._note_missing(range(self.seq_max + 1, seq + 1))
             self.seq_max = seq
@@ -115,7 +124,7 @@ class ItemTrack:
     def between(self, start: int, end: int) -> range:
         """Return the indexes of the items whose span can touch [start, end], in nanoseconds.
 
-        The item before `start` belongs to it, because its span may reach into the interval.
+        The last item before `start` is among them, because its span may reach into the interval.
         """
         return range(max(0, bisect_left(self.times, start) - 1), bisect_right(self.times, end))
 

@@ -41,9 +41,11 @@ HOST_PAGES_MAX = 1000  # the pages of the list of hosts
 
 
 class Cluster:
-    """The supernodes of a running cluster. Each call goes to one of the given addresses.
+    """The supernodes of a running cluster.
 
-    `frontends`: the front-ends that named these addresses.
+    A call that names no supernode goes to the first of `addresses` that answers.
+
+    `frontends`: the front-ends that named these addresses; empty if the operator did.
     """
 
     def __init__(self, endpoints: EndpointPool, addresses: list[str], frontends: Sequence[str] = ()) -> None:
@@ -53,7 +55,7 @@ class Cluster:
 
     @property
     def cluster_id(self) -> str:
-        """The id of the cluster. Every call names it. Empty as long as no supernode has told it."""
+        """The id of the cluster, which every call names. Empty until a front-end or supernode has told the id."""
         return self._endpoints.metadata.cluster_id
 
     @property
@@ -112,8 +114,8 @@ class Cluster:
             judges = self._parts(with_frontends=not of_rules)
         except PermissionDenied as error:
             raise PermissionDenied(
-                "this was the credential of this caller: services refuse it now, and it cannot ask which of them do "
-                f"not yet ({error.message})"
+                "this was the credential of this caller: services refuse it now, so the caller cannot "
+                f"ask which services do not refuse it yet ({error.message})"
             ) from error
         except StampedeError as error:  # the change itself has succeeded
             return {"the cluster": error.message}
@@ -298,7 +300,10 @@ def _quotas(endpoint: ServerEndpoint) -> Any:
 
 @contextmanager
 def _explaining_another_service(expected: str, way_out: str) -> Iterator[None]:
-    """While entered, the error of a service without the call says that `expected` is there, and names `way_out`."""
+    """Explain the error of a service that does not serve the call: it is a service of another kind.
+
+    The new error begins with `expected`, such as "no supernode", and tells the operator to name `way_out` instead.
+    """
     try:
         yield
     except StampedeError as error:

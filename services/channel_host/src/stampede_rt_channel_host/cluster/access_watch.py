@@ -35,7 +35,7 @@ class AccessWatch:
     async def missed(self) -> None:
         """Ask for the access state now, because the watch may have missed changes.
 
-        Raises the error that the directory answers, or Unavailable.
+        Raises the error with which the directory refuses, or Unavailable.
         """
         self._control.set_state(await self._ask())
 

@@ -56,8 +56,9 @@ class SnapshotChunk:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InstallSnapshot:
-    """A part of a leader's snapshot, for a member that lacks entries no longer in the log; without a part,
-    a heartbeat. The other fields are those of AppendEntries.
+    """A part of a leader's snapshot, for a member that needs entries which the leader's log no longer has.
+
+    `chunk` None: a heartbeat to such a member. The other fields are those of AppendEntries.
     """
 
     term: int
@@ -96,7 +97,7 @@ class VoteRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteReply:
-    """A vote in `term`. With `pre_vote`: the sender would vote so, and `voter_term` is the sender's own term."""
+    """A vote in `term`. With `pre_vote`: the sender would give this vote, and `voter_term` is its own term."""
 
     term: int
     pre_vote: bool = False
@@ -147,7 +148,7 @@ class ReadIndexRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadIndexReply:
-    """The answer to a ReadIndexRequest: the position; 0 if the asked member cannot tell one."""
+    """The answer to a ReadIndexRequest: the position; 0 if the asked member knows none, for example as a follower."""
 
     request_id: int
     read_index: int
