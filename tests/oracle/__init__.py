@@ -1,8 +1,7 @@
-"""The time model, written down a second time: small, slow, and right on sight.
+"""The oracle: the rules of the time model in a second implementation, which is simple, slow and easy to check.
 
-Everything is found by looking at every item. There is no index, no running total that a definition does not name, and
-no shortcut; sets of instants are compared as sets over continuous time. Paths through the real store, over whatever
-transport, are tested against it.
+The oracle looks at every item for every answer. It has no index, and keeps only the sums that a rule names. It compares
+sets of instants as sets over continuous time. Tests compare the product with the oracle, over each transport.
 """
 
 from tests.oracle.channel import Item, OracleChannel, Refused, Waits

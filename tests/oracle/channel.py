@@ -1,4 +1,4 @@
-"""One channel by the book: items, spans, acceptance and retention."""
+"""The oracle's channel: items, spans, acceptance and retention."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONSUMERS_MAX = 1024
 
 @dataclass(frozen=True, order=True)
 class Item:
-    """An item; they are ordered by time and then by seq. No duration is None: until the next item."""
+    """An item. Items are ordered by time and then by seq. `duration` None: the item is valid until the next item."""
 
     time: int
     seq: int
@@ -30,7 +30,10 @@ class Refused:
 
 @dataclass(frozen=True)
 class Waits:
-    """The put has to wait; age makes room next at `retry_at`, or no age ever does."""
+    """The verdict that a put has to wait.
+
+    At `retry_at` age, or the end of a lease, makes room; None: neither ever does.
+    """
 
     retry_at: int | None
 
@@ -39,15 +42,16 @@ Verdict = Item | Refused | Waits
 
 
 class OracleChannel:
-    """A plain sorted list of held items, and a count for everything that happened to the others.
+    """One channel: the sorted list of the held items, and counts of all other items.
 
-    Who consumes is in `consumers`, if the policy counts it: with `consumers` that many, with `max_age_unconsumed` alone
-    as many as a host takes. Time is settled by `age`, in this order: leases end; buckets grow too old; the oldest items
-    go that nobody holds back, one after the other, up to the first that somebody does; until nothing goes any more.
+    `consumers` has the consumer places, if the policy counts consumption: the number of places that `consumers` states,
+    or, with `max_age_unconsumed` alone, the most places that a host allows. `age` applies the present time in this
+    order: leases end; buckets become too old; the oldest items that no place holds back leave. `age` repeats this until
+    no more items leave.
     """
 
     def __init__(self, policy: Policy, lost_before: int | None = None) -> None:
-        """`lost_before`: when this incarnation began, if one before it was lost."""
+        """`lost_before`: the instant at which this incarnation began, if an earlier incarnation was lost."""
         self.policy = policy
         self.lost_before = lost_before
         self.held: list[Item] = []
@@ -59,7 +63,8 @@ class OracleChannel:
         self.rejected = dict.fromkeys(reasons, 0)
         self.advanced_to: int | None = None
         self.consumed_times: list[int] = []
-        self.came_up_to = 0  # when the last collection was, or the latest item that consumption took then
+        # the time of the last collection, or the latest time of the items that consumption then collected
+        self.came_up_to = 0
         self.consumers: OracleConsumers | None = None
         self._count_consumers()
 
@@ -74,7 +79,7 @@ class OracleChannel:
 
     @property
     def max_age(self) -> int | None:
-        """Ten seconds, if no limit at all is stated."""
+        """The channel's age limit. It is ten seconds if the policy states no limit at all."""
         stated = (self.policy.max_age_nanos, self.policy.max_items, self.policy.max_bytes, self.policy.consumers)
         return 10_000_000_000 if stated == (None,) * 4 else self.policy.max_age_nanos
 
@@ -104,27 +109,35 @@ class OracleChannel:
 
     @property
     def gone_before(self) -> int | None:
-        """No span of a collected item reaches past it. Where items overlap, each may have lasted for the overlap."""
+        """The instant that no span of a collected item passes.
+
+        With overlap, each collected item may have lasted for the overlap.
+        """
         if self.frontier is None:
             return None
         return max([self.frontier, *(time + self.overlap for time in self.collected_times)])
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end that was collected, but never above an item that is still there; if none is, not above
-        what had come when the last one went."""
+        """The latest span end of a collected item, but at most the time of the oldest held item.
+
+        If no item is held, at most the instant up to which items had come at the last collection.
+        """
         if not self.collected_ends:
             return None
         bounds = [item.time for item in self.held] or [self.came_up_to]
         return min(max(self.collected_ends), *bounds)
 
     def now(self, clock: int) -> int:
-        """The later of the clock and the newest item."""
+        """The later of the clock and the newest item's time."""
         return clock if self.newest is None else max(clock, self.newest)
 
     def end(self, item: Item) -> int | None:
-        """The earliest of time + duration and the next later item's time; None for an open newest item. An item with a
-        duration is not cut before it has lasted for the overlap."""
+        """The end of the item's span: the earlier of time + duration and the next later item's time. None: open newest
+        item.
+
+        The next item does not end the span of an item with a duration before the overlap has passed.
+        """
         following = min((other.time for other in self.held if other.time > item.time), default=None)
         if item.duration is None:
             return following
@@ -132,7 +145,10 @@ class OracleChannel:
         return own if following is None else min(own, max(following, item.time + self.overlap))
 
     def span(self, item: Item, clock: int) -> Instants:
-        """Half-open; an instantaneous item is its one instant; an open newest item holds up to and including now."""
+        """The instants of the item's span, half-open.
+
+        The span of an item without extent is its one instant. The span of an open newest item includes now.
+        """
         end = self.end(item)
         if end is None:
             return Instants(item.time, self.now(clock))
@@ -145,7 +161,10 @@ class OracleChannel:
         return self.now(clock) if end is None else end
 
     def counted_end(self, item: Item, clock: int) -> int:
-        """From where its age counts: where items overlap, all count as if they lasted as long as any can."""
+        """The instant from which the item's age counts.
+
+        With overlap, each item counts as if it had the longest possible span.
+        """
         if not self.overlap:
             return self.known_end(item, clock)
         following = min((other.time for other in self.held if other.time > item.time), default=None)
@@ -153,9 +172,12 @@ class OracleChannel:
         return max(end, item.time + self.overlap)
 
     def put(self, time: int, duration: int | None, length: int, clock: int, since: int | None = None) -> Verdict:
-        """One item, put at once or not at all. One without a time of its own that waits since then is judged as if it
-        had been put then, and behind the newest item, where it will be stamped, though not before it would be; the
-        oldest bucket, which its coming would have outdated by now, makes room for it."""
+        """Put one item: accept it, refuse it, or let it wait.
+
+        `since`: the item has no time of its own, and has waited since then. It is judged as if it had been put at
+        `since`, or just after the newest item if that is later, because it will get such a time. If the oldest bucket
+        would be too old by now with the item accepted, the bucket makes room for it.
+        """
         self.age(clock)
         as_if_time = time if since is None else max([since, *(item.time + 1 for item in self.held)])
         waiting = Item(as_if_time, len(self.log) + 1, duration, length)
@@ -196,14 +218,14 @@ class OracleChannel:
         return trial
 
     def _would_go_at_once(self, item: Item, clock: int) -> bool:
-        """By age, count or bytes: consumption does not count."""
+        """Whether age, count or bytes would collect the item as soon as it was accepted. Consumption does not count."""
         trial = self._as_if_put(item)
         trial.grow_old(clock)
         trial.drop_excess(clock)
         return item not in trial.held
 
     def _fits(self, item: Item, clock: int) -> bool:
-        """Within the limits once age has taken what it takes with the item in."""
+        """Whether the channel is within its limits after it has accepted the item and collected the too old items."""
         trial = self._as_if_put(item)
         trial.age(clock)
         return trial._within_limits()
@@ -212,8 +234,11 @@ class OracleChannel:
         return len(self.held) <= (self.policy.max_items or len(self.held)) and self.bytes() <= self.max_bytes
 
     def _retry_at(self, item: Item) -> int | None:
-        """When age makes room, with the item in or without it, or a lease ends; if nobody holds anything back any more,
-        as soon as it is the newest."""
+        """The instant at which a put of the item should be tried again; None: never by itself.
+
+        At this instant age makes room, with the item accepted or without it, or a lease ends. If no place holds items
+        back, it is the item's own time, if the item would then be the newest.
+        """
         instants = [self._as_if_put(item).next_due(), self.next_due()]
         if self._nobody_holds and self.newest is not None and item.time > self.newest:
             instants[0] = item.time
@@ -225,7 +250,10 @@ class OracleChannel:
         return places is not None and self.policy.consumers is not None and not places.untaken and not places.live
 
     def next_due(self) -> int | None:
-        """When age collects the oldest bucket, never if that is the newest, or a lease ends that may hold items."""
+        """The next instant at which age collects the oldest bucket, or a lease ends that may hold items back.
+
+        None: never.
+        """
         instants = []
         if self.max_age is not None and self.oldest != self.newest:
             ends = [self.counted_end(item, 0) for item in self.held if item.time == self.oldest]
@@ -234,7 +262,10 @@ class OracleChannel:
         return min([*instants, *([] if lease_end is None else [lease_end])], default=None)
 
     def _age_of(self, time: int | None) -> int:
-        """The max_age of a bucket: a longer one if it is stated and some live consumer owes an item of it."""
+        """The age limit of a bucket:
+
+        `max_age_unconsumed` if a consumer with a lease owes an item of the bucket, else `max_age`.
+        """
         longest, shortest = self.policy.max_age_unconsumed_nanos, self.max_age
         assert shortest is not None
         if longest is None or self.consumers is None:
@@ -248,7 +279,7 @@ class OracleChannel:
         self.held = sorted([*self.held, item])
 
     def retain(self, clock: int) -> None:
-        """What time brings about, then count, then bytes; then time again, for what these have laid bare."""
+        """Apply age, then the limits of count and bytes, and age again, because the oldest items are now others."""
         self.age(clock)
         self.drop_excess(clock)
         self.age(clock)
@@ -262,18 +293,21 @@ class OracleChannel:
             self._collect(self.held[:1], "bytes", clock)
 
     def age(self, clock: int) -> None:
-        """What time alone brings about, as far as it has not."""
+        """Apply the present time: end leases, and collect the items that are too old or consumed."""
         if self.consumers is not None:
             self.consumers.expire(clock)
         left = None
-        while left != len(self.held):  # what goes for one reason may let others go for the other
+        while left != len(self.held):  # items that leave for one reason may let others leave for the other reason
             left = len(self.held)
             self.grow_old(clock)
             self.use_up(clock)
 
     def grow_old(self, clock: int) -> None:
-        """From the oldest on, every bucket but the newest goes whose last span end is its max_age ago or more. With
-        max_age_unconsumed one that is owed stays, up to that, and so do all behind it."""
+        """Collect from the oldest bucket on each bucket whose last span end is at least its age limit ago.
+
+        The newest bucket stays. With `max_age_unconsumed`, a bucket with an owed item has that limit, and the buckets
+        after it stay, too.
+        """
         while self.max_age is not None and self.oldest != self.newest:
             bucket = [item for item in self.held if item.time == self.oldest]
             if max(self.counted_end(item, clock) for item in bucket) > clock - self._age_of(self.oldest):
@@ -281,8 +315,10 @@ class OracleChannel:
             self._collect(bucket, "age", clock)
 
     def use_up(self, clock: int) -> None:
-        """From the oldest on, every item goes that no place holds back. With nobody left to hold anything back the
-        newest bucket stays, by which the next consumer finds in."""
+        """Collect from the oldest item on each item that no place holds back.
+
+        If no consumer has a lease, the newest bucket stays, so that the next consumer can start there.
+        """
         places = self.consumers
         if places is None or self.policy.consumers is None or places.untaken:
             return
@@ -290,7 +326,10 @@ class OracleChannel:
             self._collect(self.held[:1], "consumption", clock)
 
     def consume(self, consumer_id: int, seqs: list[int], clock: int, lease: int) -> int | None:
-        """How many held items it had not consumed; None if there is no place for it. A lease of 0 gives it up."""
+        """Consume items.
+
+        Returns how many of them the consumer owed; None: no place is free. A lease of 0 gives the place up.
+        """
         self.age(clock)
         assert self.consumers is not None
         known = any(place.consumer_id == consumer_id for place in self.consumers.live)
@@ -321,14 +360,14 @@ class OracleChannel:
         self.held = [item for item in self.held if item not in items]
 
     def advance(self, instant: int, clock: int) -> bool:
-        """A promise; False: it is refused, since it lies further ahead than an item may."""
+        """Advance the channel. Returns False if the instant is further in the future than an item may be."""
         if instant > clock + self.max_future:
             return False
         self.advanced_to = instant if self.advanced_to is None else max(self.advanced_to, instant)
         return True
 
     def configure(self, policy: Policy, clock: int) -> None:
-        """What the old policy outdated by now is gone; then the new one rules."""
+        """Apply the old policy up to now, and then the new policy."""
         self.age(clock)
         self.policy = policy
         self._count_consumers()

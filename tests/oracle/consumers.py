@@ -1,4 +1,4 @@
-"""Consumers by the book: places, leases, and who has consumed which item."""
+"""The oracle's consumer places: leases, and the items that each consumer has consumed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 
 @dataclass
 class OraclePlace:
-    """A place that somebody took. Without a lease it holds nothing; with one, all that its consumer has not consumed,
-    but nothing with a seq below `start`."""
+    """A place that a consumer has taken.
+
+    While its lease is valid, the place holds back all items from seq `start` on that the consumer has not consumed.
+    Without a lease it holds nothing back.
+    """
 
     consumer_id: int
     until: int
@@ -21,14 +24,17 @@ class OraclePlace:
 
 
 class OracleConsumers:
-    """A number of places. The rules:
+    """A number of consumer places. The rules:
 
-    - An item may go once every place lets it go. A place that was never taken lets nothing go.
-    - A consumer takes a place with its first `consume` and keeps it by a lease, which each further one renews.
-    - A place whose lease has ended lets everything go until it is taken again; who takes it starts at the newest item.
-    - A consumer that has a place finds it again. A new one gets the place that ended first, else one never taken, else
-      it is refused.
-    - More places are places never taken. Of fewer, those with a lease stay before those without, longer leases first.
+    - An item may leave once every place lets it go. A place that was never taken holds back all items.
+    - A consumer takes a place with its first `consume`, and keeps it by a lease. Each further `consume` renews the
+      lease.
+    - A place whose lease has ended holds back nothing until a consumer takes it again. This consumer starts at the
+      newest item.
+    - A consumer that has a place keeps it. A new consumer gets the place whose lease ended first. If there is none, it
+      gets a place that was never taken. Otherwise the call is refused.
+    - If the number of places grows, the new places were never taken. If it shrinks, places with a lease stay before
+      places without one, and longer leases before shorter ones.
     """
 
     def __init__(self, number: int) -> None:
@@ -48,14 +54,14 @@ class OracleConsumers:
             place.ended = place.ended or place.until <= clock
 
     def owed(self, seq: int) -> bool:
-        """Some live consumer has yet to consume it."""
+        """Whether a consumer with a valid lease has not consumed the item yet."""
         return any(place.owes(seq) for place in self.live)
 
     def next_lease_end(self) -> int | None:
         return min((place.until for place in self.live), default=None)
 
     def place_for(self, consumer_id: int, newest_seq: int) -> OraclePlace | None:
-        """The consumer's place, which it takes now if it has none; None if there is none for it."""
+        """The consumer's place. A consumer without one takes a place now. None: no place is free."""
         own = [place for place in self.taken if place.consumer_id == consumer_id]
         if own and not own[0].ended:
             return own[0]
@@ -68,7 +74,7 @@ class OracleConsumers:
         return place
 
     def carry(self, clock: int) -> None:
-        """The places go to another owner: of leases that have ended it is told the order, not when they did."""
+        """Move the places to another owner. Of ended leases, it learns only the order in which they ended."""
         self.taken.sort(key=lambda place: (not place.ended, place.until))
         for place in self.taken:
             place.until = clock - 1 if place.ended else place.until

@@ -1,4 +1,4 @@
-"""Sets of instants over continuous time, between two bounds of which each belongs to the set or does not."""
+"""Sets of instants over continuous time: all instants between two bounds, each inclusive or exclusive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stampede_rt.values.timeline import ResolvedInterval
 
 @dataclass(frozen=True)
 class Instants:
-    """All instants between `low` and `high`; with the bound itself where it is closed."""
+    """All instants between `low` and `high`, with the bounds that are closed."""
 
     low: int
     high: int
@@ -22,11 +22,13 @@ class Instants:
 
     @property
     def is_empty(self) -> bool:
-        """Between two different bounds there is always an instant; between equal ones only the bound itself."""
+        """Two different bounds always have an instant between them. Equal bounds have one only if both are closed."""
         return self.low > self.high or (self.low == self.high and not (self.low_closed and self.high_closed))
 
     def shares_an_instant_with(self, other: Instants) -> bool:
-        """Some instant lies in both: the set from the later low bound to the earlier high bound is not empty."""
+        """Whether some instant lies in both sets: the set from the later low bound to the earlier high bound is not
+        empty.
+        """
         low = max(self.low, other.low)
         high = min(self.high, other.high)
         low_closed = all(one.low_closed for one in (self, other) if one.low == low)
@@ -37,7 +39,7 @@ class Instants:
         return self.shares_an_instant_with(Instants(instant, instant))
 
     def lies_in(self, other: Instants) -> bool:
-        """No instant of it, and it has some, is outside of the other."""
+        """Whether the set is not empty, and all its instants lie in the other set."""
         low_fits = self.low > other.low or (self.low == other.low and (other.low_closed or not self.low_closed))
         high_fits = self.high < other.high or (self.high == other.high and (other.high_closed or not self.high_closed))
         return not self.is_empty and low_fits and high_fits

@@ -1,4 +1,4 @@
-"""Queues, written down a second time: small, slow, and right on sight. Every item is looked at for every question."""
+"""The oracle's queue: a second implementation that is simple and slow. It looks at every message for every question."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Lease:
 
 @dataclass
 class Item:
-    """`returned`: how often each of the copies that came back was delivered."""
+    """A message. `returned` has the number of deliveries of each copy that came back."""
 
     seq: int
     length: int
@@ -47,12 +47,14 @@ class Item:
 
 
 Outcome = tuple[tuple[tuple[int, int], ...], int | None, tuple[tuple[int, str], ...], bool]
-"""The accepted places with their seqs, the stamp, the refused places, and whether it is a duplicate."""
+"""The accepted positions with their seqs, the time, the refused positions with reasons, and whether the run is a
+duplicate.
+"""
 
 
 @dataclass(eq=False)
 class Run:
-    """A run to enqueue; `left` are the places that are not settled."""
+    """A run to enqueue. `left` has the positions without a verdict."""
 
     lengths: list[int]
     producer_id: int = 0
@@ -84,7 +86,7 @@ Dealt = tuple[Taker, list[tuple[int, int, int]], int]
 
 
 class OracleQueue:
-    """`dealt` and `finished` grow; whoever compares takes from them."""
+    """One queue. Deliveries are added to `dealt`, and finished runs to `finished`; the test takes them from there."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -94,7 +96,7 @@ class OracleQueue:
         self.line: list[Run] = []
         self.takers: list[Taker] = []
         self.answered: list[tuple[int, int, int, int, tuple]] = []  # type: ignore[type-arg]
-        self.ids: list[tuple[str, int, int]] = []  # message id, seq, when
+        self.ids: list[tuple[str, int, int]] = []  # message id, seq, time of acceptance
         self.acked: dict[int, tuple[int, int]] = {}
         self.counts = dict.fromkeys(
             ("accepted", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
@@ -107,7 +109,7 @@ class OracleQueue:
         self.dead_letter_seqs: list[int] = []
         self.silent: list[Taker] = []
 
-    # --- what callers do
+    # --- calls of producers and takers
 
     def enqueue(self, run: Run, now: int) -> None:
         self.tick(now)
@@ -165,7 +167,10 @@ class OracleQueue:
         self._follow_up()
 
     def settle(self, taker_id: int, verdicts: list[tuple[str, int, int]], now: int) -> list[str | None]:
-        """Verdicts are (kind, delivery, nanoseconds); gives each one's refusal."""
+        """Settle deliveries.
+
+        A verdict is (kind, delivery id, delay in nanoseconds). Returns the refusal of each; None: settled.
+        """
         self.tick(now)
         answers = [self._settle(taker_id, *verdict) for verdict in verdicts]
         self._follow_up()
@@ -266,7 +271,7 @@ class OracleQueue:
             if taker in self.takers:
                 self.takers.remove(taker)
 
-    # --- what follows
+    # --- effects of calls and of time
 
     def pending(self) -> list[tuple[int, int, int, int, int, int]]:
         found = [
@@ -303,7 +308,10 @@ class OracleQueue:
         self._deal()
 
     def _known(self, run: Run) -> str | None:
-        """ "known" and the run has its answer, "overlap", or None. One whose front is known goes on behind it."""
+        """Whether the queue knows the run:
+
+        "known", "overlap" with another run, or None. Resumes a run that is known in part.
+        """
         first, end = run.first_number, run.first_number + len(run.lengths)
         for producer_id, begin, stop, when, judged in reversed(self.answered):
             if not run.producer_id or producer_id != run.producer_id or when <= self.now - REMEMBERED:
@@ -379,7 +387,7 @@ class OracleQueue:
         self._remember(run)
 
     def _remember(self, run: Run) -> None:
-        """One of which nothing came in is judged anew when it comes again."""
+        """Keep the outcome of the run. Without an accepted message, a repeated run is judged anew."""
         if run.first_seq is not None:
             end = run.first_number + len(run.lengths)
             judged = (run.first_seq, run.stamp, tuple(run.seqs), tuple(run.refused), tuple(run.left))
@@ -440,7 +448,9 @@ class OracleQueue:
                 self.takers.remove(taker)
 
     def _serve(self, taker: Taker, takers: int) -> bool:
-        """An equal share of what there is, of the oldest that it neither has nor is done with."""
+        """Deliver to one taker its equal share of the available messages, the oldest first, without those that it had
+        before.
+        """
         free = [item for item in self.items if self._free(item)]
         share = min(-(-len(free) * self.setup.copies // takers), taker.credit)
         mine = [

@@ -1,4 +1,4 @@
-"""Reads by the book: what matches, in what order, and why an answer is empty or partial."""
+"""The oracle's reads: the items that match, their order, and the reason of an empty or partial answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.oracle.instants import Instants
 
 @dataclass(frozen=True)
 class OracleAnswer:
-    """Items ascend; `ends` are their spans' ends, None for open ones."""
+    """The answer to a read. Items ascend. `ends` are the ends of their spans; None for an open span."""
 
     items: list[Item]
     ends: list[int | None]
@@ -31,7 +31,7 @@ class OracleReader:
         self.channel, self.clock = channel, clock
 
     def resolve(self, query: Query) -> ResolvedInterval | None:
-        """Both ends together, or not at all."""
+        """The interval in instants; None if a bound has no instant yet."""
         channel, interval = self.channel, query.interval
         anchors = {None: 0, MetaTime.NOW: channel.now(self.clock)}
         anchors |= {MetaTime.NEWEST: channel.newest, MetaTime.OLDEST: channel.oldest}
@@ -42,12 +42,12 @@ class OracleReader:
         return ResolvedInterval(start, end, interval.start_exclusive, interval.end_exclusive)
 
     def instant_of(self, bound: Bound) -> int | None:
-        """One bound by itself."""
+        """The instant of one bound; None if it has none yet."""
         resolved = self.resolve(Query(interval=Interval(bound, bound)))
         return None if resolved is None else resolved.start
 
     def matches(self, item: Item, within: Instants, match: Match) -> bool:
-        """By span, by start, or whole."""
+        """Whether the item matches by its span, by its start, or with its whole span."""
         if match is Match.START:
             return within.holds(item.time)
         if match is Match.SPAN:
@@ -87,18 +87,21 @@ class OracleReader:
         return _is_earlier(item, query.after) if query.newest_first else _is_later(item, query.after)
 
     def is_over(self, query: Query, interval: ResolvedInterval) -> bool:
-        """Nothing can come into what was asked for."""
+        """Whether no further item can come into the answer."""
         region = _remaining(query, interval)
         return Instants.of(region).is_empty or self._is_below_frontier(region) or self._is_finished(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """An item, even if consumed since, or an advance is at or past an exclusive end, or past an inclusive one."""
+        """Whether no item can come into the interval any more.
+
+        An item, even a consumed one, or an advance is at or past an exclusive end, or past an inclusive end.
+        """
         bounds = (self.channel.newest, self.channel.advanced_to)
         marks = [*(mark for mark in bounds if mark is not None), *self.channel.consumed_times]
         return any(mark >= region.end if region.end_exclusive else mark > region.end for mark in marks)
 
     def _is_below_frontier(self, region: ResolvedInterval) -> bool:
-        """Each of its instants is earlier than the frontier."""
+        """Whether all instants of the interval are earlier than the frontier."""
         frontier = self.channel.frontier
         if frontier is None:
             return False
@@ -109,7 +112,7 @@ class OracleReader:
         return gone_before is not None and region.start < gone_before
 
     def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
-        """It begins before the present incarnation did."""
+        """Whether the interval begins before the present incarnation did."""
         return self.channel.lost_before is not None and region.start < self.channel.lost_before
 
     def _is_before_loss(self, region: ResolvedInterval) -> bool:
@@ -134,14 +137,18 @@ class OracleReader:
 
 
 class OracleGet:
-    """A blocking get: anchors are fixed at the first moment when all of them can be."""
+    """A blocking get. The host resolves its meta-times at the first moment at which all of them have instants."""
 
     def __init__(self, query: Query) -> None:
         self.query = query
         self.interval: ResolvedInterval | None = None
 
     def poll(self, reader: OracleReader) -> OracleAnswer | None:
-        """Released by a match, with `complete` by the interval's end, and always once nothing can come."""
+        """The answer, if the get is released now; else None.
+
+        A matching item releases the get; with `complete`, the end of the interval does. A get that no item can match
+        any more is always released.
+        """
         if self.interval is None:
             self.interval = reader.resolve(self.query)
         if self.interval is None:
@@ -154,7 +161,7 @@ class OracleGet:
         return reader.read(self.query, self.interval)
 
     def wake_at(self, reader: OracleReader) -> int | None:
-        """The first whole nanosecond inside, if that lies ahead."""
+        """The first whole nanosecond of the interval, if it is in the future."""
         if self.interval is None:
             return None
         first = self.interval.start + 1 if self.interval.start_exclusive else self.interval.start
@@ -174,9 +181,9 @@ def _is_earlier(item: Item, position: Position) -> bool:
 
 
 def _remaining(query: Query, interval: ResolvedInterval) -> ResolvedInterval:
-    """The interval cut at the positions: items that could still come into the answer have their times in here.
+    """The part of the interval into which the answer can still get items: the interval cut at the query's positions.
 
-    Behind an item there is room in its own bucket, since newcomers get higher seqs; before it there is none.
+    After an item, its own bucket still has room, because later items get higher seqs. Before an item it has none.
     """
     start, start_open = interval.start, interval.start_exclusive
     end, end_open = interval.end, interval.end_exclusive

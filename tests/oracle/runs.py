@@ -1,4 +1,4 @@
-"""Runs by the book: so many puts at one instant, and runs that a producer sends again."""
+"""The oracle's runs: several puts at one instant, and runs that a producer repeats."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from stampede_rt_channel_host.core.channel import Offer
 from tests.oracle.channel import Item, OracleChannel, Refused, Waits
 
 KEPT_NANOS = 600_000_000_000
-"""For ten minutes a producer's run is recognised."""
+"""A host recognises a repeated run for ten minutes."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """What became of an offer: verdicts up to the first item that has to wait, and the time of items without one."""
+    """The outcome of an offer: verdicts up to the first item that has to wait, and the time of items without one."""
 
     verdicts: Sequence[Item | Refused]
     stamp: int
@@ -22,8 +22,8 @@ class Taken:
 
 
 def put_run(channel: OracleChannel, offer: Offer, clock: int) -> Taken:
-    """Item after item, each with those before it in."""
-    channel.age(clock)  # what is gone by now stamps nothing, not even the newest item
+    """Put the items of an offer one after the other."""
+    channel.age(clock)  # items that are too old by now do not set the time of new items, not even the newest one
     stamp = max(
         [channel.now(clock), *channel.collected_times, *([] if channel.advanced_to is None else [channel.advanced_to])]
     )
@@ -41,8 +41,11 @@ def put_run(channel: OracleChannel, offer: Offer, clock: int) -> Taken:
 
 @dataclass(frozen=True)
 class Ack:
-    """What a producer is told of a run: by place, the seq and the stamp of each accepted item and the reason of each
-    refused one; `judged_at` is the host's clock at the end."""
+    """The answer to a producer: by position the seq and the time of each accepted item, and the reason of each refused
+    one.
+
+    `judged_at` is the host's clock after the last item.
+    """
 
     accepted: Mapping[int, tuple[int, int | None]]
     refused: Mapping[int, str]
@@ -50,13 +53,13 @@ class Ack:
 
     @property
     def first(self) -> tuple[int, int | None]:
-        """Seq and stamp of the first accepted item."""
+        """The seq and the time of the first accepted item."""
         return self.accepted[min(self.accepted)]
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What was known of a run when it was last dealt with: the verdicts up to the first item that had none."""
+    """The known part of a run's outcome: the verdicts up to the first item without one."""
 
     producer_id: int
     numbers: range
@@ -70,14 +73,17 @@ class RunOutcome:
 
 @dataclass
 class OracleRetries:
-    """A run that is sent again under its numbers is answered as before, and nothing of it is put a second time: one of
-    which only the front was judged goes on behind it. One that shares only some numbers with a former run is refused
-    whole. One of which nothing came in is judged anew. A producer without an id is never recognised."""
+    """Recognises repeated runs.
+
+    A repeated run with the same numbers gets its former answer, and none of its items is put again. If only its first
+    items have verdicts, the others are put now. A run that shares only some numbers with a former run is refused as a
+    whole. A run of which no item was accepted is judged anew. A producer without an id is never recognised.
+    """
 
     judged: list[RunOutcome] = field(default_factory=list)
 
     def find(self, producer_id: int, first_number: int, items: int, clock: int) -> RunOutcome | Refused | None:
-        """What became of a run that is known; None: it is new, or was forgotten."""
+        """The outcome of a known run; None: the run is new, or the host has forgotten it."""
         numbers = range(first_number, first_number + items)
         for one in reversed(self.judged):
             known = one.producer_id == producer_id != 0 and one.judged_at > clock - KEPT_NANOS
@@ -90,7 +96,7 @@ class OracleRetries:
     def record(
         self, producer_id: int, first_number: int, items: int, verdicts: Sequence[Item | Refused], clock: int
     ) -> None:
-        """The run was dealt with, or nobody waits for it any more."""
+        """Keep the outcome of a run, because it is complete or its producer has gone."""
         if any(isinstance(one, Item) for one in verdicts):
             numbers = range(first_number, first_number + items)
             self.judged.append(RunOutcome(producer_id, numbers, tuple(verdicts), clock))

@@ -1,4 +1,4 @@
-"""Subscriptions by the book: which seqs are owed, and what counts as later."""
+"""The oracle's subscriptions: the seqs that a reader is owed, and its next newest item."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from tests.oracle.channel import Item, OracleChannel
 
 
 class OracleSubscription:
-    """Every owed item is delivered once, in seq order, or reported missing once it is no longer held."""
+    """Every owed item is delivered once, in the order of seqs, or reported missing once it is no longer held."""
 
     def __init__(self, channel: OracleChannel, owed_at_first: list[int]) -> None:
         self.channel = channel
@@ -14,7 +14,7 @@ class OracleSubscription:
         self._known = len(channel.log)
 
     def owed(self) -> list[int]:
-        """What was not dealt with, in seq order; everything accepted since the beginning is owed."""
+        """The owed seqs in order: all accepted items since the beginning that were not delivered or reported."""
         latest = len(self.channel.log)
         self._owed += range(self._known + 1, latest + 1)
         self._known = latest
@@ -24,13 +24,13 @@ class OracleSubscription:
         return any(item.seq == seq for item in self.channel.held)
 
     def settle(self, seqs: list[int]) -> None:
-        """These, and they must be the first ones owed, are dealt with."""
+        """Note that these seqs were delivered or reported. They must be the first owed ones."""
         assert self.owed()[: len(seqs)] == seqs
         del self._owed[: len(seqs)]
 
 
 class OracleNewest:
-    """The newest item, if it is later than the last one given; the rest of what was meant for it is skipped."""
+    """The newest item, if it is later than the last delivered one. All other items between the two count as skipped."""
 
     def __init__(self, channel: OracleChannel, last: tuple[int, int] | None, meant: list[int]) -> None:
         self.channel = channel

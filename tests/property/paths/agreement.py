@@ -1,4 +1,4 @@
-"""Whether what came over a path is what the book says, to the nanosecond and the byte."""
+"""Checks that answers over a path are those of the oracle, to the nanosecond and the byte."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Contents = Mapping[int, bytes]
 
 
 def same_answer(found: st.Items, expected: OracleAnswer, query: Query, contents: Contents | None) -> None:
-    """All that an answer says; `contents` None: it was asked for without payloads."""
+    """Check a whole answer. `contents` None: the read asked for no payloads."""
     assert not isinstance(found, BaseException), found
     same_found(found, expected, query, contents)
     assert (found.interval, found.complete, found.truncated, found.more, found.reason) == (
@@ -27,7 +27,7 @@ def same_answer(found: st.Items, expected: OracleAnswer, query: Query, contents:
 
 
 def same_found(found: Sequence[st.Item], expected: OracleAnswer, query: Query, contents: Contents | None) -> None:
-    """The items of an answer, in the order that was asked for."""
+    """Check the items of an answer, in the order that the read asked for."""
     pairs = list(zip(expected.items, expected.ends, strict=True))
     same_items(found, pairs[::-1] if query.newest_first else pairs, contents)
 
@@ -35,7 +35,7 @@ def same_found(found: Sequence[st.Item], expected: OracleAnswer, query: Query, c
 def same_items(
     found: Sequence[st.Item], expected: Sequence[tuple[Item, int | None]], contents: Contents | None
 ) -> None:
-    """Items with the ends of their spans."""
+    """Check items and the ends of their spans."""
     facts = [(item.time, item.seq, item.duration, item.end, item.payload_length_bytes) for item in found]
     assert facts == [(item.time, item.seq, item.duration, end, item.length) for item, end in expected]
     payloads = [None if contents is None else contents[item.seq] for item, _ in expected]

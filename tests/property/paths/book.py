@@ -1,4 +1,4 @@
-"""A channel behind a whole path and the oracle side by side: what both are, and the counters on which they agree."""
+"""A channel behind a whole path, and the oracle's channel: their common parts, and the counters that must agree."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from tests.property.paths.values import Follower, RunInBook, stated
 LOOKS_MAX = 20_000
 REASONS = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
 OWN_CONSUMER = 0
-"""By the book, the consumer that the first connection is: nobody but the library knows its number."""
+"""The oracle's number for the consumer that the client of the first connection registers.
+
+Only the client knows its real id.
+"""
 _names = itertools.count()
 
 
 class SteeredHost(Protocol):
-    """Whoever serves the channels: its clock stands until it is moved."""
+    """The host of the channels. Its clock moves only by `tick`."""
 
     def tick(self, nanos: int, *, wall_step: int = 0) -> int:
-        """Let `nanos` pass, and set the wall clock on or back by `wall_step`; the host's time after it."""
+        """Let `nanos` pass, and set the wall clock on or back by `wall_step`. Returns the host's time afterwards."""
 
     def settle_wall_clock(self) -> int:
-        """Put the wall clock where the host's time is, so that nothing is left to slew; that time."""
+        """Set the wall clock to the host's time, so that the host has no difference to make up. Returns this time."""
 
 
 class PathBook:
-    """One channel, twice. Each participant has a handle of it, and they take turns at what is asked of it."""
+    """One channel behind a path and in the oracle. Each client has a handle, and the handles make the calls in turn."""
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         self.surface, self.host, self.policy = surface, host, policy
@@ -48,36 +51,36 @@ class PathBook:
         self.followers: list[Follower] = []
 
     def open(self, who: int, **policy: Any) -> Any:
-        """A further handle of one of the participants."""
+        """Open a further handle for one of the clients."""
         return self.surface.do(lambda: self.surface.connections[who].channel(self.name, **policy))
 
     @property
     def channel(self) -> Any:
-        """A handle: the one that was not used for the longest time."""
+        """The handle that was not used for the longest time."""
         return next(self._turns)
 
     def reader(self) -> OracleReader:
         return OracleReader(self.oracle, self.clock)
 
     def outcome(self, call: Callable[[], Any]) -> Any:
-        """What a call gives, or the error that it raises."""
+        """The result of a call, or the error that it raises."""
         try:
             return self.surface.do(call)
         except st.StampedeError as error:
             return error
 
     def position(self, after: Position | None) -> st.Item | int | None:
-        """As callers state it: an instant, or an item that they have read."""
+        """A position as callers state it: an instant, or an item that they have read."""
         if after is None or after.seq is None:
             return None if after is None else after.time
         return self.item(after.time, after.seq)
 
     def item(self, time: int, seq: int) -> st.Item:
-        """Of an item as much as tells it from others."""
+        """An item with only the fields that identify it."""
         return st.Item(time, None, None, seq, b"", {}, "", 0, self.channel.incarnation)
 
     def until(self, condition: Callable[[st.ChannelStats], bool]) -> st.ChannelStats:
-        """Look, over the path, until it is so; the counters at that moment."""
+        """Read the counters over the path until they meet the condition. Returns them."""
         for _ in range(LOOKS_MAX):
             stats: st.ChannelStats = self.surface.do(self.channel.stats)
             if condition(stats):
@@ -85,7 +88,7 @@ class PathBook:
         raise AssertionError(f"it never came: {stats}, {self.line}, {self.followers}")
 
     def check_counters(self, stats: st.ChannelStats) -> None:
-        """Counts add up and bounds agree."""
+        """Check that the counters and the bounds agree with the oracle's."""
         oracle = self.oracle
         assert stats.accepted == stats.held + sum(stats.collected.values()) == len(oracle.log)
         check_causes(stats.collected, oracle.collected)
@@ -101,7 +104,10 @@ class PathBook:
         self._check_places(stats)
 
     def _check_places(self, stats: st.ChannelStats) -> None:
-        """Each consumer's lease and what it owes; the library renews its own place whenever it thinks fit."""
+        """Check each consumer's lease and its number of owed items.
+
+        The client renews its own lease at times that no test knows.
+        """
         taken = self.oracle.consumers.taken if self.oracle.consumers else []
         held = [item.seq for item in self.oracle.held]
         expected = {

@@ -13,7 +13,7 @@ from tests.property.paths.values import Run
 
 
 class Call:
-    """One that may have to wait, until `finish` tells what came of it."""
+    """A call that may have to wait until `finish` gives its outcome."""
 
     def __init__(self, give_up: Callable[[], None]) -> None:
         self._give_up = give_up
@@ -21,7 +21,7 @@ class Call:
         self._convert: Callable[[Any], Any] = lambda outcome: outcome
 
     def then(self, convert: Callable[[Any], Any]) -> Call:
-        """The same, with its result as `convert` makes it; an error stays one."""
+        """The same call, with its result converted. An error stays an error."""
         self._convert = convert
         return self
 
@@ -39,14 +39,17 @@ class Call:
         return outcome if isinstance(outcome, st.StampedeError) else self._convert(outcome)
 
     def run_to_end(self) -> Any:
-        """The outcome of a call that has no time to wait, or none left."""
+        """The outcome of a call that must not wait any longer."""
         if not self.is_done():
             self._give_up()
         return self.outcome()
 
 
 class WaitingPut:
-    """A run as far as it is settled; `retry_at` is when time makes room for the rest."""
+    """A run and the verdicts on its items so far.
+
+    `retry_at`: the instant at which time makes room for the other items.
+    """
 
     def __init__(self, run: Run, call: Call) -> None:
         self.run, self.call = run, call
@@ -59,7 +62,7 @@ class WaitingPut:
         return self.run.payloads[self.progress.judged_items :]
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
-        """True if none of its items has to wait."""
+        """Take over an outcome. Returns True if no item has to wait."""
         judged_items = self.progress.judged_items
         for one in outcome.rejections:
             self.progress.refuse(judged_items + one.index, one.error)
@@ -70,13 +73,13 @@ class WaitingPut:
         return outcome.waiting is None
 
     def resume(self, known: RunOutcome, now: int) -> None:
-        """The run came before, and its front was judged then."""
+        """Go on with a repeated run whose first items have verdicts."""
         judged_items = self.progress.judged_items
         if self.progress.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.judged_items - judged_items, now)
 
     def fail(self, error: st.StampedeError, now: int) -> None:
-        """The rest is not taken; if nothing was, the run is refused as a whole."""
+        """Refuse the items without a verdict. If no item was accepted, refuse the run as a whole."""
         if not self.progress.accepted_any:
             self.call.finish(error)
         else:
@@ -86,7 +89,7 @@ class WaitingPut:
 
 
 def ack_of(judged: RunOutcome) -> Ack:
-    """What the run's producer is told."""
+    """The answer to the run's producer."""
     refused = {one.position: one.error.reason for one in judged.refusals}
     bounds = [*(part.position for part in judged.parts[1:]), judged.items]
     accepted = {}

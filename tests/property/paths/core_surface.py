@@ -1,4 +1,4 @@
-"""The pure core as a path: no transport, no loop, nothing but calls (see `surfaces`)."""
+"""The pure core as a path, without transport or event loop (see `surfaces`)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.clock import ManualClock
 
 
 class CoreHost:
-    """Owns every channel; its clock stands until it is moved."""
+    """The host of all channels. Its clock moves only by `tick`."""
 
     def __init__(self) -> None:
         self._clock = ManualClock()
@@ -55,7 +55,7 @@ class CoreHost:
 
 
 class CoreConnection:
-    """A participant."""
+    """A client."""
 
     def __init__(self, host: CoreHost, consumer_id: int) -> None:
         self._host = host
@@ -68,7 +68,7 @@ class CoreConnection:
 
 
 class CoreHandle:
-    """What the clients' handles offer of a channel; puts and blocking gets are calls that may have to wait."""
+    """The methods of the clients' handles of a channel. Puts and blocking gets are calls that may have to wait."""
 
     incarnation = INCARNATION
 
@@ -170,7 +170,7 @@ class CoreHandle:
 
 
 class CoreSurface:
-    """`do` gives a call no time to wait."""
+    """A surface over the core. A call under `do` must not have to wait."""
 
     def __init__(self, host: CoreHost) -> None:
         self._owners: dict[int, CoreOwner] = {}
@@ -203,7 +203,10 @@ class CoreSurface:
 
 @contextmanager
 def core_surface(items_per_block: int) -> Iterator[tuple[CoreSurface, CoreHost]]:
-    """The core and its host. What is held is counted in blocks, as small as the few items of a story."""
+    """Yield the core as a surface, and its host.
+
+    Blocks that count items are small, because the tests have few items.
+    """
     host = CoreHost()
     with mock.patch.object(item_blocks, "BLOCK_ITEMS", items_per_block):
         yield CoreSurface(host), host

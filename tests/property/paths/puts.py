@@ -1,4 +1,4 @@
-"""Puts over a path: single ones of the client's, runs of any producer's, the line of those that wait for room."""
+"""Puts over a path: single items of the client, runs of any producer, and the line of runs that wait for room."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FULL = "CHANNEL_FULL"
 
 
 class PathPuts(PathReads):
-    """And everybody who puts."""
+    """`PathReads`, with puts."""
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         super().__init__(surface, host, policy)
@@ -29,41 +29,48 @@ class PathPuts(PathReads):
         self._marks = itertools.count(1)
 
     def put_one(self, who: int, time: int | None, duration: int | None, length: int, timeout: float | None) -> None:
-        """A put of a participant's; with no timeout one that has to wait stays in line."""
+        """Put an item by one of the clients. With no timeout, a put that has to wait stays in line."""
         column = None if duration is None else [duration]
         offer = Offer(times=None if time is None else [time], durations=column, lengths=[length])
         run = Run(offer, [self._payload(length)], waits=timeout is None)
         fields = {"time": time, "duration": duration, "timeout": timeout}
-        # The puts of one handle wait for each other. A new handle knows whether the channel lets puts wait: another one
+        # The puts of one handle wait for each other. A new handle knows whether puts may wait in the channel; an older one
         # may first try without a wait, so that a put is refused twice.
         handle = self.handles[who] if timeout == 0 else self.open(who)
         self._put(run, lambda: handle.put(run.payloads[0], **fields))
 
     def put_run(self, offer: Offer, producer_id: int, *, waits: bool) -> None:
-        """A run under the producer's next numbers."""
+        """Put a run under the producer's next numbers."""
         first_number = self._numbers[producer_id]
         self._numbers[producer_id] += len(offer.lengths)
         self._send(Run(offer, [self._payload(length) for length in offer.lengths], producer_id, first_number, waits))
 
     def contends(self, producer_id: int, numbers: range) -> bool:
-        """A run in line has some of these numbers, but not the same ones: which of the two is in the wrong is not
-        known before the first one is answered."""
+        """Whether a waiting run has some of these numbers, but not exactly these.
+
+        The host refuses one of the two runs. Until the first run has its answer, nobody knows which.
+        """
         in_line = (one.run for one in self.line if one.run.producer_id == producer_id)
         return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)
 
     def put_again(self, run: Run) -> None:
-        """A producer sends a run a second time, since it does not know what became of it."""
+        """Repeat a run, as a producer does that does not know the outcome."""
         self._send(run)
 
     def put_overlapping(self, former: Run) -> None:
-        """A producer that cannot count puts a new item beside some of its former ones, under their numbers."""
+        """Put a new item and some earlier items under the numbers of the earlier ones, as a producer with a defect
+        does.
+        """
         lengths = [*former.offer.lengths, 8]
         payloads = [self._payload(length) for length in lengths]
         offer = Offer(times=None, durations=None, lengths=lengths)
         self._send(Run(offer, payloads, former.producer_id, former.first_number))
 
     def hang_up(self, entry: RunInBook) -> None:
-        """The stream of a run in line breaks: what is in stays in, and is known when the run comes again."""
+        """Break the stream of a waiting run.
+
+        Its accepted items stay, and the host knows them when the run is repeated.
+        """
         self.surface.hang_up(entry.run)
         self.line.remove(entry)
         self._remember(entry)
@@ -77,7 +84,7 @@ class PathPuts(PathReads):
         self._put(run, lambda: self.surface.put_run(self.channel, run))
 
     def _payload(self, length: int) -> bytes:
-        """Bytes that no other item of the story has, as far as the length allows."""
+        """Bytes that no other item has, as far as the length allows."""
         return (next(self._marks).to_bytes(4, "big") * (length // 4 + 1))[:length]
 
     def _put(self, run: Run, call: Any) -> None:
@@ -91,10 +98,10 @@ class PathPuts(PathReads):
             self.until(lambda stats: bool(stats.waiting_puts == len(self.line)))
         self.settle()
 
-    # --- by the book
+    # --- the oracle's side
 
     def _judge(self, entry: RunInBook) -> Ack | Refused | None:
-        """What the run's producer is told; None: it has to wait."""
+        """The answer to the run's producer; None: the run has to wait."""
         known = self._known(entry)
         if known is not None:
             return known
@@ -109,7 +116,10 @@ class PathPuts(PathReads):
         return self._answer(entry)
 
     def _known(self, entry: RunInBook) -> Ack | Refused | None:
-        """The answer that the run had before. One of which only the front is known goes on behind it."""
+        """The former answer of the run; None if it has none.
+
+        If only its first items have verdicts, the run goes on with the others.
+        """
         run = entry.run
         known = self._retries.find(run.producer_id, run.first_number, len(run.payloads), self.clock)
         if known is None or isinstance(known, Refused):
@@ -118,7 +128,7 @@ class PathPuts(PathReads):
         return entry.ack(known.judged_at) if known.is_whole else None
 
     def _offer(self, entry: RunInBook) -> bool:
-        """What is left of the run, up to the first item that has to wait; True: none has to."""
+        """Put the rest of the run, up to the first item that has to wait. Returns True if no item has to wait."""
         taken = put_run(self.oracle, entry.rest, self.clock)
         for verdict, payload in zip(taken.verdicts, entry.payloads_left, strict=False):
             if isinstance(verdict, Item):
@@ -139,7 +149,7 @@ class PathPuts(PathReads):
         self._retries.record(run.producer_id, run.first_number, len(run.payloads), entry.verdicts, self.clock)
 
     def advance_line(self) -> None:
-        """Room may have been made: those in line are offered again, the first one first."""
+        """Put the waiting runs again, the first in line first, because there may be room now."""
         while self.line:
             head = self.line[0]
             expected = self._known(head)
@@ -153,7 +163,7 @@ class PathPuts(PathReads):
 
 
 def _same(outcome: Any, expected: Ack | Refused, run: Run) -> None:
-    """What a put gave: the ack of a run, the item as the client gives it back, or a refusal."""
+    """Check the outcome of a put: the ack of a run, the item that the client returned, or a refusal."""
     if isinstance(expected, Refused):
         assert isinstance(outcome, st.StampedeError), outcome
         assert outcome.reason == expected.reason

@@ -1,4 +1,7 @@
-"""Reads and subscriptions over a path, each answered as the book says, and at the moment that it says."""
+"""Reads and subscriptions over a path.
+
+Each answer must be the oracle's, and come at the moment that the oracle names.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ EVERYTHING = Interval(Bound(None, MIN_INSTANT), Bound(None, MAX_INSTANT))
 
 
 class PathReads(PathBook):
-    """And everybody who waits for items."""
+    """`PathBook`, with readers."""
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         super().__init__(surface, host, policy)
@@ -30,7 +33,7 @@ class PathReads(PathBook):
         self.settle()
 
     def get(self, query: Query, *, payloads: bool = True, waits_s: float = 0) -> st.Items:
-        """A get that is answered within a moment: at once, or, with `waits_s`, when its time is over."""
+        """A get that is answered at once, or, with `waits_s`, at the end of its time."""
         reader = self.reader()
         book = OracleGet(query)
         at_once = None if waits_s else reader.read(query, reader.resolve(query))
@@ -40,7 +43,7 @@ class PathReads(PathBook):
         return found
 
     def begin(self, query: Query, *, payloads: bool = True) -> None:
-        """A get that waits until it is released."""
+        """Begin a get that waits until something releases it."""
         book = OracleGet(query)
         expected = book.poll(self.reader())
         started = self.surface.start(self._call(query, payloads, None))
@@ -51,12 +54,12 @@ class PathReads(PathBook):
         self.until(lambda stats: bool(stats.waiting_gets == len(self.gets)))
 
     def may_block_on_time(self, query: Query) -> bool:
-        """The get would be looked at again when an instant comes."""
+        """Whether the host would look at the get again at some instant."""
         book, reader = OracleGet(query), self.reader()
         return book.poll(reader) is None and book.wake_at(reader) is not None
 
     def pages(self, query: Query) -> None:
-        """The whole of an answer, page after page, each going on behind the last item of the one before."""
+        """Read a whole answer page by page. Each page continues after the last item of the page before."""
         whole = self.get(replace(query, limit=None))
         paged: list[st.Item] = []
         while True:
@@ -68,7 +71,7 @@ class PathReads(PathBook):
         assert paged == list(whole)
 
     def named_reads(self, bound: Bound, after: Position | None) -> None:
-        """`at`, `before`, `oldest` and `newest`."""
+        """Check `at`, `before`, `oldest` and `newest`."""
         point = bound.offset if bound.meta is None else bound
         at = Query(interval=Interval(bound, bound))
         self._agree(self.surface.do(lambda: self.channel.at(point)), self._read(at), at, True)
@@ -86,7 +89,7 @@ class PathReads(PathBook):
             same_found([] if found is None else [found], self._read(query), query, self.payloads)
 
     def refused_interval(self, start: int, end: int) -> None:
-        """Two instants the wrong way round."""
+        """Check that an interval whose end is before its start is refused."""
         outcome = self.outcome(lambda: self.channel.get(max(start, end) + 1, min(start, end)))
         assert isinstance(outcome, st.InvalidInterval)
         assert str(max(start, end) + 1) in str(outcome)
@@ -118,7 +121,7 @@ class PathReads(PathBook):
     # --- subscriptions
 
     def subscribe(self, start: Bound | None, after: Position | None, *, newest: bool) -> None:
-        """In either mode, from either beginning."""
+        """Begin a subscription in either mode, from either kind of start."""
         reader, oracle = self.reader(), self.oracle
         last = max(((item.time, item.seq) for item in oracle.held), default=None)
         owed: list[int] = []
@@ -134,7 +137,9 @@ class PathReads(PathBook):
         self.settle()
 
     def _expect(self, follower: Follower) -> None:
-        """What the subscription owes by now: held items in the order of seq, and the rest counted as dropped."""
+        """Compute the items that the subscription must have by now: held items in the order of seqs; the others count
+        as dropped.
+        """
         book = follower.book
         if isinstance(book, OracleNewest):
             item = book.take()
@@ -148,10 +153,12 @@ class PathReads(PathBook):
         follower.dropped += sum(not book.is_held(seq) for seq in owed)
         book.settle(owed)
 
-    # --- what holds after every step
+    # --- checks after every step
 
     def announce(self) -> None:
-        """The channel has changed, or time has passed: blocked gets are looked at, first come first."""
+        """Let the oracle look at its blocked gets, first come first, because the channel has changed or time has
+        passed.
+        """
         still = []
         reader = self.reader()
         for query, payloads, book, started in self.gets:
@@ -163,7 +170,10 @@ class PathReads(PathBook):
         self.gets = still
 
     def settle(self) -> None:
-        """Everything that was set going has arrived, nothing else has, and the counters agree."""
+        """Wait until everything that was begun has arrived.
+
+        Check that nothing else has, and that the counters agree.
+        """
         while self._released:
             started, expected, query, payloads = self._released.pop(0)
             self._agree(started.outcome(), expected, query, payloads)

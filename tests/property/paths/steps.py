@@ -1,6 +1,6 @@
-"""What happens in a story of one channel behind a path: a policy, then a step for each number.
+"""The random steps of a test of one channel behind a path: first a policy, then one step for each number.
 
-The same steps are played on every surface (`surfaces`, `core_surface`).
+The same steps run on every surface (`surfaces`, `core_surface`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,11 @@ MOMENT_S = 0.002
 
 
 def may_wait(pair: PathPair) -> bool:
-    """Which of a get and a put is looked at first when an instant comes is not said: only one of them waits for it."""
+    """Whether a further call may wait for an instant.
+
+    The product does not say whether it first looks at a get or at a put when an instant comes. So only one of them may
+    wait for it.
+    """
     waits_for_time = any(book.wake_at(pair.reader()) is not None for _, _, book, _ in pair.gets)
     return not waits_for_time and len(pair.line) < PUTS_MAX
 
@@ -83,7 +87,7 @@ def read_near_the_front(rng: RandomSource, pair: PathPair) -> None:
 
 
 def put_again(rng: RandomSource, pair: PathPair) -> None:
-    """One of the last runs, or any, comes a second time; or its producer has lost count."""
+    """Repeat one of the last runs or any run, or put under wrong numbers."""
     if not pair.sent:
         return
     former = pair.sent[rng.pick((-1, rng.below(len(pair.sent))))]
@@ -99,7 +103,7 @@ def put_again(rng: RandomSource, pair: PathPair) -> None:
 
 
 def hang_up(rng: RandomSource, pair: PathPair) -> None:
-    """A producer loses its stream while its run waits, and mostly comes again."""
+    """Break a producer's stream while its run waits. Most producers then repeat the run."""
     entries = [entry for entry in pair.line if entry.run.first_number]
     if not entries:
         return
@@ -120,7 +124,7 @@ def pages(rng: RandomSource, pair: PathPair) -> None:
 
 
 def around_now(rng: RandomSource, pair: PathPair) -> None:
-    """Exactly at now, just before it and just after: by its name and by the clock, closed and open."""
+    """Read exactly at now, just before it and just after it: as NOW and as an instant, inclusive and exclusive."""
     start, end = ((MetaTime.NOW, pair.reader().channel.now(pair.clock))[rng.below(2)] for _ in range(2))
     offsets = rng.pick((0, -1, 1)), rng.pick((0, 1, -1))
     query = a_query(rng, pair)
@@ -153,13 +157,16 @@ def tick(rng: RandomSource, pair: PathPair) -> None:
 
 
 def forget(rng: RandomSource, pair: PathPair) -> None:
-    """So long that runs are forgotten. Nobody waits meanwhile: timers are those of real time."""
+    """Let so much time pass that the host forgets runs.
+
+    No call may wait meanwhile, because its timer would use real time.
+    """
     if rng.below(2) and not (pair.line or pair.gets or pair.keeps_a_place):
         pair.tick(KEPT_NANOS + rng.pick((0, -1, 1)))
 
 
 def step_clock(rng: RandomSource, pair: PathPair) -> None:
-    """Somebody sets the machine's clock; the next ticks bend towards it."""
+    """Set the machine's clock. The host's clock approaches it in the next ticks."""
     pair.tick(rng.pick((4, 10)), wall_step=rng.pick((3600, -3600)) * 10**9)
 
 
@@ -173,7 +180,7 @@ def configure(rng: RandomSource, pair: PathPair) -> None:
 
 
 def consume(rng: RandomSource, pair: PathPair) -> None:
-    """By one of four consumers with leases of any length, or by a participant, whose lease the library keeps."""
+    """Consume as one of four consumers with leases of any length, or by a client, which renews its own lease."""
     seqs = some_seqs(rng, pair)
     if rng.one_in(6):
         pair.consume_as_participant(seqs)
@@ -190,7 +197,7 @@ def subscribe(rng: RandomSource, pair: PathPair) -> None:
 
 
 def rest(rng: RandomSource, pair: PathPair) -> None:
-    """Nothing happens: what a step shrinks to."""
+    """Do nothing. Hypothesis replaces steps by this one when it shortens a failing test."""
 
 
 Step = Callable[[RandomSource, PathPair], None]
@@ -202,7 +209,7 @@ STEPS: tuple[Step, ...] = (
 
 
 def play(surface: Surface, host: SteeredHost, numbers: Sequence[int], tell: Callable[[str], None]) -> None:
-    """One story; `tell` hears the names of its steps."""
+    """Run the steps that `numbers` choose. `tell` gets the names of the steps."""
     pair = PathPair(surface, host, RandomSource(numbers[0]).pick(POLICIES))
     try:
         for number in numbers[1:]:

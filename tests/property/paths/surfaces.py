@@ -1,6 +1,6 @@
-"""The ways to a channel under test, behind one face that blocks: a further transport is one more `Surface`.
+"""The paths to a channel under test, behind one blocking interface. A further transport is one more `Surface`.
 
-`do` performs a call and gives what it gives; `start` performs one that may block, beside everything else.
+`do` performs a call and returns its result. `start` begins a call that may block.
 """
 
 from __future__ import annotations
@@ -29,38 +29,41 @@ TRANSPORTS = ("grpc", "socket", *(("shared",) if futexes.is_supported() else ())
 
 
 class Surface(Protocol):
-    """One way to a host."""
+    """One path to a host."""
 
-    connections: Sequence[Any]  # several participants
+    connections: Sequence[Any]  # one for each client
 
     def do(self, call: Callable[[], Any]) -> Any:
-        """The result of a call of the surface, awaited if that is its way."""
+        """Perform a call of the surface, and return its result. Awaits it if the surface is asynchronous."""
 
     def start(self, call: Callable[[], Any]) -> Started:
         """Begin a call."""
 
     def put_run(self, handle: Any, run: Run) -> Any:
-        """A call of the surface, which puts a run as any producer would send it and gives its Ack."""
+        """Return a call of the surface that puts a run as any producer would, and returns its Ack."""
 
     def hang_up(self, run: Run) -> None:
-        """Break the stream of a run that waits."""
+        """Break the stream of a waiting run."""
 
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
-        """A call of the surface, which consumes as any consumer would and says how many items and for how long."""
+        """Return a call of the surface that consumes as any consumer would.
+
+        Its result: the number of items, and the lease.
+        """
 
     def follow(self, subscribe: Callable[[], Any]) -> Followed:
-        """Begin a subscription; when this returns it has begun."""
+        """Begin a subscription. It has begun when this method returns."""
 
 
 class BlockingSurface:
-    """`stampede_rt`, each blocking call in a thread."""
+    """`stampede_rt`, with a thread for each blocking call."""
 
     def __init__(self, connections: Sequence[Any], target: str, pool: ThreadPoolExecutor) -> None:
         self.connections = connections
         self._pool = pool
         self._wire = grpc.insecure_channel(target)
         self._channels = ChannelServiceStub(self._wire)
-        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
+        self._puts: dict[int, Any] = {}  # the runs under way, by the identity of the run
 
     def do(self, call: Callable[[], Any]) -> Any:
         return call()
@@ -120,14 +123,14 @@ class _InThread:
 
 
 class AwaitedSurface:
-    """`stampede_rt.aio`, on a loop that runs while something is done or waited for."""
+    """`stampede_rt.aio`, on an event loop that runs only during a call of this surface."""
 
     def __init__(self, connections: Sequence[Any], target: str, loop: asyncio.AbstractEventLoop) -> None:
         self.connections = connections
         self._loop = loop
         self._wire = self.do(lambda: _aio_channel(target))
         self._channels = ChannelServiceStub(self._wire)
-        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
+        self._puts: dict[int, Any] = {}  # the runs under way, by the identity of the run
 
     def do(self, call: Callable[[], Any]) -> Any:
         async def performed() -> Any:
@@ -196,13 +199,13 @@ class _AsTask:
 
 
 def _forget(puts: dict[int, Any], run: Run, call: Any) -> None:
-    """The call is over, unless the run has been sent again meanwhile."""
+    """Forget a call that is over, unless the run has been sent again meanwhile."""
     if puts.get(id(run)) is call:
         del puts[id(run)]
 
 
 def put_request(handle: Any, run: Run) -> pb.PutRequest:
-    """One run on the wire."""
+    """The request that puts one run."""
     encoded = encode_run(run.payloads, times=run.offer.times, durations=run.offer.durations)
     info = handle.info
     request = pb.PutRequest(channel_id=info.channel_id, epoch=info.epoch, producer_id=run.producer_id)
@@ -212,7 +215,7 @@ def put_request(handle: Any, run: Run) -> pb.PutRequest:
 
 
 def ack_of(ack: pb.PutAck) -> Ack:
-    """The ack as a value. Raises what refused the run as a whole."""
+    """The ack as a value. Raises the error that refused the whole run."""
     if ack.HasField("error"):
         raise from_error_message(ack.error)
     refused = {one.index: from_error_message(one.error).reason for one in ack.rejections}
@@ -228,7 +231,7 @@ def ack_of(ack: pb.PutAck) -> Ack:
 
 
 def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> pb.ConsumeRequest:
-    """One consumer's word on the wire."""
+    """The request of one consumer."""
     info = handle.info
     return pb.ConsumeRequest(
         channel_id=info.channel_id,
@@ -255,7 +258,7 @@ def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
 
 @contextmanager
 def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
-    """The asynchronous client, connected over each transport, on a loop of its own."""
+    """The asynchronous client, connected over each transport, on an event loop of its own."""
     with asyncio.Runner() as runner:
         connections = [runner.run(_connected(frontend, transport)) for transport in TRANSPORTS]
         surface = AwaitedSurface(connections, target, runner.get_loop())

@@ -1,7 +1,7 @@
-"""Whatever happens to a channel, the core, a client over each transport and the oracle tell the same story.
+"""The core and a client over each transport give the oracle's answers after any random steps.
 
-`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/paths/test_paths_against_oracle.py` searches at length;
-`python -m tests.property core 0 100000` does so several times as fast.
+`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/paths/test_paths_against_oracle.py` tries more steps. `python -m
+tests.property core 0 100000` does the same several times as fast.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.property.paths.steps import play
 from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 
-# The clients draw the delays of their retries in threads of their own, whatever hypothesis is at.
+# The clients draw the delays of their retries in their own threads, whatever hypothesis is doing.
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))

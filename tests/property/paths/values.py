@@ -1,4 +1,4 @@
-"""The values of a story: runs, waiting puts, subscriptions, and policies as callers state them."""
+"""The values of these tests: runs, waiting puts, subscriptions, and policies as callers state them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Run:
 
 @dataclass
 class RunInBook:
-    """A run in the oracle, and the verdicts on its first items. `rest` is the offer of the other items."""
+    """A run in the oracle, and the verdicts on its first items. `rest` is the offer with the other items."""
 
     run: Run
     rest: Offer
