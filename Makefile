@@ -53,7 +53,7 @@ explore: setup  ## stories that the suite does not play, drawn anew each time, a
 fuzz: fuzz-cancels fuzz-parsers fuzz-ports  ## all of the next three, for about 75 minutes; exit code 2 if anything is found
 
 fuzz-cancels: setup  ## calls that are cancelled over a network that is cut, for 10 minutes; STAMPEDE_FUZZ_SEED names the first seed
-	STAMPEDE_FUZZ_STORIES=$${STAMPEDE_FUZZ_STORIES:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
+	STAMPEDE_FUZZ_SCENARIOS=$${STAMPEDE_FUZZ_SCENARIOS:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
 		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz/test_cancels_and_cuts.py
 
 fuzz-parsers: setup  ## all parsers of bytes from outside, guided by coverage (atheris), a minute each

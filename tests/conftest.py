@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The suite plays the same stories each time: it fails by a change, not by a draw. `make explore` plays others.
+# The suite plays the same scenarios each time: it fails by a change, not by a draw. `make explore` plays others.
 settings.register_profile("suite", derandomize=True, database=None, deadline=None)
 settings.register_profile("explore", database=None, deadline=None, print_blob=True)
 settings.load_profile("suite")

@@ -1,6 +1,6 @@
-"""Plays stories of paths by their seeds, much faster than hypothesis makes them up, but without making them shorter.
+"""Plays scenarios of paths by their seeds, much faster than hypothesis makes them up, but without making them shorter.
 
-`python -m tests.property core|awaited|blocking FIRST COUNT` stops at the first story in which a path and the oracle
+`python -m tests.property core|awaited|blocking FIRST COUNT` stops at the first scenario in which a path and the oracle
 disagree, and tells its seed and its steps.
 """
 
@@ -14,7 +14,6 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tests.property.paths.book import SteeredHost
 from tests.property.paths.core_surface import core_surface
 from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
@@ -37,14 +36,14 @@ def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
 
 
 def numbers_of(seed: int) -> list[int]:
-    """What the story of that seed draws from."""
+    """What the scenario of that seed draws from."""
     rng = random.Random(seed)
     return [rng.getrandbits(96) for _ in range(rng.randint(20, 40))]
 
 
 def main(name: str, first: int, count: int) -> None:
-    """Play so many stories, from one seed on."""
-    logging.disable(logging.WARNING)  # a consumer's place is lost whenever its story's channel is deleted
+    """Play so many scenarios, from one seed on."""
+    logging.disable(logging.WARNING)  # a consumer's place is lost whenever its scenario's channel is deleted
     began_s = time.monotonic()
     with path_called(name) as (surface, host):
         for played, seed in enumerate(range(first, first + count), 1):
@@ -56,7 +55,7 @@ def main(name: str, first: int, count: int) -> None:
                 traceback.print_exc()  # before the calls under way end
                 raise
             if played % STORIES_PER_LINE == 0 or played == count:
-                print(f"{name}: {played} stories in {time.monotonic() - began_s:.0f} s", flush=True)
+                print(f"{name}: {played} scenarios in {time.monotonic() - began_s:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ class ArchivedChannel:
         highs = [one.high[0] for one in self.segments if one.high is not None]
         span = ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=False)
         within = archive.resolved(moment, span, query)
-        assert within is not None, "the story puts an item first"
+        assert within is not None, "the scenario puts an item first"
         answers = []
         try:
             while True:

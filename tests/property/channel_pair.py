@@ -39,7 +39,7 @@ from tests.oracle import (
 )
 
 INCARNATION = 7
-TIED_ITEMS_MAX = 3  # a bucket of a story has hardly more
+TIED_ITEMS_MAX = 3  # a bucket of a scenario has hardly more
 
 
 def items_of(slices: Sequence[Slice]) -> list[Item]:

@@ -1,4 +1,4 @@
-"""What a story of a channel draws: set-ups, offers, queries, positions, whoever it is played on."""
+"""What a scenario of a channel draws: set-ups, offers, queries, positions, whoever it is played on."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ LOOKED_BACK_MAX = 100
 
 
 class Told(Protocol):
-    """A story under way: the host's clock, and the channel by the book."""
+    """A scenario under way: the host's clock, and the channel by the book."""
 
     clock: int
     oracle: OracleChannel
 
 
-def a_time(rng: RandomSource, story: Told) -> int:
+def a_time(rng: RandomSource, scenario: Told) -> int:
     """Near the newest item, near the clock on either side, near the edge of what is kept, or far off."""
-    newest, oldest = story.oracle.newest or story.clock, story.oracle.oldest or story.clock
-    cutoff = story.clock - min(story.oracle.max_age or 0, LOOKED_BACK_MAX)
-    around = rng.pick((story.clock, newest, oldest, cutoff, story.clock))
+    newest, oldest = scenario.oracle.newest or scenario.clock, scenario.oracle.oldest or scenario.clock
+    cutoff = scenario.clock - min(scenario.oracle.max_age or 0, LOOKED_BACK_MAX)
+    around = rng.pick((scenario.clock, newest, oldest, cutoff, scenario.clock))
     distant = rng.pick((10**6, -(10**6), 10**6, -(10**10), 10**10))
     return around + rng.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21, distant))
 
 
-def an_offer(rng: RandomSource, story: Told) -> Offer:
+def an_offer(rng: RandomSource, scenario: Told) -> Offer:
     """A run in any order, most of them small; its items stamped by the host, or each with a time of its own."""
     items = rng.pick((40, 17)) if rng.one_in(30) else rng.pick(RUN_LENGTHS)
-    times = None if rng.one_in(6) else [a_time(rng, story) for _ in range(items)]
+    times = None if rng.one_in(6) else [a_time(rng, scenario) for _ in range(items)]
     if times is not None and rng.below(2):
         times.sort()
     durations = [rng.pick(DURATIONS) for _ in range(items)] if rng.below(2) else None
@@ -70,33 +70,33 @@ def an_offer(rng: RandomSource, story: Told) -> Offer:
     return Offer(times=times, durations=column, lengths=[rng.pick(LENGTHS) for _ in range(items)])
 
 
-def a_bound(rng: RandomSource, story: Told) -> Bound:
+def a_bound(rng: RandomSource, scenario: Told) -> Bound:
     """Any instant, or any meta-time and what is near it."""
     meta = rng.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
     if meta is None:
-        return Bound(None, rng.pick((MIN_INSTANT, MAX_INSTANT)) if rng.one_in(6) else a_time(rng, story))
+        return Bound(None, rng.pick((MIN_INSTANT, MAX_INSTANT)) if rng.one_in(6) else a_time(rng, scenario))
     return Bound(meta, rng.pick((0, -1, 1, -4, 4, -15, 15)))
 
 
-def a_position(rng: RandomSource, story: Told) -> Position | None:
+def a_position(rng: RandomSource, scenario: Told) -> Position | None:
     """Mostly none, or an instant, or an item that is held or ever was."""
     kind = rng.below(6)
     if kind == 1:
-        return Position(a_time(rng, story))
-    return an_item_position(rng, story) if kind == 2 else None
+        return Position(a_time(rng, scenario))
+    return an_item_position(rng, scenario) if kind == 2 else None
 
 
-def an_item_position(rng: RandomSource, story: Told) -> Position | None:
+def an_item_position(rng: RandomSource, scenario: Told) -> Position | None:
     """Of any item that ever was."""
-    if not story.oracle.log:
+    if not scenario.oracle.log:
         return None
-    item = story.oracle.log[1 + rng.below(len(story.oracle.log))]
+    item = scenario.oracle.log[1 + rng.below(len(scenario.oracle.log))]
     return Position(item.time, item.seq)
 
 
-def a_query(rng: RandomSource, story: Told) -> Query:
+def a_query(rng: RandomSource, scenario: Told) -> Query:
     """Any read that asks for items between two bounds."""
-    start, end = a_bound(rng, story), a_bound(rng, story)
+    start, end = a_bound(rng, scenario), a_bound(rng, scenario)
     if start.meta is None and end.meta is None and start.offset > end.offset:
         start, end = end, start
     return Query(
@@ -105,22 +105,22 @@ def a_query(rng: RandomSource, story: Told) -> Query:
         limit=rng.pick((None, 1, 2, 3)),
         newest_first=bool(rng.below(2)),
         complete=bool(rng.below(2)),
-        after=a_position(rng, story),
+        after=a_position(rng, scenario),
     )
 
 
-def an_offer_in_order(rng: RandomSource, story: Told) -> Offer:
+def an_offer_in_order(rng: RandomSource, scenario: Told) -> Offer:
     """A run that follows the newest item, as those of most producers do."""
-    time, items = max(story.clock, story.oracle.newest or 0), rng.pick((1, 1, 3))
+    time, items = max(scenario.clock, scenario.oracle.newest or 0), rng.pick((1, 1, 3))
     steps = [rng.pick((0, 1, 2)) for _ in range(items)]
     times = [time + sum(steps[: at + 1]) for at in range(items)]
     durations = [rng.pick((-1, 0, 1, 7)) for _ in range(items)] if rng.below(2) else None
     return Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items)
 
 
-def a_query_near_the_front(rng: RandomSource, story: Told) -> Query | None:
+def a_query_near_the_front(rng: RandomSource, scenario: Told) -> Query | None:
     """A read of the last few items, if there are any."""
-    held = story.oracle.held[-6:]
+    held = scenario.oracle.held[-6:]
     if not held:
         return None
     start, end = sorted(rng.pick(held).time + rng.pick((0, 1, -1)) for _ in range(2))
@@ -131,8 +131,8 @@ def a_query_near_the_front(rng: RandomSource, story: Told) -> Query | None:
     return Query(interval=interval, match=match, limit=limit, newest_first=newest_first, complete=rng.one_in(4))
 
 
-def some_seqs(rng: RandomSource, story: Told) -> list[int]:
+def some_seqs(rng: RandomSource, scenario: Told) -> list[int]:
     """Of all that is held, its oldest items, its newest, or any that ever were; some twice, or none."""
-    held, kind = [item.seq for item in story.oracle.held], rng.below(4)
-    ever = len(story.oracle.log)
+    held, kind = [item.seq for item in scenario.oracle.held], rng.below(4)
+    ever = len(scenario.oracle.log)
     return (held, held[:2], held[-1:], [1 + rng.below(ever) for _ in range(2) if ever])[kind]

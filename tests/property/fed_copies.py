@@ -1,4 +1,4 @@
-"""Copies of the channel of a story: fed by the core or by another copy, over feeds that break, repeat and lag."""
+"""Copies of the channel of a scenario: fed by the core or by another copy, over feeds that break, repeat and lag."""
 
 from __future__ import annotations
 

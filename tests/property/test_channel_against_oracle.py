@@ -1,4 +1,4 @@
-"""Whatever happens to a channel, the core and the oracle tell the same story.
+"""Whatever happens to a channel, the core and the oracle tell the same scenario.
 
 `STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_channel_against_oracle.py` searches at length.
 """
@@ -128,9 +128,9 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> None:
-    """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps.
+    """One scenario: a policy, then a step for each number; with `hasty` nobody looks between the steps.
 
-    What is held is counted in blocks, and long work done in pieces, as small as the few items of a story.
+    What is held is counted in blocks, and long work done in pieces, as small as the few items of a scenario.
     """
     first = RandomSource(numbers[0])
     policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
@@ -160,7 +160,7 @@ def _play_steps(pair: ChannelPair, numbers: list[int], *, hasty: bool, counts: b
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=30))
-def test_a_channel_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+def test_a_channel_does_what_the_oracle_does_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)
 
 
@@ -174,7 +174,7 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
 
 def test_who_takes_a_lost_place_starts_at_the_newest_item_of_a_bucket_that_is_half_consumed() -> None:
     """A late item once turned round what was left of the bucket, so that an older item counted as the newest one: the
-    taker then owed it, too. In three stories of 49 549."""
+    taker then owed it, too. In three scenarios of 49 549."""
     pair = ChannelPair(Policy(consumers=2, max_future_nanos=8), FIRST_CLOCK)
     pair.put(Offer(times=None, durations=[0, 0, -1], lengths=[0, 40, 0]))
     pair.consume(2, [1, 2], 10**6)
@@ -223,7 +223,7 @@ def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_
 
 
 def test_what_everybody_has_consumed_goes_by_consumption_once_bytes_took_what_stood_before_it() -> None:
-    """Not by age later on, though nobody looked in between. In two stories of 36 000; the oracle was wrong."""
+    """Not by age later on, though nobody looked in between. In two scenarios of 36 000; the oracle was wrong."""
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=[96, 103], durations=None, lengths=[64, 64]))
@@ -248,7 +248,7 @@ def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_h
 
 
 def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_what_was_used_up() -> None:
-    """It once was returned by the next read, and went by the one after that. In one story of 20 000."""
+    """It once was returned by the next read, and went by the one after that. In one scenario of 20 000."""
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=[100, 100], durations=[HUGE, 7], lengths=[0, 64]))
@@ -262,7 +262,7 @@ def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_wha
 
 
 def test_a_put_that_waits_is_offered_again_when_age_makes_room_though_its_own_item_would_not_go_then() -> None:
-    """It once was told to come back when the last lease ended. In one story of 4 000."""
+    """It once was told to come back when the last lease ended. In one scenario of 4 000."""
     policy = Policy(max_age_nanos=8, max_age_unconsumed_nanos=25, max_items=2, max_future_nanos=8, on_full="block")
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(_timed(95, 98))

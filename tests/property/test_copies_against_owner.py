@@ -1,7 +1,7 @@
 """A copy that is fed through any cuts, repeats and reconnects equals its owner up to its lag.
 
-The owner is the core of the channel's stories, which the oracle checks step by step. `STAMPEDE_PROPERTY_EXAMPLES` sets
-the number of stories.
+The owner is the core of the channel's scenarios, which the oracle checks step by step. `STAMPEDE_PROPERTY_EXAMPLES` sets
+the number of scenarios.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STE
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
 
 
-class Story:
+class Scenario:
     """A channel by core and oracle, two copies of the owner, and a copy of the first copy."""
 
     def __init__(self, policy: Policy, lost_before: int | None = None) -> None:
@@ -55,8 +55,8 @@ class Story:
 
 def play(numbers: list[int]) -> None:
     first = RandomSource(numbers[0])
-    story = Story(first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None)
-    counts = story.pair.oracle.consumers is not None
+    scenario = Scenario(first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None)
+    counts = scenario.pair.oracle.consumers is not None
     with (
         mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
@@ -64,18 +64,18 @@ def play(numbers: list[int]) -> None:
         for number in numbers[1:]:
             rng = RandomSource(number)
             if rng.one_in(2):
-                story.step(rng)
+                scenario.step(rng)
                 continue
             step = consume if counts and rng.one_in(3) else rng.pick(STEPS)
             note(step.__name__)
-            step(rng, story.pair)
-        story.end(RandomSource(numbers[0]))
+            step(rng, scenario.pair)
+        scenario.end(RandomSource(numbers[0]))
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
-def test_a_copy_equals_its_owner_up_to_its_lag_in_every_story(numbers: list[int]) -> None:
+def test_a_copy_equals_its_owner_up_to_its_lag_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)
 
 
@@ -84,11 +84,11 @@ def _timed(*times: int) -> Offer:
 
 
 def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() -> None:
-    story = Story(Policy(max_items=2, max_future_nanos=8))
-    copy = story.copies[0]
-    story.pair.put(_timed(100))
+    scenario = Scenario(Policy(max_items=2, max_future_nanos=8))
+    copy = scenario.copies[0]
+    scenario.pair.put(_timed(100))
     copy.catch_up()
-    story.pair.put(_timed(101, 102, 103, 104))
+    scenario.pair.put(_timed(101, 102, 103, 104))
     copy.catch_up()
     assert [item.seq for item in held_by(copy.channel, FIRST_CLOCK)] == [4, 5]
     assert (copy.channel.missed, copy.channel.next_seq) == (2, 6)
@@ -96,8 +96,8 @@ def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() 
 
 def test_a_copy_goes_on_after_a_late_item_that_came_below_consumed_ones_during_the_feed() -> None:
     """The floor goes back then. Without the word of the feed the copy would keep what the owner has freed."""
-    story = Story(Policy(consumers=1, max_future_nanos=8))
-    copy, pair = story.copies[0], story.pair
+    scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
+    copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))
     copy.catch_up()
     pair.consume(1, [1, 2], 10**6)
@@ -108,8 +108,8 @@ def test_a_copy_goes_on_after_a_late_item_that_came_below_consumed_ones_during_t
 
 
 def test_a_copy_begins_anew_if_the_floor_went_back_while_its_stream_was_broken() -> None:
-    story = Story(Policy(consumers=1, max_future_nanos=8))
-    copy, pair = story.copies[0], story.pair
+    scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
+    copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))
     copy.catch_up()
     copy.cut()
@@ -121,8 +121,8 @@ def test_a_copy_begins_anew_if_the_floor_went_back_while_its_stream_was_broken()
 
 
 def test_a_copy_refuses_to_feed_one_that_is_further() -> None:
-    story = Story(Policy(max_items=4, max_future_nanos=8))
-    near, other = story.copies[:2]
-    story.pair.put(_timed(100, 101))
+    scenario = Scenario(Policy(max_items=4, max_future_nanos=8))
+    near, other = scenario.copies[:2]
+    scenario.pair.put(_timed(100, 101))
     other.catch_up()
     refuses_behind(near.channel, other.channel, FIRST_CLOCK)

@@ -1,7 +1,7 @@
 """A copy that was fed with what only the owner knows becomes the owner, and nobody notices.
 
-The story goes on at the new owner: its items, consumers, counts and answers to repeated runs are those of the oracle.
-`STAMPEDE_PROPERTY_EXAMPLES` sets the number of stories.
+The scenario goes on at the new owner: its items, consumers, counts and answers to repeated runs are those of the oracle.
+`STAMPEDE_PROPERTY_EXAMPLES` sets the number of scenarios.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Producers:
         return self.runs[-1]
 
 
-class Story:
+class Scenario:
     """A channel by core and oracle with its retry window, and two copies that may become the owner."""
 
     def __init__(self, policy: Policy) -> None:
@@ -139,8 +139,8 @@ def check_known(known: RunOutcome, expected: OracleOutcome) -> None:
 
 def play(numbers: list[int]) -> int:
     first = RandomSource(numbers[0])
-    story = Story(first.pick(SET_UPS))
-    counts = story.pair.oracle.consumers is not None
+    scenario = Scenario(first.pick(SET_UPS))
+    counts = scenario.pair.oracle.consumers is not None
     with (
         mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
@@ -151,20 +151,22 @@ def play(numbers: list[int]) -> int:
         for number in numbers[1:]:
             rng = RandomSource(number)
             if rng.one_in(2):
-                story.step(rng)
+                scenario.step(rng)
             else:
                 step = consume if counts and rng.one_in(3) else rng.pick(STEPS)
                 note(step.__name__)
-                step(rng, story.pair)
-            story.pair.poll_all()
-            story.pair.check()
-        story.pair.deliver(10**6)
-        story.pair.check()
-    return story.moves
+                step(rng, scenario.pair)
+            scenario.pair.poll_all()
+            scenario.pair.check()
+        scenario.pair.deliver(10**6)
+        scenario.pair.check()
+    return scenario.moves
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
-def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done_in_every_story(numbers: list[int]) -> None:
+def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done_in_every_scenario(
+    numbers: list[int],
+) -> None:
     play(numbers)

@@ -1,4 +1,4 @@
-"""Whatever happens to a queue, the core and the oracle tell the same story.
+"""Whatever happens to a queue, the core and the oracle tell the same scenario.
 
 `STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_queue_against_oracle.py` searches at length.
 """
@@ -115,7 +115,7 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> None:
-    """One story: a set-up, then a step for each number."""
+    """One scenario: a set-up, then a step for each number."""
     pair = QueuePair(RandomSource(numbers[0]).pick(SETUPS), FIRST_CLOCK)
     for number in numbers[1:]:
         rng = RandomSource(number)
@@ -127,5 +127,5 @@ def play(numbers: list[int]) -> None:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
-def test_a_queue_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+def test_a_queue_does_what_the_oracle_does_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)

@@ -54,7 +54,7 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> RingPair:
-    """One story: a policy, then a step for each number."""
+    """One scenario: a policy, then a step for each number."""
     first = RandomSource(numbers[0])
     policy, lost_before = first.pick(SUITED), FIRST_CLOCK if first.one_in(5) else None
     pair = RingPair(policy, FIRST_CLOCK, lost_before, size=first.pick(SIZES))
@@ -69,7 +69,7 @@ def play(numbers: list[int]) -> RingPair:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
-def test_a_ring_answers_as_the_oracle_in_every_story(numbers: list[int]) -> None:
+def test_a_ring_answers_as_the_oracle_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)
 
 

@@ -40,7 +40,7 @@ POLICIES = (
 )
 
 
-class Story:
+class Scenario:
     """One channel, and gets that are blocked on it, whole or before a cut that only grows."""
 
     def __init__(self, seed: int, policy: Policy, *, grouped: bool) -> None:
@@ -159,8 +159,8 @@ def may_be_released(needs: Needs | None, reach: Reach) -> bool:
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**40), policy=st.sampled_from(POLICIES))
 def test_whoever_is_released_was_reached(grouped: bool, seed: int, policy: Policy) -> None:
-    story = Story(seed, policy, grouped=grouped)
+    scenario = Scenario(seed, policy, grouped=grouped)
     for _ in range(40):
-        story.block()
-        story.step()
-        story.pass_time()
+        scenario.block()
+        scenario.step()
+        scenario.pass_time()

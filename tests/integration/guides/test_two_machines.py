@@ -55,7 +55,7 @@ def network() -> Iterator[NamespaceNetwork]:
 
 
 def blocks_of(network: NamespaceNetwork, homes: list[Path]) -> Iterator[tuple[str, int, str]]:
-    """Every block of the page up to the end of the story: its chapter, its machine, its text."""
+    """Every block of the page up to the end of the scenario: its chapter, its machine, its text."""
     chapters = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
     for title, text in zip(chapters[1::2], chapters[2::2], strict=True):
         if title in MACHINES:

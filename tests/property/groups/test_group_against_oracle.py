@@ -50,7 +50,7 @@ POLICIES = (
 
 
 @dataclass
-class Story:
+class Scenario:
     """A world, who reads and listens in it, and what has happened so far."""
 
     world: World
@@ -78,38 +78,38 @@ def a_definition(rng: RandomSource) -> GroupDefinition:
     )
 
 
-def put(rng: RandomSource, story: Story) -> None:
-    put_into(rng, story, rng.pick(CHANNELS))
+def put(rng: RandomSource, scenario: Scenario) -> None:
+    put_into(rng, scenario, rng.pick(CHANNELS))
 
 
-def put_into(rng: RandomSource, story: Story, channel_id: bytes) -> None:
-    pair = story.world.pair(channel_id)
+def put_into(rng: RandomSource, scenario: Scenario, channel_id: bytes) -> None:
+    pair = scenario.world.pair(channel_id)
     pair.put(an_offer(rng, pair))
-    story.world.spoken(channel_id)
+    scenario.world.spoken(channel_id)
 
 
-def advance(rng: RandomSource, story: Story) -> None:
+def advance(rng: RandomSource, scenario: Scenario) -> None:
     channel_id = rng.pick(CHANNELS)
-    pair = story.world.pair(channel_id)
+    pair = scenario.world.pair(channel_id)
     pair.advance(min(a_time(rng, pair), pair.clock))
-    story.world.spoken(channel_id)
+    scenario.world.spoken(channel_id)
 
 
-def tick(rng: RandomSource, story: Story) -> None:
+def tick(rng: RandomSource, scenario: Scenario) -> None:
     nanos = rng.pick((1, 2, 0, 5, 9, 30))
-    story.world.clock += nanos
+    scenario.world.clock += nanos
     for channel_id in CHANNELS:
-        story.world.pair(channel_id).tick(nanos)
+        scenario.world.pair(channel_id).tick(nanos)
 
 
-def use_up(rng: RandomSource, story: Story) -> None:
+def use_up(rng: RandomSource, scenario: Scenario) -> None:
     """Consume on a channel that counts it; on others they do as they do without groups."""
-    consume(rng, story.world.pair(rng.pick(CHANNELS)))
+    consume(rng, scenario.world.pair(rng.pick(CHANNELS)))
 
 
-def original(rng: RandomSource, story: Story) -> None:
+def original(rng: RandomSource, scenario: Scenario) -> None:
     """Somebody reads the channel itself."""
-    pair = story.world.pair(rng.pick(CHANNELS))
+    pair = scenario.world.pair(rng.pick(CHANNELS))
     if len(pair.all_subscriptions) < 2:
         pair.subscribe(None, False, None)
     pair.deliver(rng.pick((10**6, 1)))
@@ -117,122 +117,122 @@ def original(rng: RandomSource, story: Story) -> None:
         pair.read(a_query(rng, pair))
 
 
-def read(rng: RandomSource, story: Story) -> None:
-    group, channel_id = story.a_member(rng)
+def read(rng: RandomSource, scenario: Scenario) -> None:
+    group, channel_id = scenario.a_member(rng)
     earlier = rng.pick((None, None, FIRST_CLOCK))
-    story.readers.read(group, channel_id, a_query(rng, story.world.pair(channel_id)), earlier)
+    scenario.readers.read(group, channel_id, a_query(rng, scenario.world.pair(channel_id)), earlier)
 
 
-def begin(rng: RandomSource, story: Story) -> None:
-    group, channel_id = story.a_member(rng)
-    if len(story.readers.gets) < 4:
-        story.readers.begin(group, channel_id, a_query(rng, story.world.pair(channel_id)))
+def begin(rng: RandomSource, scenario: Scenario) -> None:
+    group, channel_id = scenario.a_member(rng)
+    if len(scenario.readers.gets) < 4:
+        scenario.readers.begin(group, channel_id, a_query(rng, scenario.world.pair(channel_id)))
 
 
-def give_up(rng: RandomSource, story: Story) -> None:
-    story.readers.give_up()
+def give_up(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.readers.give_up()
 
 
-def subscribe(rng: RandomSource, story: Story) -> None:
-    group, channel_id = story.a_member(rng)
-    pair, kind = story.world.pair(channel_id), rng.below(4)
+def subscribe(rng: RandomSource, scenario: Scenario) -> None:
+    group, channel_id = scenario.a_member(rng)
+    pair, kind = scenario.world.pair(channel_id), rng.below(4)
     start = a_bound(rng, pair) if kind == 1 else None
     after = an_item_position(rng, pair) if kind == 2 and pair.oracle.log else None
-    if len(story.readers.subscribers) < 4:
-        story.readers.subscribe(group, channel_id, start, bool(rng.below(2)), after)
+    if len(scenario.readers.subscribers) < 4:
+        scenario.readers.subscribe(group, channel_id, start, bool(rng.below(2)), after)
 
 
-def resume(rng: RandomSource, story: Story) -> None:
-    story.readers.resume(rng.below(12))
+def resume(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.readers.resume(rng.below(12))
 
 
-def go_on(rng: RandomSource, story: Story) -> None:
-    story.readers.go_on(rng.below(4))
+def go_on(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.readers.go_on(rng.below(4))
 
 
-def deliver(rng: RandomSource, story: Story) -> None:
-    story.readers.deliver(rng.pick((10**6, 1, 150)))
+def deliver(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.readers.deliver(rng.pick((10**6, 1, 150)))
 
 
-def subscribe_cuts(rng: RandomSource, story: Story) -> None:
-    if len(story.listeners.events) < 2:
-        story.listeners.subscribe_cuts(
-            story.a_group(rng), rng.pick(story.world.up), rng.pick((6, 0, 15)), rng.pick((0, 0, 4))
+def subscribe_cuts(rng: RandomSource, scenario: Scenario) -> None:
+    if len(scenario.listeners.events) < 2:
+        scenario.listeners.subscribe_cuts(
+            scenario.a_group(rng), rng.pick(scenario.world.up), rng.pick((6, 0, 15)), rng.pick((0, 0, 4))
         )
 
 
-def take_events(rng: RandomSource, story: Story) -> None:
+def take_events(rng: RandomSource, scenario: Scenario) -> None:
     limit_bytes, meddles = rng.pick((10**6, 1, 150)), bool(rng.below(2))
 
     def meddle(channel_id: bytes) -> None:
         if meddles:
-            put_into(rng, story, channel_id)
+            put_into(rng, scenario, channel_id)
 
-    story.listeners.take_events(limit_bytes, meddle)
-
-
-def match(rng: RandomSource, story: Story) -> None:
-    if len(story.listeners.matches) < 2:
-        story.listeners.match(rng.pick((2, 0, 5)), rng.pick((0, 0, 3)), unique=bool(rng.below(2)))
+    scenario.listeners.take_events(limit_bytes, meddle)
 
 
-def take_matches(rng: RandomSource, story: Story) -> None:
-    story.listeners.take_matches()
+def match(rng: RandomSource, scenario: Scenario) -> None:
+    if len(scenario.listeners.matches) < 2:
+        scenario.listeners.match(rng.pick((2, 0, 5)), rng.pick((0, 0, 3)), unique=bool(rng.below(2)))
 
 
-def exchange(rng: RandomSource, story: Story) -> None:
+def take_matches(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.listeners.take_matches()
+
+
+def exchange(rng: RandomSource, scenario: Scenario) -> None:
     """All hosts tell all others, or one tells one."""
-    teller, hearer = rng.pick(story.world.up), rng.pick(story.world.up)
+    teller, hearer = rng.pick(scenario.world.up), rng.pick(scenario.world.up)
     if rng.below(2) and teller != hearer:
-        story.world.tell(teller, hearer)
+        scenario.world.tell(teller, hearer)
     else:
-        story.world.exchange()
+        scenario.world.exchange()
 
 
-def change_member(rng: RandomSource, story: Story) -> None:
-    group, channel_id, joins = story.a_group(rng), rng.pick(CHANNELS), bool(rng.below(2))
-    if story.world.change_member(group, channel_id, joins=joins):
-        story.listeners.member_changed(group, channel_id, joins=joins)
+def change_member(rng: RandomSource, scenario: Scenario) -> None:
+    group, channel_id, joins = scenario.a_group(rng), rng.pick(CHANNELS), bool(rng.below(2))
+    if scenario.world.change_member(group, channel_id, joins=joins):
+        scenario.listeners.member_changed(group, channel_id, joins=joins)
         if not joins:
-            story.readers.member_left(group, channel_id)
+            scenario.readers.member_left(group, channel_id)
 
 
-def migrate(rng: RandomSource, story: Story) -> None:
+def migrate(rng: RandomSource, scenario: Scenario) -> None:
     channel_id = rng.pick(CHANNELS)
-    if story.world.migrate(channel_id, rng.below(len(story.world.hosts)), heard=bool(rng.below(2))):
-        story.listeners.channel_moved(channel_id)
-        story.readers.channels_gone([channel_id])
+    if scenario.world.migrate(channel_id, rng.below(len(scenario.world.hosts)), heard=bool(rng.below(2))):
+        scenario.listeners.channel_moved(channel_id)
+        scenario.readers.channels_gone([channel_id])
 
 
-def lose(rng: RandomSource, story: Story) -> None:
+def lose(rng: RandomSource, scenario: Scenario) -> None:
     """A host, which another one of those that are left inherits."""
     if not rng.one_in(3):
         return
-    world = story.world
+    world = scenario.world
     host = rng.pick(world.up)
     heir = rng.pick([one for one in world.up if one != host] or [host])
     incarnations = [one.incarnation for one in world.definitions]
     lost = world.lose(host, heir)
     anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
-    story.listeners.channels_lost(host, lost, heir)
-    story.readers.channels_gone(lost)
-    for one in (story.listeners, story.readers):
+    scenario.listeners.channels_lost(host, lost, heir)
+    scenario.readers.channels_gone(lost)
+    for one in (scenario.listeners, scenario.readers):
         one.groups_began_anew(anew)
 
 
-def bring_back(rng: RandomSource, story: Story) -> None:
-    story.world.bring_back(rng.below(len(story.world.hosts)))
+def bring_back(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.world.bring_back(rng.below(len(scenario.world.hosts)))
 
 
-def stale_words(rng: RandomSource, story: Story) -> None:
-    story.world.stale_words(rng.pick(CHANNELS))
+def stale_words(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.world.stale_words(rng.pick(CHANNELS))
 
 
-def rest(rng: RandomSource, story: Story) -> None:
+def rest(rng: RandomSource, scenario: Scenario) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
-Happening = Callable[[RandomSource, Story], None]
+Happening = Callable[[RandomSource, Scenario], None]
 
 STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
@@ -242,7 +242,7 @@ STEPS: tuple[Happening, ...] = (
 
 
 def play(numbers: list[int]) -> None:
-    """One story: hosts, channels and groups, then a step for each number."""
+    """One scenario: hosts, channels and groups, then a step for each number."""
     first = RandomSource(numbers[0])
     definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
     policies = [first.pick(POLICIES) for _ in CHANNELS]
@@ -251,21 +251,21 @@ def play(numbers: list[int]) -> None:
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
     ):
         world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)
-        story = Story(world, Readers(world), Listeners(world))
+        scenario = Scenario(world, Readers(world), Listeners(world))
         try:
-            _play_steps(story, numbers[1:])
+            _play_steps(scenario, numbers[1:])
         except BaseException as error:
-            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(story.told))
+            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(scenario.told))
             raise
 
 
-def _play_steps(story: Story, numbers: list[int]) -> None:
-    world, readers, listeners = story.world, story.readers, story.listeners
+def _play_steps(scenario: Scenario, numbers: list[int]) -> None:
+    world, readers, listeners = scenario.world, scenario.readers, scenario.listeners
     for number in numbers:
         rng = RandomSource(number)
         step = rng.pick(STEPS)
-        story.told.append(step.__name__)
-        step(rng, story)
+        scenario.told.append(step.__name__)
+        step(rng, scenario)
         world.look()
         listeners.note()
         readers.poll_all()
@@ -279,5 +279,5 @@ def _play_steps(story: Story, numbers: list[int]) -> None:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
-def test_a_group_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+def test_a_group_does_what_the_oracle_does_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)

@@ -24,9 +24,9 @@ from stampede_rt_channel_host.core.channel import LEASE_NANOS, Offer, Position, 
 from stampede_rt_channel_host.core.host_clock import HostTime
 from tests.oracle import Ack
 from tests.property.channel_pair import INCARNATION
-from tests.property.paths.book import REASONS
 from tests.property.paths.core_calls import Call
 from tests.property.paths.core_owner import CoreOwner
+from tests.property.paths.path_and_oracle import REASONS
 from tests.property.paths.values import Followed, Run, merge
 from tests.support.clock import ManualClock
 

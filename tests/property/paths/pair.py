@@ -14,7 +14,7 @@ import stampede_rt as st
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import LEASE_NANOS, ChannelLimits
-from tests.property.paths.book import OWN_CONSUMER
+from tests.property.paths.path_and_oracle import OWN_CONSUMER
 from tests.property.paths.puts import PathPuts
 from tests.property.paths.values import merge, stated
 

@@ -10,10 +10,10 @@ import stampede_rt as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
 from tests.oracle import Ack, Item, OracleRetries, Refused, put_run
-from tests.property.paths.book import SteeredHost
+from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.reads import PathReads
 from tests.property.paths.surfaces import Surface
-from tests.property.paths.values import Run, RunInBook
+from tests.property.paths.values import OracleRun, Run
 
 FULL = "CHANNEL_FULL"
 
@@ -66,7 +66,7 @@ class PathPuts(PathReads):
         offer = Offer(times=None, durations=None, lengths=lengths)
         self._send(Run(offer, payloads, former.producer_id, former.first_number))
 
-    def hang_up(self, entry: RunInBook) -> None:
+    def hang_up(self, entry: OracleRun) -> None:
         """Break the stream of a waiting run.
 
         Its accepted items stay, and the host knows them when the run is repeated.
@@ -88,7 +88,7 @@ class PathPuts(PathReads):
         return (next(self._marks).to_bytes(4, "big") * (length // 4 + 1))[:length]
 
     def _put(self, run: Run, call: Any) -> None:
-        entry = RunInBook(run, run.offer)
+        entry = OracleRun(run, run.offer)
         expected = self._judge(entry)
         if expected is not None:
             _same(self.outcome(call), expected, run)
@@ -100,7 +100,7 @@ class PathPuts(PathReads):
 
     # --- the oracle's side
 
-    def _judge(self, entry: RunInBook) -> Ack | Refused | None:
+    def _judge(self, entry: OracleRun) -> Ack | Refused | None:
         """The answer to the run's producer; None: the run has to wait."""
         known = self._known(entry)
         if known is not None:
@@ -111,11 +111,11 @@ class PathPuts(PathReads):
             return None
         return self._refuse_rest(entry)
 
-    def _refuse_rest(self, entry: RunInBook) -> Ack:
+    def _refuse_rest(self, entry: OracleRun) -> Ack:
         self.oracle.rejected[FULL] += entry.refuse_rest(FULL)
         return self._answer(entry)
 
-    def _known(self, entry: RunInBook) -> Ack | Refused | None:
+    def _known(self, entry: OracleRun) -> Ack | Refused | None:
         """The former answer of the run; None if it has none.
 
         If only its first items have verdicts, the run goes on with the others.
@@ -127,7 +127,7 @@ class PathPuts(PathReads):
         entry.resume(known.verdicts, self.clock)
         return entry.ack(known.judged_at) if known.is_whole else None
 
-    def _offer(self, entry: RunInBook) -> bool:
+    def _offer(self, entry: OracleRun) -> bool:
         """Put the rest of the run, up to the first item that has to wait. Returns True if no item has to wait."""
         taken = put_run(self.oracle, entry.rest, self.clock)
         for verdict, payload in zip(taken.verdicts, entry.payloads_left, strict=False):
@@ -140,11 +140,11 @@ class PathPuts(PathReads):
             entry.rest = entry.rest.rest(len(taken.verdicts), self.clock)
         return taken.waits is None
 
-    def _answer(self, entry: RunInBook) -> Ack:
+    def _answer(self, entry: OracleRun) -> Ack:
         self._remember(entry)
         return entry.ack(self.clock)
 
-    def _remember(self, entry: RunInBook) -> None:
+    def _remember(self, entry: OracleRun) -> None:
         run = entry.run
         self._retries.record(run.producer_id, run.first_number, len(run.payloads), entry.verdicts, self.clock)
 

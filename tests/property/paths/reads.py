@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interva
 from stampede_rt_channel_host.core.channel import Position, Query
 from tests.oracle import OracleAnswer, OracleGet, OracleNewest, OracleSubscription
 from tests.property.paths.agreement import same_answer, same_found, same_items
-from tests.property.paths.book import PathBook, SteeredHost
+from tests.property.paths.path_and_oracle import PathAndOracle, SteeredHost
 from tests.property.paths.steered_rings import follows_ring
 from tests.property.paths.surfaces import Surface
 from tests.property.paths.values import Follower, Started
@@ -23,8 +23,8 @@ from tests.property.paths.values import Follower, Started
 EVERYTHING = Interval(Bound(None, MIN_INSTANT), Bound(None, MAX_INSTANT))
 
 
-class PathReads(PathBook):
-    """`PathBook`, with readers."""
+class PathReads(PathAndOracle):
+    """`PathAndOracle`, with readers."""
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         super().__init__(surface, host, policy)

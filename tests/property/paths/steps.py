@@ -28,8 +28,8 @@ from tests.property.draws import (
     an_offer_in_order,
     some_seqs,
 )
-from tests.property.paths.book import SteeredHost
 from tests.property.paths.pair import PathPair
+from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.surfaces import Surface
 from tests.property.random_source import RandomSource
 

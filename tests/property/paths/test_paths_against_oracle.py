@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.transports import futexes
-from tests.property.paths.book import SteeredHost
 from tests.property.paths.core_surface import core_surface
+from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
 from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
@@ -51,14 +51,14 @@ def surface(request: pytest.FixtureRequest, host: LoopbackHost, ring_answers: Co
 def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
     @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.lists(st.integers(0, 2**96), min_size=20, max_size=40))
-    def every_story(numbers: list[int]) -> None:
+    def every_scenario(numbers: list[int]) -> None:
         play(surface, host, numbers, note)
 
-    every_story()
+    every_scenario()
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
-def test_a_client_sees_what_the_oracle_says_in_every_story(
+def test_a_client_sees_what_the_oracle_says_in_every_scenario(
     surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
 ) -> None:
     ring_answers.clear()
@@ -68,6 +68,6 @@ def test_a_client_sees_what_the_oracle_says_in_every_story(
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
 @pytest.mark.parametrize("items_per_block", [2, 1024])
-def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_story(items_per_block: int) -> None:
+def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_scenario(items_per_block: int) -> None:
     with core_surface(items_per_block) as (surface, host):
         play_stories(surface, host, 2 * EXAMPLES)

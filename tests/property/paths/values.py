@@ -49,7 +49,7 @@ class Run:
 
 
 @dataclass
-class RunInBook:
+class OracleRun:
     """A run in the oracle, and the verdicts on its first items. `rest` is the offer with the other items."""
 
     run: Run

@@ -1,6 +1,6 @@
 """Nothing hangs, nothing acknowledged is lost or doubled, and nothing is left over, whatever is cut or cancelled.
 
-`make fuzz` plays other and longer stories: STAMPEDE_FUZZ_STORIES of STAMPEDE_FUZZ_SECONDS each, from
+`make fuzz` plays other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
 STAMPEDE_FUZZ_SEED on.
 """
 
@@ -12,11 +12,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.robustness.fuzz.story import Story
+from tests.robustness.fuzz.scenario import Scenario
 from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
 SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "2"))
-STORIES = int(os.environ.get("STAMPEDE_FUZZ_STORIES", "1"))
+STORIES = int(os.environ.get("STAMPEDE_FUZZ_SCENARIOS", "1"))
 FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
 
 
@@ -32,7 +32,7 @@ def test_calls_over_a_network_that_breaks_end_and_lose_nothing(
     client: str, seed: int, world: RelayedCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def play() -> str:
-        return await Story(world, client, seed, SECONDS).play()
+        return await Scenario(world, client, seed, SECONDS).play()
 
     print(asyncio.run(play()))
     unseen = [record.getMessage() for record in caplog.records if "never retrieved" in record.getMessage()]

@@ -24,7 +24,7 @@ from tests.support.clock import ManualClock
 from tests.support.processes import started
 
 HOST_ID = b"the-loopback-hst"
-LEASE_TTL_NANOS = 10**18  # all stories together do not last so long
+LEASE_TTL_NANOS = 10**18  # all scenarios together do not last so long
 STOP_SECONDS_MAX = 20.0
 
 

@@ -144,9 +144,9 @@ notes = draws.tuples(
 )
 
 
-@given(settings=draws.lists(settings_of_groups, min_size=1, max_size=4), story=draws.lists(notes, max_size=40))
+@given(settings=draws.lists(settings_of_groups, min_size=1, max_size=4), scenario=draws.lists(notes, max_size=40))
 def test_groups_show_the_same_as_if_each_change_looked_at_all_of_them(
-    settings: list[dict[str, Any]], story: list[tuple[int, int, int | None, int]]
+    settings: list[dict[str, Any]], scenario: list[tuple[int, int, int | None, int]]
 ) -> None:
     async def compare() -> None:
         shown, all_looked_at = Shown(), Shown()
@@ -154,7 +154,7 @@ def test_groups_show_the_same_as_if_each_change_looked_at_all_of_them(
         every = [
             all_looked_at.group(number, 0, *range(1, 2 + number % 3), **one) for number, one in enumerate(settings)
         ]
-        for member, newest, end, incarnation in story:
+        for member, newest, end, incarnation in scenario:
             shown.note(member, newest, end, incarnation)
             all_looked_at.note(member, newest, end, incarnation)
             for one in every:

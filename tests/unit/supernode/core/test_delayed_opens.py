@@ -1,6 +1,6 @@
 """A request to open that comes late, after its caller had its answer, makes nothing again.
 
-The story: a caller opens `cam`, hears nothing, and tries again at another supernode. `cam` is there by now, so the
+The scenario: a caller opens `cam`, hears nothing, and tries again at another supernode. `cam` is there by now, so the
 second attempt is answered at once, without an entry in the log. Somebody deletes `cam`. Then the first attempt, which
 had been under way all the time, comes to be applied; nobody remembered the request, so it made the channel anew.
 """

@@ -1,6 +1,6 @@
 """What an older process of a peer or host sent is not done after its newer process has registered.
 
-The story: a peer's process asks to register, and the network holds the request. The process is killed and started
+The scenario: a peer's process asks to register, and the network holds the request. The process is killed and started
 again, and the new one registers. Then the held request arrives. It took the name from the process that lives.
 """
 

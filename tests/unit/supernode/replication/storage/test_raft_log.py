@@ -190,14 +190,14 @@ def take_step(log: RaftLog, step: str, number: int) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(steps)
-def test_a_crash_takes_the_journal_back_to_its_last_sync(story: list[tuple[str, int]]) -> None:
+def test_a_crash_takes_the_journal_back_to_its_last_sync(scenario: list[tuple[str, int]]) -> None:
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(storage, "PIECE_BYTES", 1)
         reopen = sqlite_in(Path(folder))
         log = with_entries(reopen(), 2)
         log.sync()
         durable = (log[:], log.snapshot)
-        for step, number in story:
+        for step, number in scenario:
             take_step(log, step, number)
             if step == "sync":
                 durable = (log[:], log.snapshot)

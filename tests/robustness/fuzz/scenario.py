@@ -1,4 +1,4 @@
-"""One story: callers of all kinds on one connection, cuts meanwhile, and a judgement in the end."""
+"""One scenario: callers of all kinds on one connection, cuts meanwhile, and a judgement in the end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ THREADS = 40
 END_S = 10.0
 
 
-class Story:
+class Scenario:
     """Plays one seed with one client, "aio" or "sync", for `seconds`."""
 
     def __init__(self, world: RelayedCluster, client: str, seed: int, seconds: float) -> None:
@@ -66,7 +66,7 @@ class Story:
         return self._callings[-1]
 
     async def _connect(self, calling: Calling) -> Any:
-        """A connection of the story's client; over gRPC for even seeds, because the relay cuts only what it carries."""
+        """A connection of the scenario's client; over gRPC for even seeds, because the relay cuts only what it carries."""
         transport = "best" if self._seed % 2 else "grpc"
         return await calling.plain(
             aio.connect if calling.is_async else st.connect, self._world.address, transport=transport

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel import Position
 from tests.oracle import OracleChannel, OracleReader
 from tests.property.channel_pair import check_causes
 from tests.property.paths.surfaces import Surface
-from tests.property.paths.values import Follower, RunInBook, stated
+from tests.property.paths.values import Follower, OracleRun, stated
 
 LOOKS_MAX = 20_000
 REASONS = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
@@ -35,19 +35,19 @@ class SteeredHost(Protocol):
         """Set the wall clock to the host's time, so that the host has no difference to make up. Returns this time."""
 
 
-class PathBook:
+class PathAndOracle:
     """One channel behind a path and in the oracle. Each client has a handle, and the handles make the calls in turn."""
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         self.surface, self.host, self.policy = surface, host, policy
         self.clock = host.settle_wall_clock()
         self.oracle = OracleChannel(policy)
-        self.name = f"story/{next(_names)}"
+        self.name = f"scenario/{next(_names)}"
         others = range(1, len(surface.connections))
         self.handles = [self.open(0, **stated(policy)), *map(self.open, others)]
         self._turns = itertools.cycle(self.handles)
         self.payloads: dict[int, bytes] = {}
-        self.line: list[RunInBook] = []
+        self.line: list[OracleRun] = []
         self.followers: list[Follower] = []
 
     def open(self, who: int, **policy: Any) -> Any:
