@@ -1,4 +1,4 @@
-"""Groups by the book: cuts, what they show, what becomes visible when, and what matches."""
+"""The oracle's groups: cuts, the items that they show, the moments at which items become visible, and matches."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from tests.oracle.reading import OracleReader, _remaining
 
 @dataclass(frozen=True)
 class Told:
-    """How far a channel was, as its owner said at some time. `end`: the largest by duration in its newest bucket."""
+    """The times of a channel, as its owner told them at one moment.
+
+    `end`: the largest time + duration in its newest bucket.
+    """
 
     epoch: int
     incarnation: int
@@ -25,13 +28,13 @@ class Told:
 
 @dataclass
 class OracleMember:
-    """A channel as its owner knows it, who looks after every put from some moment on."""
+    """The times of a channel at its owner. The owner looks at them after each put."""
 
     channel: OracleChannel
     epoch: int
     incarnation: int
     spoke_at: int
-    ends: dict[int, int] = field(default_factory=dict)  # by time of the bucket: the largest end that was seen in it
+    ends: dict[int, int] = field(default_factory=dict)  # by the time of the bucket: the largest end that was seen in it
     _known: tuple[int, int | None] = (0, None)
 
     def __post_init__(self) -> None:
@@ -46,7 +49,7 @@ class OracleMember:
                 self.ends[one.time] = max(one.time + one.duration, self.ends.get(one.time, one.time))
 
     def says(self) -> Told:
-        """Collection takes nothing back: every item that ever was counts."""
+        """The present times. Collection takes nothing back: collected items still count."""
         newest = max((one.time for one in self.channel.log.values()), default=None)
         end = None if newest is None else self.ends.get(newest)
         return Told(self.epoch, self.incarnation, newest, end, self.channel.advanced_to)
@@ -54,12 +57,12 @@ class OracleMember:
 
 @dataclass
 class OracleHeard:
-    """What a host was told of a channel by those who owned it. `known_until` None: it is the owner."""
+    """All that one host was told of a channel by its owners. `known_until` None: this host is the owner."""
 
     said: Told
     silent_since: int
     known_until: int | None
-    told: list[Told] = field(default_factory=list)  # all that was ever said
+    told: list[Told] = field(default_factory=list)  # everything that was told, in order
 
     @property
     def mark(self) -> int | None:
@@ -75,7 +78,10 @@ class OracleHeard:
 
 
 def all_in_all(told: list[Told]) -> Told:
-    """How far the channel is by everything that was said of its present life: an earlier one's items are lost."""
+    """The times of a channel from everything that was told of its present incarnation.
+
+    Items of earlier ones are lost.
+    """
     epoch = max(one.epoch for one in told)
     life = next(one.incarnation for one in told if one.epoch == epoch)
     valid = [one for one in told if one.incarnation == life]
@@ -86,7 +92,7 @@ def all_in_all(told: list[Told]) -> Told:
 
 
 class OracleBoard:
-    """What one host was told of all channels."""
+    """All that one host was told of all channels."""
 
     def __init__(self) -> None:
         self.heard: dict[bytes, OracleHeard] = {}
@@ -95,7 +101,7 @@ class OracleBoard:
         self._enter(channel_id, member.says(), member.spoke_at, None)
 
     def hear(self, channel_id: bytes, owner: OracleHeard, clock: int) -> None:
-        """The owner tells all that it knows."""
+        """Note that the owner has told all that it knows."""
         self._enter(channel_id, owner.said, owner.silent_since, clock)
 
     def _enter(self, channel_id: bytes, told: Told, silent_since: int, known_until: int | None) -> None:
@@ -113,7 +119,10 @@ class OracleBoard:
 
 @dataclass
 class OracleGroup:
-    """The cut of a group at one host; `observe` after each thing that happens. Shows nothing before it is settled."""
+    """The cut of a group at one host.
+
+    Call `observe` after each event. Before the cut is confirmed, it shows nothing.
+    """
 
     board: OracleBoard
     members: frozenset[bytes]
@@ -148,7 +157,10 @@ class OracleGroup:
         return None if heard is None else heard.mark
 
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
-        """Silent for so long as far as the host knows; of whom it never heard, it does not know."""
+        """Whether the channel was silent for the idle time, as far as the host knows.
+
+        Before the host hears of it: no.
+        """
         heard = self.heard(channel_id)
         if heard is None or self.idle_after is None:
             return False
@@ -156,7 +168,10 @@ class OracleGroup:
         return max(0, until - heard.silent_since) >= self.idle_after
 
     def next_idle(self, clock: int) -> int | None:
-        """When one of this host's members falls idle and is left out, if none speaks."""
+        """The instant at which the next of this host's own members becomes idle, and no longer counts.
+
+        None: there is none.
+        """
         if self.idle_after is None or self.reference is not None:
             return None
         awake = [self.heard(one) for one in self.members if not self.is_idle(one, clock)]
@@ -164,7 +179,9 @@ class OracleGroup:
         return min(own) + self.idle_after if own else None
 
     def counting(self, clock: int) -> list[bytes]:
-        """The members that the reference is chosen from; of none but silent ones, those that spoke last."""
+        """The members that determine the cut: the reference, or all members that are not idle, or those that spoke
+        last.
+        """
         if self.reference is not None:
             return [self.reference]
         awake = [one for one in self.members if not self.is_idle(one, clock)]
@@ -177,18 +194,18 @@ class OracleGroup:
         return min(known) if cuts and len(known) == len(cuts) else None
 
     def waiting_on(self, clock: int) -> list[bytes]:
-        """The counting members that are not past the cut."""
+        """The members of `counting` that hold the cut back."""
         cuts = {one: self.cut_of(one) for one in self.counting(clock)}
         return sorted(one for one, own in cuts.items() if own is None or (self.cut is not None and own <= self.cut))
 
     def due(self, cut: int, since: int, max_wait: int, lateness: int, clock: int) -> tuple[bool, tuple[bytes, ...]]:
-        """Whether an event for a cut that was reached at some time is due, and which members are behind."""
+        """Whether an event for a cut that was reached at `since` is due, and which members are behind the cut."""
         behind = tuple(one for one in sorted(self.members) if not self._is_at(one, cut, lateness))
         waits = clock < since + max_wait + lateness and any(not self.is_idle(one, clock) for one in behind)
         return not waits, behind
 
     def _is_at(self, channel_id: bytes, cut: int, lateness: int) -> bool:
-        """Nothing before the cut is to come any more that is not later than it may be."""
+        """Whether no further item can come before the cut, except one that is later than `lateness` allows."""
         heard = self.heard(channel_id)
         if heard is None:
             return False
@@ -196,7 +213,10 @@ class OracleGroup:
         return (newest is not None and newest >= cut + lateness) or (advance is not None and advance >= cut)
 
     def between(self, low: int | None, high: int, lateness: int, clock: int) -> int | None:
-        """The latest instant after `low` and before `high` at which all are that are waited for."""
+        """The latest instant after `low` and before `high` that all members that are not idle have reached.
+
+        None: none.
+        """
         awake = [one for one in sorted(self.members) if not self.is_idle(one, clock)]
         tried = [one.said for one in (self.heard(each) for each in awake) if one is not None]
         marks = [said.newest - lateness for said in tried if said.newest is not None]
@@ -207,7 +227,7 @@ class OracleGroup:
 
 
 class _Shown(OracleChannel):
-    """The items before the cut, as a channel of their own, apart from what retention has done."""
+    """The items before the cut as a channel of their own. What retention has collected is as in the whole channel."""
 
     def __init__(self, full: OracleChannel, cut: int | None) -> None:
         self.__dict__.update(full.__dict__)
@@ -224,7 +244,7 @@ class _Shown(OracleChannel):
 
 
 class OracleView(OracleReader):
-    """Reads through a group, under a clock that stops at the cut."""
+    """Reads through a group. Their clock stops at the cut."""
 
     def __init__(self, full: OracleChannel, clock: int, cut: int | None) -> None:
         full.age(clock)
@@ -234,12 +254,12 @@ class OracleView(OracleReader):
 
     @property
     def newest_key(self) -> tuple[int, int] | None:
-        """Of the latest visible item."""
+        """The time and seq of the latest visible item."""
         return max(((one.time, one.seq) for one in self.channel.held), default=None)
 
     @property
     def window_is_too_short(self) -> bool:
-        """Something went before it was shown, or the channel keeps less than it is ahead of the cut."""
+        """Whether an item left before the group showed it, or the channel keeps less time than it is past the cut."""
         full, cut = self.full, self.cut
         if any(cut is None or time >= cut for time in full.collected_times):
             return True
@@ -251,7 +271,7 @@ class OracleView(OracleReader):
         )
 
     def wake_at(self, within: ResolvedInterval) -> int | None:
-        """The first whole nanosecond inside, if a clock that stops at the cut comes there later."""
+        """The first whole nanosecond of the interval, if it is ahead and a clock that stops at the cut reaches it."""
         first = within.start + 1 if within.start_exclusive else within.start
         ahead = first > self.channel.now(self.clock)
         return first if ahead and self.cut is not None and first <= self.cut else None
@@ -262,20 +282,20 @@ class OracleView(OracleReader):
         return super().resolve(query)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """The channel, hidden items and all, has passed it, and the cut has."""
+        """Whether both the whole channel, with hidden items, and the cut have passed the interval."""
         if self.cut is None or not OracleReader(self.full, self.real_clock)._is_finished(region):
             return False
         return self.cut >= region.end if region.end_exclusive else self.cut > region.end
 
     def hides_an_item_of(self, query: Query, interval: ResolvedInterval) -> bool:
-        """The whole channel would have given items that the cut hides."""
+        """Whether a read of the whole channel would give items that the cut hides."""
         reader = OracleReader(self.full, self.real_clock)
         plain = Query(interval=query.interval, match=query.match, newest_first=query.newest_first,
                       after=query.after, newer_than=query.newer_than)  # fmt: skip
         return any(self.cut is None or one.time >= self.cut for one in reader.read(plain, interval).items)
 
     def reason(self, query: Query, interval: ResolvedInterval | None) -> str | None:
-        """Why an answer is empty or partial: as for a channel, but what the cut holds back is HIDDEN."""
+        """Why an answer is empty or partial. The reasons are a channel's, and HIDDEN for items at or past the cut."""
         answer = self.read(query, interval)
         if interval is None:
             return "HIDDEN" if self.full.held else answer.reason
@@ -292,7 +312,10 @@ class OracleView(OracleReader):
 
 @dataclass
 class OracleFollower:
-    """A reader to whom every item becomes visible once. `owed`: the seqs meant for it that it has not heard of."""
+    """A reader to which every item becomes visible once.
+
+    `owed`: the seqs that it must still get, or hear the loss of.
+    """
 
     channel: OracleChannel
     cut: int | None
@@ -301,22 +324,28 @@ class OracleFollower:
 
     @classmethod
     def begin(cls, channel: OracleChannel, cut: int | None, after_seq: int | None = None) -> OracleFollower:
-        """What lies at or past the cut is owed, and with `after_seq` whatever has a later seq, even if it is gone."""
+        """Begin at a cut.
+
+        The reader is owed all items at or past the cut; with `after_seq` also all later seqs, even if gone.
+        """
         owed = {one.seq for one in channel.held if cut is None or one.time >= cut}
         return cls(channel, cut, owed, len(channel.log) if after_seq is None else after_seq)
 
     @property
     def meant(self) -> set[int]:
-        """What is owed, and what was accepted since the last step."""
+        """The owed seqs, and those of the items accepted since the last step."""
         return self.owed | set(range(self.seen_seq + 1, len(self.channel.log) + 1))
 
     def owe(self) -> None:
-        """Take note of everything that was accepted up to now."""
+        """Owe the reader all items accepted up to now."""
         self.owed = self.meant
         self.seen_seq = len(self.channel.log)
 
     def end_step(self, cut: int, new: list[Item], late: list[Item]) -> set[int]:
-        """A step to `cut` brought these; checks them, and gives the items that are lost since the last step."""
+        """Check the items that a step to `cut` brought.
+
+        Returns the seqs of the items that were lost since the last step.
+        """
         before = self.cut
         assert new == sorted(new)
         assert late == sorted(late)
@@ -331,11 +360,11 @@ class OracleFollower:
         return gone - self.visible(cut)
 
     def visible(self, cut: int) -> set[int]:
-        """The seqs of what a group shows."""
+        """The seqs of the items that the group shows at the cut."""
         return {one.seq for one in self.channel.held if one.time < cut}
 
     def pass_over(self, cut: int) -> set[int]:
-        """What is owed, and was not given though it is visible, or is gone."""
+        """The owed seqs that the step left out, although their items are visible or gone."""
         held = {one.seq for one in self.channel.held}
         passed = {seq for seq in self.owed if seq not in held} | (self.owed & self.visible(cut))
         self.owed -= passed
@@ -345,9 +374,9 @@ class OracleFollower:
 
 @dataclass
 class OracleMatcher:
-    """Each item of one channel in time order, with the nearest of every other member.
+    """Matches each item of one channel, in the order of time, with the nearest item of every other member.
 
-    If `last` is not None no item of another member comes twice: it has the last partner of each.
+    If `last` is not None, no item of another member is in two matches: `last` has the last partner of each member.
     """
 
     per: OracleChannel
@@ -359,7 +388,10 @@ class OracleMatcher:
     unmatched: int = 0
 
     def take(self, items_max: int) -> list[tuple[Item, dict[bytes, Item]]]:
-        """With `last`, what waits for a nearer item counts as settled, too: `items_max` says how much is."""
+        """Return the matches that are decided.
+
+        With `last`, an item that waits for a nearer one counts as decided, too.
+        """
         taken: list[tuple[Item, dict[bytes, Item]]] = []
         for item in sorted(self.per.held):
             if (item.time, item.seq) <= self.position:
@@ -375,7 +407,9 @@ class OracleMatcher:
 
     @property
     def stalls(self) -> bool:
-        """The next item could be settled: the whole chain of ever nearer items behind it has been passed."""
+        """Whether the next match could be decided: each member has passed the whole chain of ever nearer items after
+        it.
+        """
         waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.position]
         far = self.tolerance * (2 * len(waiting) + 2)
         if not waiting:
@@ -399,8 +433,11 @@ class OracleMatcher:
         return others[key]
 
     def _passed(self, channel: OracleChannel, instant: int) -> bool:
-        """It had an item at or after the instant, or one that is by more than the lateness after it; or it promised
-        that none comes up to the instant."""
+        """Whether the channel has passed the instant.
+
+        It has an item at or after the instant (later than the instant by more than the lateness, if there is one), or
+        it promised that no item comes up to the instant.
+        """
         promised = channel.advanced_to is not None and channel.advanced_to > instant
         least = instant + self.lateness + 1 if self.lateness else instant
         return promised or any(one.time >= least for one in channel.log.values())

@@ -1,7 +1,8 @@
-"""Plays scenarios of paths by their seeds, much faster than hypothesis makes them up, but without making them shorter.
+"""Runs scenarios of paths by their seeds. This is much faster than hypothesis, but it does not shorten a failing
+scenario.
 
 `python -m tests.property core|awaited|blocking FIRST COUNT` stops at the first scenario in which a path and the oracle
-disagree, and tells its seed and its steps.
+disagree, and prints its seed and its steps.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ STORIES_PER_LINE = 1000
 
 @contextmanager
 def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
-    """One of the paths, for as long as the block lasts."""
+    """Yield one of the paths."""
     if name == "core":
         with core_surface(items_per_block=2) as path:
             yield path
@@ -36,14 +37,15 @@ def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
 
 
 def numbers_of(seed: int) -> list[int]:
-    """What the scenario of that seed draws from."""
+    """The random numbers of the scenario with this seed."""
     rng = random.Random(seed)
     return [rng.getrandbits(96) for _ in range(rng.randint(20, 40))]
 
 
 def main(name: str, first: int, count: int) -> None:
-    """Play so many scenarios, from one seed on."""
-    logging.disable(logging.WARNING)  # a consumer's place is lost whenever its scenario's channel is deleted
+    """Run `count` scenarios, from the seed `first` on."""
+    # the client warns of a lost consumer place whenever a scenario deletes its channel
+    logging.disable(logging.WARNING)
     began_s = time.monotonic()
     with path_called(name) as (surface, host):
         for played, seed in enumerate(range(first, first + count), 1):

@@ -39,7 +39,7 @@ from tests.oracle import (
 )
 
 INCARNATION = 7
-TIED_ITEMS_MAX = 3  # a bucket of a scenario has hardly more
+TIED_ITEMS_MAX = 3  # hardly any bucket of a scenario has more items
 
 
 def items_of(slices: Sequence[Slice]) -> list[Item]:
@@ -158,7 +158,7 @@ class ChannelPair:
         return outcome, taken.verdicts
 
     def move_to(self, core: ChannelCore) -> None:
-        """Another owner has the channel from now on. The readers come with their cursors."""
+        """Move the channel to another owner. Its readers continue there with their cursors."""
         self.core, self.tracker = core, ReachTracker(core)
         for which in range(len(self.all_subscriptions)):
             self.resume(which)

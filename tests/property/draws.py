@@ -1,4 +1,4 @@
-"""What a scenario of a channel draws: set-ups, offers, queries, positions, whoever it is played on."""
+"""Draws for the scenarios of a channel: policies, offers, queries and positions, for any path."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ LOOKED_BACK_MAX = 100
 
 
 class Told(Protocol):
-    """A scenario under way: the host's clock, and the channel by the book."""
+    """A running scenario: the host's clock, and the oracle's channel."""
 
     clock: int
     oracle: OracleChannel
 
 
 def a_time(rng: RandomSource, scenario: Told) -> int:
-    """Near the newest item, near the clock on either side, near the edge of what is kept, or far off."""
+    """A time near the newest item, near the clock on either side, near the edge of the held items, or far off."""
     newest, oldest = scenario.oracle.newest or scenario.clock, scenario.oracle.oldest or scenario.clock
     cutoff = scenario.clock - min(scenario.oracle.max_age or 0, LOOKED_BACK_MAX)
     around = rng.pick((scenario.clock, newest, oldest, cutoff, scenario.clock))
@@ -60,7 +60,7 @@ def a_time(rng: RandomSource, scenario: Told) -> int:
 
 
 def an_offer(rng: RandomSource, scenario: Told) -> Offer:
-    """A run in any order, most of them small; its items stamped by the host, or each with a time of its own."""
+    """A run in any order, most of them small. The host gives the items their time, or each item has its own."""
     items = rng.pick((40, 17)) if rng.one_in(30) else rng.pick(RUN_LENGTHS)
     times = None if rng.one_in(6) else [a_time(rng, scenario) for _ in range(items)]
     if times is not None and rng.below(2):
@@ -71,7 +71,7 @@ def an_offer(rng: RandomSource, scenario: Told) -> Offer:
 
 
 def a_bound(rng: RandomSource, scenario: Told) -> Bound:
-    """Any instant, or any meta-time and what is near it."""
+    """A bound: any instant, or any meta-time with a small offset."""
     meta = rng.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
     if meta is None:
         return Bound(None, rng.pick((MIN_INSTANT, MAX_INSTANT)) if rng.one_in(6) else a_time(rng, scenario))
@@ -79,7 +79,7 @@ def a_bound(rng: RandomSource, scenario: Told) -> Bound:
 
 
 def a_position(rng: RandomSource, scenario: Told) -> Position | None:
-    """Mostly none, or an instant, or an item that is held or ever was."""
+    """A position: mostly none, or an instant, or an item that is or was in the channel."""
     kind = rng.below(6)
     if kind == 1:
         return Position(a_time(rng, scenario))
@@ -87,7 +87,7 @@ def a_position(rng: RandomSource, scenario: Told) -> Position | None:
 
 
 def an_item_position(rng: RandomSource, scenario: Told) -> Position | None:
-    """Of any item that ever was."""
+    """The position of any item that is or was in the channel."""
     if not scenario.oracle.log:
         return None
     item = scenario.oracle.log[1 + rng.below(len(scenario.oracle.log))]
@@ -95,7 +95,7 @@ def an_item_position(rng: RandomSource, scenario: Told) -> Position | None:
 
 
 def a_query(rng: RandomSource, scenario: Told) -> Query:
-    """Any read that asks for items between two bounds."""
+    """Any read of items between two bounds."""
     start, end = a_bound(rng, scenario), a_bound(rng, scenario)
     if start.meta is None and end.meta is None and start.offset > end.offset:
         start, end = end, start
@@ -132,7 +132,7 @@ def a_query_near_the_front(rng: RandomSource, scenario: Told) -> Query | None:
 
 
 def some_seqs(rng: RandomSource, scenario: Told) -> list[int]:
-    """Of all that is held, its oldest items, its newest, or any that ever were; some twice, or none."""
+    """Seqs of all held items, the oldest, the newest, or of any items that ever were; some twice, or none."""
     held, kind = [item.seq for item in scenario.oracle.held], rng.below(4)
     ever = len(scenario.oracle.log)
     return (held, held[:2], held[-1:], [1 + rng.below(ever) for _ in range(2) if ever])[kind]

@@ -1,4 +1,4 @@
-"""Copies of the channel of a scenario: fed by the core or by another copy, over feeds that break, repeat and lag."""
+"""Copies of a scenario's channel, fed by the core or by another copy. Their feeds break, repeat parts and lag."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class FedCopy:
         )
 
     def cut(self) -> None:
-        """The stream breaks."""
+        """Break the stream of the feed."""
         if self.feed is not None:
             self.feed.close()
         self.feed = None
@@ -73,7 +73,7 @@ class FedCopy:
     def take(self, limit_bytes: int) -> bool:
         """Open a feed if there is none, and apply its next part. Returns whether anything came."""
         clock = self.pair.clock
-        if self.source is not self._present_source():  # that copy began anew, so it is another channel
+        if self.source is not self._present_source():  # that copy began again, so its channel is another one
             self.cut()
             self.source = self._present_source()
         if self.feed is None:
@@ -106,7 +106,7 @@ class FedCopy:
         )
 
     def repeat(self) -> None:
-        """The last part comes twice: the second one changes nothing."""
+        """Apply the last part a second time. This changes nothing."""
         if self.last is not None and self.feed is not None:
             before = held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0)
             self.apply(self.last)
@@ -132,7 +132,7 @@ class FedCopy:
     def check_equal(self, query: Query) -> None:
         """A copy without lag gives the answers of its owner."""
         clock, core = self.pair.clock, self.pair.core
-        core.read(query, clock)  # so that both have settled the time
+        core.read(query, clock)  # so that both have applied the present time
         self.catch_up()
         mine, its = self.channel.read(query, clock), core.read(query, clock)
         assert facts(items_of(mine.slices)) == facts(items_of(its.slices))
@@ -143,14 +143,14 @@ class FedCopy:
 
 @dataclass
 class Wanderer:
-    """A subscription that goes from host to host, each time with the cursor of the host before."""
+    """A subscription that moves from host to host, each time with its last cursor."""
 
     saved: SavedCursor
     seen: list[int] = field(default_factory=list)
     missing: list[int] = field(default_factory=list)
 
     def visit(self, channel: ChannelCore, clock: int, limit_bytes: int) -> None:
-        """Take one batch, unless the host is behind the cursor."""
+        """Take one batch from a host, unless the host lags behind the cursor."""
         if channel.next_seq < self.saved.next_seq:
             return
         cursor = channel.subscribe_all(clock, saved=self.saved)

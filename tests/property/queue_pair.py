@@ -1,4 +1,4 @@
-"""A queue's core and the oracle side by side: every step is made on both, and all that can be seen must agree."""
+"""A queue's core beside the oracle. Each step runs on both, and all their visible results must agree."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def core_settlement(verdict: Verdict) -> Settlement:
 
 @dataclass
 class QueuePair:
-    """One queue, twice; takers and waiting runs as pairs."""
+    """One queue in the core and in the oracle, with its takers and waiting runs."""
 
     setup: oracle.Setup
     clock: int
@@ -116,7 +116,7 @@ class QueuePair:
             self.check()
 
     def sent(self, position: int, *, begun: bool) -> None:
-        """`begun`: only begun to send, and not done."""
+        """Note that a batch was sent. `begun`: the host has only begun to send it."""
         if position < len(self.takers) and self.takers[position][0].is_busy:
             mine, other = self.takers[position]
             if begun:
@@ -161,7 +161,7 @@ class QueuePair:
         self.check()
 
     def hand_over(self) -> None:
-        """Another host goes on with the queue; whoever waits at this one is sent away before."""
+        """Move the queue to another host. The takers and waiting runs at this host end first."""
         while self.takers:
             self.leave(0, drain=False)
         while self.waiting:
@@ -177,7 +177,7 @@ class QueuePair:
         self.check()
 
     def check(self) -> None:
-        """Who got what, which runs are through, and every number."""
+        """Compare all deliveries, the outcomes of all runs, and all counters."""
         dealt, self.oracle.dealt = self.oracle.dealt, []
         other_of = {id(mine): other for mine, other in self.takers}
         found = [(other_of[id(taker)], _flat(batch), batch.expires) for taker, batch in self.core.take_batches()]
@@ -215,7 +215,7 @@ class QueuePair:
         assert core.footprint_bytes >= charged + 64 * len(items)
 
     def _check_pending(self) -> None:
-        """Page by page."""
+        """Compare the list of pending messages, page by page."""
         found: list[PendingDelivery] = []
         while page := self.core.pending(found[-1].delivery_id if found else 0, 2, self.clock):
             found += page

@@ -1,4 +1,4 @@
-"""Choices drawn from one whole number: quick to generate in thousands, and smaller numbers mean simpler choices."""
+"""Random choices that are all drawn from one whole number. Smaller numbers mean simpler choices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ T = TypeVar("T")
 
 
 class RandomSource:
-    """Each choice takes a digit off the number, in the base of its choices; a used-up number chooses the first."""
+    """Each choice takes one digit of the number, in the base of the number of options.
+
+    A used-up number chooses the first option.
+    """
 
     def __init__(self, number: int) -> None:
         self._left = number

@@ -1,4 +1,4 @@
-"""A channel of the core, the oracle, and a ring that repeats the channel: whatever the ring answers must agree."""
+"""A channel of the core, the oracle, and a ring of the channel. Each answer of the ring must be the oracle's."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _items_in(piece: RunPiece, first_seq: int) -> list[Item]:
 
 @dataclass
 class RingPair(ChannelPair):
-    """Counts in `answered` how often the ring had the answer."""
+    """A ChannelPair with a ring. `answered` counts the reads that the ring answered."""
 
     size: RingSize = SIZES[0]
     answered: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("read", "newest", "next"), 0))
@@ -53,7 +53,7 @@ class RingPair(ChannelPair):
         self.make_ring()
 
     def make_ring(self) -> None:
-        """A new ring, with the newest items; none for a channel with consumers."""
+        """Make a new ring with the newest items. A channel with consumers gets none."""
         self.view = None
         if self.core.policy.consumers or self.core.policy.max_age_unconsumed_nanos:
             return
@@ -81,7 +81,7 @@ class RingPair(ChannelPair):
         self._writer.publish(self.core.ring_facts(), ClockReading(0, self.clock, 0))
 
     def follow(self) -> None:
-        """As the host does after each change."""
+        """Write the change to the ring, as the host does after each change."""
         if self.view is not None:
             for part in self.core.accepted_from(self._next_seq):
                 self._append(part)
@@ -105,7 +105,7 @@ class RingPair(ChannelPair):
         self.follow()
 
     def read(self, query: Query) -> None:
-        """First from the ring, because a read of the core ages the channel."""
+        """Read from the ring first, because a read of the core outdates items."""
         if self.view is not None:
             self._read_ring(self.view, query)
             self._newest_of_ring(self.view)

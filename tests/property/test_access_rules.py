@@ -1,4 +1,4 @@
-"""The judge of access beside a simple one that looks at every rule, and compares names character by character."""
+"""The rules of access beside a simple judge that looks at every rule, and compares names character by character."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_judge_says_what_the_simple_one_says(
     rules: list[AccessRule], asked: list[tuple[str, AccessVerb, AccessKind, str]]
 ) -> None:
     judge = AccessRules(rules)
-    for who, verb, kind, name in asked * 2:  # the second time from memory
+    for who, verb, kind, name in asked * 2:  # the second time the answer comes from the judge's memory
         assert judge.judge(client(who), verb, kind, name).allowed == oracle(rules, who, verb, kind, name)
 
 

@@ -1,6 +1,6 @@
-"""Whatever happens to a channel, the core and the oracle tell the same scenario.
+"""After any random steps, a channel of the core and the oracle's channel agree.
 
-`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_channel_against_oracle.py` searches at length.
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_channel_against_oracle.py` tries more steps.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ def put(rng: RandomSource, pair: ChannelPair) -> None:
 
 
 def of_incarnation(rng: RandomSource, position: Position | None) -> Position | None:
-    """The same, of this channel's incarnation by name, or of whichever it is."""
+    """The same position, with this channel's incarnation or without one."""
     if position is None or position.seq is None:
         return position
     return position._replace(incarnation=rng.pick((0, INCARNATION)))
 
 
 def a_query(rng: RandomSource, pair: ChannelPair) -> Query:
-    """As clients ask, and as their named reads do."""
+    """A query as programs ask it, or as a named read such as `newest` does."""
     query = a_client_query(rng, pair)
     after, newer_than = (of_incarnation(rng, one) for one in (query.after, a_position(rng, pair)))
     return replace(query, after=after, newer_than=newer_than)
@@ -118,7 +118,7 @@ def collect(rng: RandomSource, pair: ChannelPair) -> None:
 
 
 def rest(rng: RandomSource, pair: ChannelPair) -> None:
-    """Nothing happens: what a step shrinks to."""
+    """Do nothing. Hypothesis replaces steps by this one when it shortens a failing test."""
 
 
 STEPS = (
@@ -128,9 +128,9 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> None:
-    """One scenario: a policy, then a step for each number; with `hasty` nobody looks between the steps.
+    """Run one scenario: a policy, then a step for each number. With `hasty` nothing is compared between the steps.
 
-    What is held is counted in blocks, and long work done in pieces, as small as the few items of a scenario.
+    Blocks that count items, and pieces of long work, are small, because a scenario has few items.
     """
     first = RandomSource(numbers[0])
     policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
@@ -173,8 +173,10 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
 
 
 def test_who_takes_a_lost_place_starts_at_the_newest_item_of_a_bucket_that_is_half_consumed() -> None:
-    """A late item once turned round what was left of the bucket, so that an older item counted as the newest one: the
-    taker then owed it, too. In three scenarios of 49 549."""
+    """Earlier, a late item reversed the rest of the bucket, so that an older item counted as the newest one.
+
+    The next consumer of the place then owed this item, too. 3 of 49,549 scenarios found it.
+    """
     pair = ChannelPair(Policy(consumers=2, max_future_nanos=8), FIRST_CLOCK)
     pair.put(Offer(times=None, durations=[0, 0, -1], lengths=[0, 40, 0]))
     pair.consume(2, [1, 2], 10**6)
@@ -223,7 +225,10 @@ def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_
 
 
 def test_what_everybody_has_consumed_goes_by_consumption_once_bytes_took_what_stood_before_it() -> None:
-    """Not by age later on, though nobody looked in between. In two scenarios of 36 000; the oracle was wrong."""
+    """Such items did not leave by age later, even if nothing read the channel meanwhile.
+
+    2 of 36,000 scenarios; the oracle was wrong.
+    """
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=[96, 103], durations=None, lengths=[64, 64]))
@@ -248,7 +253,7 @@ def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_h
 
 
 def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_what_was_used_up() -> None:
-    """It once was returned by the next read, and went by the one after that. In one scenario of 20 000."""
+    """Earlier, the next read returned it, and the read after that collected it. 1 of 20,000 scenarios found it."""
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=[100, 100], durations=[HUGE, 7], lengths=[0, 64]))
@@ -262,7 +267,7 @@ def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_wha
 
 
 def test_a_put_that_waits_is_offered_again_when_age_makes_room_though_its_own_item_would_not_go_then() -> None:
-    """It once was told to come back when the last lease ended. In one scenario of 4 000."""
+    """Earlier, the put was told to try again at the end of the last lease. 1 of 4,000 scenarios found it."""
     policy = Policy(max_age_nanos=8, max_age_unconsumed_nanos=25, max_items=2, max_future_nanos=8, on_full="block")
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(_timed(95, 98))

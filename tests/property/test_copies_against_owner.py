@@ -1,7 +1,7 @@
 """A copy that is fed through any cuts, repeats and reconnects equals its owner up to its lag.
 
-The owner is the core of the channel's scenarios, which the oracle checks step by step. `STAMPEDE_PROPERTY_EXAMPLES` sets
-the number of scenarios.
+The owner is the core of the channel's scenarios, which the oracle checks step by step. `STAMPEDE_PROPERTY_EXAMPLES`
+sets the number of scenarios.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
 
 
 class Scenario:
-    """A channel by core and oracle, two copies of the owner, and a copy of the first copy."""
+    """A channel in the core and in the oracle, two copies of the owner, and a copy of the first copy."""
 
     def __init__(self, policy: Policy, lost_before: int | None = None) -> None:
         self.pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
@@ -95,7 +95,7 @@ def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() 
 
 
 def test_a_copy_goes_on_after_a_late_item_that_came_below_consumed_ones_during_the_feed() -> None:
-    """The floor goes back then. Without the word of the feed the copy would keep what the owner has freed."""
+    """The floor then moves back. Unless the feed said so, the copy would keep items that the owner has freed."""
     scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
     copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))

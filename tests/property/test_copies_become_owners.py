@@ -1,6 +1,6 @@
-"""A copy that was fed with what only the owner knows becomes the owner, and nobody notices.
+"""A copy that was fed with all facts of its owner becomes the owner, and no client notices.
 
-The scenario goes on at the new owner: its items, consumers, counts and answers to repeated runs are those of the oracle.
+The scenario goes on at the new owner: its items, consumers, counts and answers to repeated runs are the oracle's.
 `STAMPEDE_PROPERTY_EXAMPLES` sets the number of scenarios.
 """
 
@@ -74,7 +74,7 @@ class Scenario:
             copy.take(rng.pick((0, 1, 150, 10**6)))
 
     def produce(self, rng: RandomSource) -> None:
-        """Put a run, or repeat one, as the host and as the oracle does."""
+        """Put a run or repeat one, through the retry window of the host and of the oracle."""
         producer_id, number, offer = self.producers.run(rng, self.pair)
         clock, items = self.pair.clock, len(offer.lengths)
         expected = self.retries.find(producer_id, number, items, clock)
@@ -112,10 +112,10 @@ class Scenario:
         self.retries.record(producer_id, number, items, [*verdicts, *more], self.pair.clock)
 
     def move(self, copy: FedCopy) -> None:
-        """The copy gets everything, and becomes the owner."""
+        """Give the copy everything, and make it the owner."""
         clock = self.pair.clock
         self.pair.oracle.age(clock)
-        self.pair.core.collect(clock)  # so that both have settled the time
+        self.pair.core.collect(clock)  # so that both have applied the present time
         copy.catch_up()
         while copy.feed is not None and copy.feed.owner is not None and not copy.feed.owner.is_complete(clock):
             copy.take(10**6)
@@ -128,7 +128,7 @@ class Scenario:
 
 
 def check_known(known: RunOutcome, expected: OracleOutcome) -> None:
-    """The former answer to a repeated run."""
+    """Check the former answer to a repeated run."""
     accepted = [(at, one.seq) for at, one in enumerate(expected.verdicts) if isinstance(one, Item)]
     refused = [(at, one.reason) for at, one in enumerate(expected.verdicts) if isinstance(one, Refused)]
     assert known.judged_items == len(expected.verdicts)
@@ -166,7 +166,7 @@ def play(numbers: list[int]) -> int:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
-def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done_in_every_scenario(
+def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done(
     numbers: list[int],
 ) -> None:
     play(numbers)

@@ -1,4 +1,4 @@
-"""What is done in pieces is as of its first piece, whatever becomes of the channel in between."""
+"""Long work in pieces has the result of its first moment, whatever changes in the channel between two pieces."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POLICIES = {
 
 
 class Busy:
-    """A channel to which random things happen."""
+    """A channel that random steps change."""
 
     def __init__(self, policy: Policy, seed: int) -> None:
         self.rng = random.Random(seed)
@@ -54,7 +54,7 @@ class Busy:
             self.happen()
 
     def happen(self) -> None:
-        """A put, in order or late, and what goes with it."""
+        """Put an item, in order or late, and perhaps consume."""
         rng = self.rng
         self.now += rng.randrange(12)
         times = [self.now - (0 if rng.random() < 0.6 else rng.randrange(200)) for _ in range(rng.randrange(1, 5))]
@@ -80,7 +80,7 @@ class Busy:
         )
 
     def finish(self, rest: Pieces[Any]) -> Any:
-        """Take the pieces to their end, while the channel goes on."""
+        """Run the pieces to their end, and change the channel between them."""
 
         def between() -> Pieces[Any]:
             while True:

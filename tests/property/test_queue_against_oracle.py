@@ -1,6 +1,6 @@
-"""Whatever happens to a queue, the core and the oracle tell the same scenario.
+"""After any random steps, a queue of the core and the oracle's queue agree.
 
-`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_queue_against_oracle.py` searches at length.
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_queue_against_oracle.py` tries more steps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SETUPS = (
 def enqueue(rng: RandomSource, pair: QueuePair) -> None:
     lengths = [rng.pick((8, 0, 40, 100, 400)) for _ in range(rng.pick((1, 2, 1, 3, 6)))]
     wait = rng.pick((None, 0, 5, 20, None))
-    if rng.one_in(3) and pair.runs:  # a retry, or nearly one
+    if rng.one_in(3) and pair.runs:  # a repeated run, or one with nearly the same numbers
         before = rng.pick(pair.runs)
         number = before.first_number + rng.pick((0, 0, 0, 1))
         pair.enqueue(list(before.lengths), before.producer_id, number, wait, before.message_id)
@@ -73,7 +73,7 @@ def settle(rng: RandomSource, pair: QueuePair) -> None:
 
 
 def latest(rng: RandomSource, pair: QueuePair) -> tuple[int, int]:
-    """A delivery, the newest ones rather than older ones."""
+    """A delivery, more often one of the newest."""
     return pair.deliveries[-1 - rng.below(min(len(pair.deliveries), rng.pick((2, 5, 50))))]
 
 
@@ -105,7 +105,7 @@ def hand_over(rng: RandomSource, pair: QueuePair) -> None:
 
 
 def rest(rng: RandomSource, pair: QueuePair) -> None:
-    """Nothing happens: what a step shrinks to."""
+    """Do nothing. Hypothesis replaces steps by this one when it shortens a failing test."""
 
 
 STEPS = (
@@ -115,7 +115,7 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> None:
-    """One scenario: a set-up, then a step for each number."""
+    """Run one scenario: the limits, then a step for each number."""
     pair = QueuePair(RandomSource(numbers[0]).pick(SETUPS), FIRST_CLOCK)
     for number in numbers[1:]:
         rng = RandomSource(number)

@@ -1,4 +1,4 @@
-"""Whatever happens to a channel, its ring in shared memory gives the oracle's answers, or none."""
+"""After any random steps, a channel's ring in shared memory gives the oracle's answers, or none."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> RingPair:
-    """One scenario: a policy, then a step for each number."""
+    """Run one scenario: a policy, then a step for each number."""
     first = RandomSource(numbers[0])
     policy, lost_before = first.pick(SUITED), FIRST_CLOCK if first.one_in(5) else None
     pair = RingPair(policy, FIRST_CLOCK, lost_before, size=first.pick(SIZES))

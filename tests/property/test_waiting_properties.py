@@ -1,5 +1,6 @@
-"""Whatever comes into a channel, or becomes visible of it through a group: no blocked get that it releases is passed
-over for needing more."""
+"""A change of a channel, or of the cut of a group, releases each blocked get that it can release, whatever other gets
+need.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ POLICIES = (
 
 
 class Scenario:
-    """One channel, and gets that are blocked on it, whole or before a cut that only grows."""
+    """One channel, and blocked gets on the whole channel or on its items before a cut, which only grows."""
 
     def __init__(self, seed: int, policy: Policy, *, grouped: bool) -> None:
         self.rng = random.Random(seed)
@@ -98,7 +99,7 @@ class Scenario:
             self.waiting.append((pending, found))
 
     def step(self) -> None:
-        """Something happens, and whoever it may release is looked at."""
+        """Change something, and poll each get that the change may release."""
         kind = self.rng.randrange(8)
         around = self.rng.choice((self.channel.newest or self.now, self.now))
         if kind < 4:
@@ -125,7 +126,7 @@ class Scenario:
             step()
 
     def look(self) -> None:
-        """The change is known: those it does not reach are not released by it."""
+        """Check that the gets outside of the reach of the change are not released by it."""
         _, poll = self.view()
         reach = self.tracker.reach(self.now, self.visible_to)
         waiting, self.waiting = self.waiting, []
@@ -138,7 +139,7 @@ class Scenario:
                 assert reached, (pending.query, pending.interval, wake, reach, found)
 
     def pass_time(self) -> None:
-        """Those are looked at whose instant has come."""
+        """Let time pass, and poll the gets whose instant has come."""
         self.now += self.rng.choice((0, 1, 2, 5))
         _, poll = self.view()
         waiting, self.waiting = self.waiting, []

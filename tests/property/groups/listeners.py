@@ -1,4 +1,4 @@
-"""Who listens to whole groups of a World: cut events and matches, each beside an oracle that says what must come."""
+"""The readers of whole groups of a World: cut events and matches, each beside an oracle that predicts them."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ Meddle = Callable[[bytes], None]
 
 @dataclass
 class Follower:
-    """One channel's part of cut events. The cursor is what is kept of it between steps: a cut, a seq, an incarnation.
+    """One channel's part of cut events. The cursor is its state between two steps: a cut, a seq, an incarnation.
 
-    `hears_again`: the first step after it was resumed tells that items are gone, though it may have been told before.
-    `uncounted`: what was gone by then, so that nobody can count it.
+    `hears_again`: the first step after a resumption may report a loss that was reported before. `uncounted`: the items
+    that were gone by then, so that no step can count them.
     """
 
     channel_id: bytes
@@ -45,7 +45,10 @@ class Follower:
 
 @dataclass
 class Events:
-    """A subscription to a group's cut events: one host decides, every channel's owner brings its part."""
+    """A subscription to a group's cut events.
+
+    One host decides the cuts, and the owner of each channel sends its items.
+    """
 
     group: int
     decider_host: int
@@ -54,12 +57,13 @@ class Events:
     decided: int | None
     max_wait: int
     lateness: int
-    pending: list[tuple[int, int]] = field(default_factory=list)  # cuts that are not decided yet, and since when
+    # cuts that are not decided yet, each with the time at which it was reached
+    pending: list[tuple[int, int]] = field(default_factory=list)
 
 
 @dataclass
 class Match:
-    """Channel a against b, at the same host as the matcher, and c, of which only the keys of items are known."""
+    """Matches of channel a with b and c. The matcher's host owns a and b, and knows only the keys of the items of c."""
 
     core: Matcher
     oracle: OracleMatcher
@@ -75,14 +79,17 @@ class Match:
 
 @dataclass
 class Listeners:
-    """`take_...` lets all of a kind take what there is; `channel_moved` and the like carry them on."""
+    """`take_...` gives all readers of one kind what is available.
+
+    `channel_moved` and similar methods resume them after a change.
+    """
 
     world: World
     events: list[Events] = field(default_factory=list)
     matches: list[Match] = field(default_factory=list)
 
     def pair(self, channel_id: bytes) -> LivingPair:
-        """The channel, aged to now."""
+        """The channel, with the present time applied."""
         pair = self.world.pair(channel_id)
         OracleReader(pair.oracle, self.world.clock)
         return pair
@@ -101,7 +108,7 @@ class Listeners:
         return Follower(channel_id, core, OracleFollower.begin(pair.oracle, cut), cursor)
 
     def note(self) -> None:
-        """Every deciding host looks where its cut is."""
+        """Let every deciding host note its present cut."""
         for one in self.events:
             cut = self.world.hosts[one.decider_host].cuts[one.group].cut
             last = one.pending[-1][0] if one.pending else one.decided
@@ -110,7 +117,10 @@ class Listeners:
             one.decider.note(cut, self.world.clock)
 
     def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
-        """An event is due when every member is as far, or the wait is over. `meddle` comes between an event's parts."""
+        """Decide the due events: every member has reached the cut, or the longest wait is over.
+
+        Calls `meddle` between two parts.
+        """
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
@@ -134,7 +144,10 @@ class Listeners:
                 self._take_parts(one, boundary.cut, limit_bytes, meddle)
 
     def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
-        """Each channel's part, once its owner's cut is there, which the reader's word does not raise."""
+        """Take each channel's part once its owner's cut has come so far.
+
+        The boundary of an event does not raise this cut.
+        """
         for channel_id, one in events.followers.items():
             if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):
                 self.world.exchange()
@@ -145,7 +158,7 @@ class Listeners:
             self._take_part(one, cut, limit_bytes, meddle)
 
     def _take_part(self, one: Follower, cut: int, limit_bytes: int, meddle: Meddle) -> None:
-        """What is put between two of its steps comes with the next event."""
+        """Take one channel's part. Items that are put between two steps come with the next event."""
         pair = self.pair(one.channel_id)
         one.oracle.owe()
         one.core.begin(cut)
@@ -193,7 +206,7 @@ class Listeners:
             kept, c.oracle.held = (
                 c.oracle.held,
                 list(c.oracle.log.values()),
-            )  # a listener keeps the keys that it heard
+            )  # a reader keeps the keys of the items that it got
             taken = one.core.take(one.has_passed, clock, 1000)
             wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
             assert not one.oracle.stalls
@@ -207,7 +220,9 @@ class Listeners:
             assert one.core.dropped == len(a.oracle.log) - one.begun - one.taken - len(waiting)
 
     def member_changed(self, group: int, channel_id: bytes, *, joins: bool) -> None:
-        """Events of a group bring who joined it, from their cut on, and leave out who left."""
+        """Follow a change of the members: events have the items of a new member from their cut on, and none of a former
+        one.
+        """
         for one in self.events:
             if one.group == group and joins:
                 one.followers[channel_id] = self._follower(channel_id, one.decided)
@@ -215,7 +230,7 @@ class Listeners:
                 one.followers.pop(channel_id, None)
 
     def channel_moved(self, channel_id: bytes) -> None:
-        """The same channel at another host: events go on there."""
+        """Continue at the new owner of the channel."""
         pair = self.pair(channel_id)
         held = {item.seq for item in pair.oracle.held}
         for one in (events.followers.get(channel_id) for events in self.events):
@@ -228,7 +243,7 @@ class Listeners:
                 one.uncounted |= {seq for seq in one.oracle.owed if seq < next_seq and seq not in held}
 
     def channels_lost(self, host: int, channel_ids: Sequence[bytes], heir: int) -> None:
-        """Nothing of them is left. Events go on with what comes, another host decides, and matches end."""
+        """Follow the loss of channels: events continue with new items, another host decides, and matches end."""
         self.matches = [] if channel_ids else self.matches
         for events in self.events:
             if events.decider_host == host:
@@ -242,7 +257,7 @@ class Listeners:
                 events.followers[channel_id] = Follower(channel_id, core, oracle, cursor, hears_again=True)
 
     def groups_began_anew(self, groups: Sequence[int]) -> None:
-        """Who listens to them hears of it, and begins again by itself."""
+        """End all readers of these groups with an error, and begin them again."""
         self.events = [one for one in self.events if one.group not in groups]
 
 
@@ -251,7 +266,7 @@ def _has_come_to(reached: int | None, cut: int) -> bool:
 
 
 def _check_loss(one: Follower, loss: Loss | None, lost: set[int], pair: LivingPair) -> None:
-    """What was due and is gone is counted, and bounded in time and in seqs."""
+    """Check the number, the times and the seqs of lost items that were due."""
     assert (loss is not None) == (bool(lost) or one.hears_again)
     if loss is None:
         return

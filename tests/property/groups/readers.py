@@ -1,4 +1,4 @@
-"""Whoever reads descriptors of the groups of a World, each beside an oracle that says what it must be told."""
+"""The readers of descriptors in a World's groups, each beside an oracle that predicts the answers."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ BEFORE_ALL = (-(2**64), 0)
 
 @dataclass
 class Subscriber:
-    """Of one channel through one group, in both modes.
+    """Subscriptions to one channel through one group, in both modes.
 
-    `hears_again`: the first step after it was resumed tells that items are gone, though that may have been told before.
+    `hears_again`: the first step after a resumption may report a loss that was reported before.
     """
 
     group: int
@@ -42,20 +42,20 @@ class Subscriber:
 
 @dataclass
 class Readers:
-    """Blocked gets and subscriptions; `channels_gone` and the like end those that cannot go on."""
+    """Blocked gets and subscriptions. `channels_gone` and similar methods end those that cannot go on."""
 
     world: World
     gets: list[tuple[int, bytes, Pending]] = field(default_factory=list)
     subscribers: list[Subscriber] = field(default_factory=list)
-    seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader was shown
+    seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader has seen
 
     def view(self, group: int, channel_id: bytes) -> tuple[VisibleChannel, Horizon, LivingPair]:
         pair = self.world.pair(channel_id)
-        OracleReader(pair.oracle, self.world.clock)  # ages it
+        OracleReader(pair.oracle, self.world.clock)  # applies the present time to the channel
         return VisibleChannel(pair.core), self.world.host_of(channel_id).horizon(group), pair
 
     def read(self, group: int, channel_id: bytes, query: Query, at: int | None) -> None:
-        """At the host's cut or at an earlier one; a host that is behind what the reader saw shows nothing."""
+        """Read at the host's cut, or with the cut that a reader has seen. A host behind this cut shows nothing."""
         view, horizon, pair = self.view(group, channel_id)
         seen = self.seen.get(group)
         if seen is not None and (horizon.cut is None or horizon.cut < seen):
@@ -95,7 +95,10 @@ class Readers:
             self.gets.append((group, channel_id, view.begin(query, horizon, self.world.clock)))
 
     def poll_all(self) -> None:
-        """A blocked get is released as soon as an answer is due, and wakes for nothing but what can bring one."""
+        """Poll all blocked gets.
+
+        Each one must end when its answer is due, and may wake only for a change that can release it.
+        """
         self.gets = [one for one in self.gets if not self._is_released(*one)]
 
     def _is_released(self, group: int, channel_id: bytes, pending: Pending) -> bool:
@@ -119,7 +122,7 @@ class Readers:
         return True
 
     def give_up(self) -> None:
-        """The oldest blocked get's time is over."""
+        """End the oldest blocked get, because its time is over."""
         if not self.gets:
             return
         group, channel_id, pending = self.gets.pop(0)
@@ -134,7 +137,7 @@ class Readers:
         self, group: int, channel_id: bytes, start: Bound | None, exclusive: bool, after: Position | None,
         saved: tuple[SavedCursor, SavedCursor] | None = None,
     ) -> Subscriber | None:  # fmt: skip
-        """To what becomes visible from now on, from a bound on, or behind an item; or from `saved`, at `after`."""
+        """Subscribe from now on, from a bound, or after an item; or continue from `saved`, at `after`."""
         _, horizon, pair = self.view(group, channel_id)
         clock, core, channel, cut = self.world.clock, pair.core, pair.oracle, horizon.cut
         if after is not None and after.incarnation not in (0, pair.incarnation):
@@ -165,7 +168,7 @@ class Readers:
         return made
 
     def resume(self, which: int) -> None:
-        """A subscriber breaks off amid a delivery, and begins again behind the last item that it was given."""
+        """Break a subscription during a delivery, and begin it again after the last delivered item."""
         if not self.subscribers:
             return
         one = self.subscribers.pop(which % len(self.subscribers))
@@ -185,7 +188,7 @@ class Readers:
         made.last_given = last
 
     def go_on(self, which: int) -> None:
-        """A subscriber is carried on by its cursor: nothing is left out, and nothing comes twice."""
+        """Continue a subscription by its cursor. It must get each item once."""
         if not self.subscribers:
             return
         one = self.subscribers.pop(which % len(self.subscribers))
@@ -208,7 +211,7 @@ class Readers:
         made.last_given = one.last_given
 
     def deliver(self, limit_bytes: int) -> None:
-        """Every subscription through the groups takes what there is."""
+        """Deliver all available items to every subscription."""
         for one in self.subscribers:
             _, horizon, pair = self.view(one.group, one.channel_id)
             self._deliver_newest(one, pair, horizon)
@@ -257,26 +260,26 @@ class Readers:
         assert one.newest.skipped == max(0, one.meant - one.newest.delivered)
 
     def member_left(self, group: int, channel_id: bytes) -> None:
-        """Who read it through that group ends."""
+        """End the readers of the channel through this group, because the channel left the group."""
         self._end(lambda a_group, a_channel: (a_group, a_channel) == (group, channel_id))
 
     def channels_gone(self, channel_ids: Sequence[bytes]) -> None:
-        """They are at another host, or lost: their readers begin again by themselves."""
+        """End the readers of channels that moved or were lost, and begin them again."""
         self._end(lambda _, a_channel: a_channel in channel_ids)
 
     def groups_began_anew(self, groups: Sequence[int]) -> None:
-        """Their readers hear of it, and begin again by themselves."""
+        """End the readers of these groups with an error, and begin them again."""
         self._end(lambda group, _: group in groups)
         self.seen = {group: cut for group, cut in self.seen.items() if group not in groups}
 
     def _end(self, ends: Callable[[int, bytes], bool]) -> None:
-        """Those of a group and a channel that it ends."""
+        """End the readers of all groups and channels for which `ends` returns True."""
         self.gets = [one for one in self.gets if not ends(one[0], one[1])]
         self.subscribers = [one for one in self.subscribers if not ends(one.group, one.channel_id)]
 
 
 def _is_foreign(query: Query, incarnation: int) -> bool:
-    """It names a place of another life of the channel."""
+    """Whether the query names an item of another incarnation."""
     positions = [one for one in (query.after, query.newer_than) if one is not None]
     return any(one.incarnation not in (0, incarnation) for one in positions)
 
@@ -288,13 +291,13 @@ def _has_news(oracle: OracleFollower, cut: int | None) -> bool:
 
 
 def has_lost_from(pair: LivingPair, cut: int | None) -> bool:
-    """Some item at or past the cut is gone."""
+    """Whether an item at or past the cut has left the channel."""
     gone = [*pair.oracle.collected_times, *pair.oracle.consumed_times]
     return any(cut is None or time >= cut for time in gone)
 
 
 def check_ends(pair: LivingPair, slices: Sequence[DeliveredSlice], cut: int) -> None:
-    """Each part's last span ends where it does among what is visible."""
+    """Check that the last span of each part ends as the visible items require."""
     shown = sorted(one.time for one in pair.oracle.held if one.time < cut)
     for one in slices:
         assert one.next_time == next((time for time in shown if time > one.slice.last_time), None)

@@ -1,10 +1,10 @@
-"""Whatever happens to channels and hosts, the cuts, views and events of their groups tell what the oracle tells.
+"""After any changes of channels and hosts, the cuts, views and events of groups are the oracle's.
 
-After any schedule of puts, late items, collection, consumption, joins, leaves, migrations, lost and returned hosts: no
-reader of any descriptor sees an item at or past the cut, no cut moves back, every item becomes visible exactly once, in
-order, and the original channels are not affected.
+The changes are puts, late items, collection, consumption, members that join and leave, channels that move, and hosts
+that are lost and return. No reader of a descriptor sees an item at or past the cut. No cut moves back. Every item
+becomes visible exactly once, in order. The original channels are not affected.
 
-`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/groups/test_group_against_oracle.py` searches at length.
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/groups/test_group_against_oracle.py` tries more changes.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ POLICIES = (
 
 @dataclass
 class Scenario:
-    """A world, who reads and listens in it, and what has happened so far."""
+    """A world with its readers, and the history of the scenario."""
 
     world: World
     readers: Readers
@@ -103,12 +103,12 @@ def tick(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def use_up(rng: RandomSource, scenario: Scenario) -> None:
-    """Consume on a channel that counts it; on others they do as they do without groups."""
+    """Consume on a channel with consumers, so that other channels keep the behaviour that they have without groups."""
     consume(rng, scenario.world.pair(rng.pick(CHANNELS)))
 
 
 def original(rng: RandomSource, scenario: Scenario) -> None:
-    """Somebody reads the channel itself."""
+    """Read the channel itself, without a group."""
     pair = scenario.world.pair(rng.pick(CHANNELS))
     if len(pair.all_subscriptions) < 2:
         pair.subscribe(None, False, None)
@@ -181,7 +181,7 @@ def take_matches(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def exchange(rng: RandomSource, scenario: Scenario) -> None:
-    """All hosts tell all others, or one tells one."""
+    """Let all hosts tell all others their times, or one host tell one other."""
     teller, hearer = rng.pick(scenario.world.up), rng.pick(scenario.world.up)
     if rng.below(2) and teller != hearer:
         scenario.world.tell(teller, hearer)
@@ -205,7 +205,7 @@ def migrate(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def lose(rng: RandomSource, scenario: Scenario) -> None:
-    """A host, which another one of those that are left inherits."""
+    """Lose a host. One of the other hosts gets its channels."""
     if not rng.one_in(3):
         return
     world = scenario.world
@@ -229,7 +229,7 @@ def stale_words(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def rest(rng: RandomSource, scenario: Scenario) -> None:
-    """Nothing happens: what a step shrinks to."""
+    """Do nothing. Hypothesis replaces steps by this one when it shortens a failing test."""
 
 
 Happening = Callable[[RandomSource, Scenario], None]
@@ -242,7 +242,7 @@ STEPS: tuple[Happening, ...] = (
 
 
 def play(numbers: list[int]) -> None:
-    """One scenario: hosts, channels and groups, then a step for each number."""
+    """Run one scenario: hosts, channels and groups, then a step for each number."""
     first = RandomSource(numbers[0])
     definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
     policies = [first.pick(POLICIES) for _ in CHANNELS]

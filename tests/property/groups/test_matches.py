@@ -1,4 +1,4 @@
-"""Matches that are made while items come are those of whoever sees all items at once, however often streams break."""
+"""Matches made while items come equal the matches over all items together, even if streams break at any moment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OTHER = b"other"
 
 
 class Replay:
-    """Two channels whose items come one after the other, and a match of the first with the second."""
+    """Two channels whose items come one after the other, and matches of the first channel with the second."""
 
     def __init__(self, tolerance: int, lateness: int, *, unique: bool, is_far: bool) -> None:
         policy = Policy(max_items=1000)
@@ -58,7 +58,7 @@ class Replay:
         return self.times[name].times(1).has_passed(instant, self.lateness)
 
     def resume(self) -> None:
-        """By another host, which knows what the cursor says."""
+        """Continue at another host, which knows only the cursor."""
         self.dropped += self.matcher.dropped
         partners = dict(self.matcher.partners) if self.unique else None
         position, next_seq = self.matcher.position, self.matcher.next_seq
@@ -86,7 +86,7 @@ def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_a
         name: [time for time, _ in sorted(items, key=lambda one: one[0] + min(one[1], lateness))]
         for name, items in ((OWN, own), (OTHER, other))
     }
-    if not lateness:  # else another one at the very time of the newest would be late
+    if not lateness:  # otherwise a further item at the time of the newest one would be late
         coming = {name: [*dict.fromkeys(times)] for name, times in coming.items()}
     while any(coming.values()):
         name = rng.choice([one for one, left in coming.items() if left])
@@ -102,6 +102,6 @@ def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_a
 
 
 def nearest(own: Sequence[ItemKey], other: Sequence[ItemKey], tolerance: int) -> dict[ItemKey, ItemKey]:
-    """Of each item, whatever others get."""
+    """The nearest other item of each item; several items may have the same one."""
     near = {one: min(other, key=lambda two: (abs(one[0] - two[0]), two), default=None) for one in own}
     return {one: two for one, two in near.items() if two is not None and abs(one[0] - two[0]) <= tolerance}

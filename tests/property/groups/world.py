@@ -1,7 +1,7 @@
-"""Hosts with channels between them and groups over those, beside oracles that know what each host was told.
+"""Hosts with channels, and groups over these channels, beside oracles that know what each host was told.
 
-Every channel is a ChannelPair, so that whatever groups do, the original channels go on as their oracle says. What reads
-through the groups is in `group_readers`, and who listens to whole groups in `group_listeners`.
+Every channel is a ChannelPair, so that its own oracle checks that groups do not affect it. The readers of descriptors
+are in `readers`, and those of whole groups in `listeners`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CHANNELS = (b"a", b"b", b"c")
 
 @dataclass
 class LivingPair(ChannelPair):
-    """A channel in one of its lives: a lost one begins again, empty."""
+    """A channel in one of its incarnations. A lost channel begins again, empty."""
 
     incarnation: int = INCARNATION
 
@@ -31,7 +31,10 @@ class LivingPair(ChannelPair):
 
 @dataclass
 class Placed:
-    """A channel and its owner. `own` and `member`: how the owner follows it, while any group has it."""
+    """A channel and its owner.
+
+    `own` and `member`: its times at the owner, in the core and in the oracle, while a group has it.
+    """
 
     pair: LivingPair
     owner: int
@@ -41,13 +44,16 @@ class Placed:
 
 
 class Host:
-    """What one host knows, twice. `told_by`: who has told it all since it began."""
+    """The knowledge of one host, in the core and in the oracle.
+
+    `told_by`: the hosts that have told it all since it began.
+    """
 
     def __init__(self, definitions: Sequence[GroupDefinition]) -> None:
         self.is_up = True
         self.board, self.oracle_board = TimesBoard(), OracleBoard()
         self.told_by: set[int] = set()
-        self.deaf_owner_of: set[bytes] = set()  # it has lost these channels, and does not know yet
+        self.deaf_owner_of: set[bytes] = set()  # channels that it has lost to another owner without knowing it yet
         self.cuts = [GroupCut(one, self.board) for one in definitions]
         self.oracles = [self._oracle(one) for one in definitions]
         self.last_cuts: list[int | None] = [None for _ in definitions]
@@ -71,14 +77,14 @@ class Host:
         return Horizon(self.cuts[group].cut, lambda: "somebody holds it back")
 
     def confirm(self, others: set[int]) -> None:
-        """Once all that live have told."""
+        """Confirm the cuts once all live hosts have told this host everything."""
         for cut, oracle in zip(self.cuts, self.oracles, strict=True):
             if not cut.is_confirmed and others <= self.told_by:
                 cut.confirm()
                 oracle.is_confirmed = True
 
     def look(self, clock: int) -> None:
-        """Every cut moves as the oracle's does, and never back."""
+        """Check that every cut moves as the oracle's does, and never back."""
         for group, (cut, oracle) in enumerate(zip(self.cuts, self.oracles, strict=True)):
             before = cut.cut
             oracle.observe(clock)
@@ -101,9 +107,11 @@ class Host:
 
 @dataclass
 class World:
-    """`put`, `tick`, `migrate`, ... change it; after each, `look` makes every host look and checks what always holds.
+    """`put`, `tick`, `migrate` and other methods change the world. After each change, `look` moves the cuts and checks
+    the rules.
 
-    Hosts may hear late of each other and of what they own; a lost host's channels begin anew at another one.
+    Hosts may hear late of each other and of their own channels. The channels of a lost host begin again at another
+    host.
     """
 
     policies: list[Policy]
@@ -112,8 +120,8 @@ class World:
     clock: int
     placed: dict[bytes, Placed] = field(init=False)
     hosts: list[Host] = field(init=False)
-    is_plain: list[bool] = field(init=False)  # nothing has happened that makes a group's cut less than it could be
-    reached: list[int | None] = field(init=False)  # by who sees all channels at once
+    is_plain: list[bool] = field(init=False)  # no change has made a group's cut smaller than it could be
+    reached: list[int | None] = field(init=False)  # the cut of an observer that sees all channels at once
 
     def __post_init__(self) -> None:
         self.placed = {
@@ -133,7 +141,7 @@ class World:
 
     @property
     def followed(self) -> set[bytes]:
-        """The channels that any group has."""
+        """The channels that belong to a group."""
         return set().union(*(one.members for one in self.definitions))
 
     def pair(self, channel_id: bytes) -> LivingPair:
@@ -143,7 +151,7 @@ class World:
         return self.hosts[self.placed[channel_id].owner]
 
     def follow(self) -> None:
-        """Owners follow the members of groups, and nobody any other channel."""
+        """Let owners follow the times of their channels that belong to groups, and of no others."""
         followed = self.followed
         for channel_id, one in self.placed.items():
             if channel_id not in followed:
@@ -159,7 +167,7 @@ class World:
             host.oracle_board.heard = {one: heard[one] for one in heard if one in followed}
 
     def spoken(self, channel_id: bytes) -> None:
-        """Something may have been put into the channel, or it advanced."""
+        """Note that the channel may have got items or an advance."""
         one = self.placed[channel_id]
         one.pair.oracle.age(self.clock)
         if one.own is not None and one.member is not None:
@@ -167,7 +175,7 @@ class World:
             one.member.observe(self.clock)
 
     def look(self) -> None:
-        """Every host takes in what its channels say, and moves its cuts."""
+        """Let every host take in the times of its own channels, and move its cuts."""
         for at, host in enumerate(self.hosts):
             for channel_id, one in self.placed.items():
                 if one.own is None or one.member is None or not host.is_up:
@@ -185,7 +193,7 @@ class World:
         self._look_at_all()
 
     def _look_at_all(self) -> None:
-        """No host shows more than who sees all channels at once would."""
+        """Check that no host shows more than an observer that sees all channels at once would show."""
         for group, wanted in enumerate(self.definitions):
             counting = wanted.members if wanted.reference is None else [wanted.reference]
             marks = [self._mark(one) for one in counting]
@@ -202,7 +210,7 @@ class World:
         return max([*advance, *(one.time for one in channel.log.values())], default=None)
 
     def exchange(self) -> None:
-        """What the hosts have to say to each other arrives: times, floors, signs of life."""
+        """Deliver all messages between the hosts: times, cut floors and signs of life."""
         for teller in self.up:
             for hearer in self.up:
                 if hearer != teller:
@@ -225,7 +233,10 @@ class World:
         hearing.told_by.add(teller)
 
     def agree(self) -> None:
-        """Once everything is told, all hosts show the same; and if nothing could be missed on the way, all there is."""
+        """Check that all hosts show the same once each has told each other everything.
+
+        If no item can be missing, they show all items.
+        """
         for _ in range(3):
             self.exchange()
             self.look()
@@ -235,7 +246,10 @@ class World:
                 assert self.hosts[self.up[0]].cuts[group].cut == most
 
     def change_member(self, group: int, channel_id: bytes, *, joins: bool) -> bool:
-        """At all hosts at once; the reference and the last member stay. True if it was possible."""
+        """Add or remove a member at all hosts together.
+
+        The reference and the last member stay. Returns whether it was possible.
+        """
         former = self.definitions[group]
         wanted = former.members | {channel_id} if joins else former.members - {channel_id}
         if not wanted or former.reference not in {None, *wanted} or wanted == former.members:
@@ -251,7 +265,10 @@ class World:
         self.follow()
 
     def migrate(self, channel_id: bytes, to: int, *, heard: bool) -> bool:
-        """A clean move; unless `heard`, the former owner learns of it from the new one. True if it moved."""
+        """Move a channel to another host.
+
+        Unless `heard`, the former owner learns of it from the new owner. Returns whether it moved.
+        """
         one = self.placed[channel_id]
         if to == one.owner or not self.hosts[to].is_up:
             return False
@@ -270,9 +287,10 @@ class World:
         self.follow()
 
     def lose(self, host: int, heir: int) -> list[bytes]:
-        """A host and all that it holds; another one begins its channels anew. Which channels these are.
+        """Lose a host with all its channels. Another host begins the channels again. Returns these channels.
 
-        Of several hosts one lives on. The only one is back at once. A group that no host can vouch for begins anew.
+        One of several hosts always stays. A single host is back at once. A group whose cut floor no host knows begins
+        anew.
         """
         lost = [one for one in CHANNELS if self.placed[one].owner == host]
         self.hosts[host] = Host(self.definitions)
@@ -295,12 +313,12 @@ class World:
             host.begin_anew(group, definition)
 
     def bring_back(self, host: int) -> None:
-        """A host that was lost returns, and knows nothing."""
+        """Bring back a lost host, which knows nothing."""
         if not self.hosts[host].is_up:
             self.hosts[host] = Host(self.definitions)
 
     def stale_words(self, channel_id: bytes) -> None:
-        """A former owner says something: it changes nothing."""
+        """Deliver an old message of a former owner. It changes nothing."""
         one = self.placed[channel_id]
         for host in self.hosts:
             if (known := host.board.find(channel_id)) is not None and known.times.epoch == one.epoch:
@@ -308,6 +326,6 @@ class World:
                 assert not host.board.hear(channel_id, far, 0, self.clock)
 
     def check(self) -> None:
-        """The original channels are as if there were no group."""
+        """Check that the original channels are as if there were no group."""
         for one in self.placed.values():
             one.pair.check()

@@ -66,7 +66,7 @@ class Scenario:
         return self._callings[-1]
 
     async def _connect(self, calling: Calling) -> Any:
-        """A connection of the scenario's client; over gRPC for even seeds, because the relay cuts only what it carries."""
+        """Connect the scenario's client. Even seeds use gRPC, because the relay can cut only gRPC connections."""
         transport = "best" if self._seed % 2 else "grpc"
         return await calling.plain(
             aio.connect if calling.is_async else st.connect, self._world.address, transport=transport
