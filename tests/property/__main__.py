@@ -16,12 +16,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tests.property.paths.core_surface import core_surface
+from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
 from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import loopback_host
 
-STORIES_PER_LINE = 1000
+SCENARIOS_PER_LINE = 1000
 
 
 @contextmanager
@@ -56,7 +57,7 @@ def main(name: str, first: int, count: int) -> None:
                 print(f"{name}, seed {seed}: {' '.join(steps)}", file=sys.stderr)
                 traceback.print_exc()  # before the calls under way end
                 raise
-            if played % STORIES_PER_LINE == 0 or played == count:
+            if played % SCENARIOS_PER_LINE == 0 or played == count:
                 print(f"{name}: {played} scenarios in {time.monotonic() - began_s:.0f} s", flush=True)
 
 

@@ -118,7 +118,7 @@ def an_offer_in_order(rng: RandomSource, scenario: Told) -> Offer:
     return Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items)
 
 
-def a_query_near_the_front(rng: RandomSource, scenario: Told) -> Query | None:
+def a_query_near_the_newest(rng: RandomSource, scenario: Told) -> Query | None:
     """A read of the last few items, if there are any."""
     held = scenario.oracle.held[-6:]
     if not held:

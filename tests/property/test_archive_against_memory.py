@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, 
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import ends_as_read, facts, items_of
 
-STORIES = 200
+SCENARIOS = 200
 READS = 25
 
 
@@ -60,7 +60,7 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
     return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
 
 
-@pytest.mark.parametrize("seed", range(STORIES))
+@pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alone(seed: int) -> None:
     draw = random.Random(seed)
     overlap = draw.choice([None, None, 3, 8])

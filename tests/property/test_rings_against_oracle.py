@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.ring import facts
-from tests.property.draws import a_query_near_the_front, an_offer_in_order
+from tests.property.draws import a_query_near_the_newest, an_offer_in_order
 from tests.property.random_source import RandomSource
 from tests.property.ring_pair import SIZES, RingPair
 from tests.property.test_channel_against_oracle import (
@@ -41,7 +41,7 @@ def put_in_order(rng: RandomSource, pair: RingPair) -> None:
 
 
 def read_near_the_front(rng: RandomSource, pair: RingPair) -> None:
-    query = a_query_near_the_front(rng, pair)
+    query = a_query_near_the_newest(rng, pair)
     if query is not None:
         pair.read(query)
 

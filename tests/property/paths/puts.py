@@ -34,8 +34,8 @@ class PathPuts(PathReads):
         offer = Offer(times=None if time is None else [time], durations=column, lengths=[length])
         run = Run(offer, [self._payload(length)], waits=timeout is None)
         fields = {"time": time, "duration": duration, "timeout": timeout}
-        # The puts of one handle wait for each other. A new handle knows whether puts may wait in the channel; an older one
-        # may first try without a wait, so that a put is refused twice.
+        # The puts of one handle wait for each other. A new handle knows whether puts may wait in the channel; an older
+        # one may first try without a wait, so that a put is refused twice.
         handle = self.handles[who] if timeout == 0 else self.open(who)
         self._put(run, lambda: handle.put(run.payloads[0], **fields))
 

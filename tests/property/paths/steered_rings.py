@@ -1,4 +1,4 @@
-"""Rings in shared memory whose readers have the steered clock of the host, and open them again at once."""
+"""Rings in shared memory for these tests. Their readers use the host's steered clock, and open them again at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stampede_rt.transports import ring_mapping
 
 
 class BootClock(Protocol):
-    """A host whose clocks stand until they are moved."""
+    """A host whose clocks move only by `tick`."""
 
     @property
     def boot_nanos(self) -> int:
@@ -26,7 +26,7 @@ class BootClock(Protocol):
 
 
 class _SteeredTime:
-    """Stands for the module `time` where readers of rings read CLOCK_BOOTTIME."""
+    """Replaces the module `time` for readers of rings, which read CLOCK_BOOTTIME there."""
 
     def __init__(self, host: BootClock) -> None:
         self._host = host
@@ -37,7 +37,7 @@ class _SteeredTime:
 
 @contextmanager
 def steered_rings(host: BootClock) -> Iterator[Counter[str]]:
-    """Gives the numbers of answers that came from rings, by kind, while the block lasts."""
+    """Yield the numbers of answers that came from rings, by kind."""
     answers: Counter[str] = Counter()
 
     def counted(kind: str, make: Callable[..., Any]) -> Callable[..., Any]:

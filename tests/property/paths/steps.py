@@ -21,7 +21,7 @@ from tests.property.draws import (
     a_bound,
     a_position,
     a_query,
-    a_query_near_the_front,
+    a_query_near_the_newest,
     a_time,
     an_item_position,
     an_offer,
@@ -81,7 +81,7 @@ def put_in_order(rng: RandomSource, pair: PathPair) -> None:
 
 
 def read_near_the_front(rng: RandomSource, pair: PathPair) -> None:
-    query = a_query_near_the_front(rng, pair)
+    query = a_query_near_the_newest(rng, pair)
     if query is not None:
         pair.get(query)
 

@@ -16,7 +16,7 @@ from tests.robustness.fuzz.scenario import Scenario
 from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
 SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "2"))
-STORIES = int(os.environ.get("STAMPEDE_FUZZ_SCENARIOS", "1"))
+SCENARIOS = int(os.environ.get("STAMPEDE_FUZZ_SCENARIOS", "1"))
 FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
 
 
@@ -26,7 +26,7 @@ def world() -> Iterator[RelayedCluster]:
         yield made
 
 
-@pytest.mark.parametrize("seed", range(FIRST_SEED, FIRST_SEED + STORIES))
+@pytest.mark.parametrize("seed", range(FIRST_SEED, FIRST_SEED + SCENARIOS))
 @pytest.mark.parametrize("client", ["aio", "sync"])
 def test_calls_over_a_network_that_breaks_end_and_lose_nothing(
     client: str, seed: int, world: RelayedCluster, caplog: pytest.LogCaptureFixture

@@ -74,7 +74,7 @@ class Taker:
         self._session.check_process()
         waiter = WaitingTake()
         with self._mutex:
-            if self._session.closing or self._session.closed:  # a connection closes its handles before it is closed
+            if self._session.closing or self._session.closed:  # a closing connection first closes its handles
                 raise connection_closed()
             if self.closed:
                 raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")
@@ -142,7 +142,7 @@ class Taker:
     def _drain(self, timeout_s: float) -> None:
         """End the stream if the host has credit for unwanted messages, and wait for its end.
 
-        The waiting callers, also leaving ones, get the messages that come meanwhile.
+        The waiting callers, also those that are leaving, get the messages that come meanwhile.
         """
         if self._worker is None:
             return
@@ -204,8 +204,8 @@ class Taker:
     def _take_at(self, binding: Binding, _: float) -> None:
         """Take messages over one stream until the stream ends, if messages are still wanted.
 
-        Raises the error of the stream, except a retryable error after the first response. After such an error returns,
-        so that the worker opens the next stream.
+        Raises the error of the stream, except a retryable error after the first response. After such an error this
+        method returns, so that the worker opens the next stream.
         """
         with self._mutex:
             self._credit = self._wanted()
@@ -244,7 +244,7 @@ class Taker:
         if not unwanted:
             self._ask()
             return
-        with suppress(Unavailable):  # `_drain` may have stopped waiting for the stream
+        with suppress(Unavailable):  # here and not in `_drain`, which may have stopped waiting for the stream
             stream.send(queue_pb.TakeRequest(drain=True))
 
     def _ended(self) -> None:
