@@ -1,4 +1,4 @@
-"""What a handle knows of its channel."""
+"""The facts that a handle keeps about its channel."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def _plain_fields(found: FoundNewest, content_type: str, incarnation: int) -> tu
 
 
 async def read_interval(session: Session, state: ChannelState, query: ReadQuery) -> Items | AskHost:
-    """Return the answer to a read of which nothing is missing, see `Reader.get`. It never waits for items."""
+    """Return the answer to a read (see `Reader.get`), or ASK_HOST. It never waits for items."""
     mapping = await session.rings.find(state)
     if mapping is None:
         return ASK_HOST

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""What a handle knows of its channel."""
+"""The facts that a handle keeps about its channel."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _SEQ_MAX = 2**63 - 1
 
 
 class RingFollower:
-    """The place of one subscription in a ring.
+    """The position of one subscription in a ring.
 
     Create it with the cursor of the subscription's stream. If it `fits`, end that stream.
     """
@@ -48,7 +48,7 @@ class RingFollower:
         return self._cursor
 
     def fits(self) -> bool:
-        """Whether the ring has all that the subscription needs next."""
+        """Whether the ring has the items and facts that the subscription needs next."""
         if self._cursor.incarnation != self.mapping.view.incarnation:
             return False
         if self._cursor.HasField("from_unix_nano") and not self._newest_only:
@@ -75,7 +75,7 @@ class RingFollower:
 
     @property
     def _position(self) -> tuple[int, int] | None:
-        """The position after which the newest item is a new one; None: after all items."""
+        """The position after which an item counts as new for this subscription; None: every item is new."""
         if not self._cursor.HasField("from_unix_nano"):
             return None
         return self._cursor.from_unix_nano, min(self._cursor.from_seq, _SEQ_MAX) - 1

@@ -1,7 +1,7 @@
 # Generated from ../_async by tools/generate.py; do not edit.
 """The rings of one connection: memory that hosts of this machine share with it (decision 0168).
 
-A read that a ring can answer makes no call. All other reads ask the host, so a program sees no difference but the time.
+A read that a ring can answer makes no call. All other reads ask the host. The answers are the same.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from stampede_rt.transports.socket_routes import memory_not_shared
 Perform = Callable[[Any, Callable[[Binding, float], RingMapping | None], float], RingMapping | None]
 """`Session.perform`. Its first argument is the state of a channel's handle."""
 
-READS_BEFORE = 8  # so many reads of a channel ask the host before the client asks for a ring, which costs memory there
-OPEN_S = 1.0
-AGAIN_S = 1.0  # after a ring has ended, or could not be opened for a reason that may pass
-LONG_AGAIN_S = 30.0  # after the host has refused one
-RINGS_MAX = 64  # beyond it the connection gives up the ring that it opened first
-CHANNELS_MAX = 4096  # whose reads are counted
+READS_BEFORE = 8  # a ring costs the host memory, so the client asks for one only after this many reads of a channel
+OPEN_S = 1.0  # the time limit for opening a ring
+AGAIN_S = 1.0  # the pause after a ring has ended, or could not be opened for a reason that may pass
+LONG_AGAIN_S = 30.0  # the pause after the host has refused a ring
+RINGS_MAX = 64  # beyond it the connection gives up the ring of the channel that it has known longest
+CHANNELS_MAX = 4096  # the most channels whose reads are counted
 
 
 @dataclass(slots=True)
 class _KnownChannel:
-    """The ring of one channel, if there is one, and when to ask for one."""
+    """The ring of one channel, if there is one, and the earliest time at which to ask for one."""
 
     mapping: RingMapping | None = None
     reads: int = 0
@@ -50,16 +50,18 @@ class SharedRings:
         self._is_forced = transport is Transport.SHARED
         self._may_use = transport in (Transport.BEST, Transport.SHARED) and futexes.is_supported()
         if self._is_forced and not self._may_use:
-            raise InvalidArgument('transport="shared" needs Linux on x86-64 and CPython; leave it away')
+            raise InvalidArgument('transport="shared" needs Linux on x86-64 and CPython; leave the argument out')
         self._channels: dict[bytes, _KnownChannel] = {}
         self._is_closed = False
         self.waits = RingWaits()
 
     def find(self, state: Any) -> RingMapping | None:
-        """Return the channel's ring; None: ask the host. Opens the ring after a few calls. It may have just ended.
+        """Return the channel's ring; None: ask the host.
+
+        Opens the ring after a few calls. The returned ring may have just ended.
 
         Blocks for a few seconds at most, while it opens the ring. Raises Unavailable if the program has chosen shared
-        memory and cannot have it.
+        memory and the host shares none.
         """
         if not self._may_use:
             return None
@@ -97,7 +99,7 @@ class SharedRings:
             if self._is_forced:
                 raise
             mapping, known.not_before_s = None, monotonic_s() + LONG_AGAIN_S
-        except StampedeError:  # the read asks the host, which says the same in its words
+        except StampedeError:  # the read asks the host, and gets the error from it
             mapping = None
         finally:
             known.is_opening = False

@@ -8,9 +8,10 @@ ENTRIES_MAX = 10_000
 
 
 class CopyCache:
-    """By channel: the binding of a copy, or that there is none to use, each until some moment.
+    """For each channel: the binding of a copy to use, or the fact that there is none. Each entry is valid until an
+    instant.
 
-    The cache is bounded: a full cache drops its entries and starts again.
+    The cache is bounded: a full cache drops all its entries.
     """
 
     def __init__(self) -> None:

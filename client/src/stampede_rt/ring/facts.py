@@ -1,4 +1,4 @@
-"""The facts of a ring at one moment. Pure."""
+"""Computes from the facts of a ring: the host's clock, and whether the channel surely holds an item. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stampede_rt.ring.layout import (
 )
 
 CATCH_UP_NANOS = 30_000_000_000  # the host's clock makes up for its offset in this time, see HostTime
-AGE_MARGIN_NANOS = 1_000_000  # an item so close to its age limit is left to the host
+AGE_MARGIN_NANOS = 1_000_000  # a reader asks the host about an item that is so close to the age limit
 
 
 def host_now(facts: Sequence[int], boottime: int) -> int:

@@ -21,12 +21,12 @@ SLOT_WORDS = 8
 WORD_BYTES = 8
 RING_BYTES_MAX = 80 * 2**20
 ABSENT_INSTANT = -(2**63)
-"""Stands for an instant that does not exist."""
+"""The word for an absent instant."""
 
 # Words that the host writes once, when it makes the ring.
 MAGIC_WORD, VERSION_WORD, SLOTS_WORD, DATA_BYTES_WORD, INCARNATION_WORD = range(5)
-STATE_WORD = 5  # OPEN, or CLOSED for ever: the ring repeats the channel no more
-FENCE_WORD = 6  # until when the host may serve, in nanoseconds of CLOCK_BOOTTIME
+STATE_WORD = 5  # OPEN, or CLOSED: the host writes this ring no more, and never will again
+FENCE_WORD = 6  # the host may serve until this instant, in nanoseconds of CLOCK_BOOTTIME
 TAIL_WORD = 7  # the number of the first slot whose bytes are whole
 
 # The facts. SEQUENCE_WORD is odd while the host writes them.
@@ -37,7 +37,7 @@ HEAD = 1  # the number of slots written so far; slot N is at N modulo the number
 NEWEST_SLOT = 2  # the number of the slot whose last item is the newest item, or NO_ITEMS, or NOT_HERE
 NEWEST_TIME = 3  # the newest item's time
 NEXT_SEQ = 4  # the seq of the next accepted item
-ORDERED_FROM = 5  # from this slot on, the items of the slots ascend, and the channel holds no others among them
+ORDERED_FROM = 5  # from this slot on, items ascend from slot to slot, and the channel holds no other item between them
 PASSED = 6  # the latest advance, or ABSENT_INSTANT
 GONE_BEFORE = 7  # an answer may lack items before this instant, which were collected or lost; or ABSENT_INSTANT
 FLOOR_TIME = 8  # items below (FLOOR_TIME, FLOOR_SEQ) were collected
@@ -57,18 +57,21 @@ SEQ, ITEMS, FIRST_TIME, LAST_TIME, OFFSET, LENGTH, DURATION, PAYLOAD = range(8)
 PAYLOAD_BEGIN_MAX = 0xFFFF
 
 OPEN, CLOSED = 1, 2
-NO_ITEMS, NOT_HERE = -1, -2
+NO_ITEMS, NOT_HERE = -1, -2  # the channel has no items; the ring does not have the newest item
 
 
 class RingSize(NamedTuple):
-    """The size of a ring. `slots` is a power of two. OFFSET counts on for ever: a byte is there modulo `data_bytes`."""
+    """The size of a ring. `slots` is a power of two.
+
+    OFFSET never wraps: the byte with offset N is at N modulo `data_bytes` of the data.
+    """
 
     slots: int
     data_bytes: int
 
     @property
     def data_begin(self) -> int:
-        """Where the data begins, in bytes."""
+        """The position of the data in the memory, in bytes."""
         return (HEADER_WORDS + self.slots * SLOT_WORDS) * WORD_BYTES
 
     @property

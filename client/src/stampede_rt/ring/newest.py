@@ -21,9 +21,9 @@ class FoundNewest(NamedTuple):
 
 
 def find_newest(view: RingView, facts: list[int], after: tuple[int, int] | None = None) -> FoundNewest | bool:
-    """Return the newest item, if it is later than the position `after`; False if there is none, True to ask the host.
+    """Return the newest item, if it is later than `after`, a time and a seq.
 
-    The position is a time and a seq.
+    False: there is no such item. True: only the host can answer.
     """
     number = facts[NEWEST_SLOT]
     if number < 0:

@@ -1,7 +1,7 @@
 """The words and bytes of a mapped ring, read safely. Pure.
 
-The memory may change at any moment, and a defective host may have written anything. So each number from it is checked
-before it leads to other bytes.
+The memory may change at any moment, and a defective host may have written anything. So this module checks each number
+from the memory before it uses the number as a position.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from stampede_rt.ring.layout import (
     words_of,
 )
 
-TRIES_MAX = 64  # to read the facts. The host writes them within microseconds, unless somebody stops it there
+TRIES_MAX = 64  # the attempts to read the facts; the host writes them in microseconds, unless it is stopped meanwhile
 
 
 class Slot(NamedTuple):
@@ -70,7 +70,7 @@ class RingView:
         return None
 
     def oldest_slot(self, facts: list[int]) -> int:
-        """Return the number of the first slot that is whole. More than all slots are never whole."""
+        """Return the number of the first slot that is whole. No slot is whole whose place a later slot has taken."""
         return max(self.words[TAIL_WORD], facts[HEAD] - self._slots, 0)
 
     def first_ordered(self, facts: list[int]) -> int:
@@ -78,7 +78,7 @@ class RingView:
         return max(self.oldest_slot(facts), facts[ORDERED_FROM])
 
     def is_whole(self, number: int) -> bool:
-        """Whether what was read of the slot before this call is whole."""
+        """Whether the bytes that the caller has read from the slot before this call are whole."""
         return bool(self.words[TAIL_WORD] <= number)
 
     def slot(self, number: int) -> Slot:

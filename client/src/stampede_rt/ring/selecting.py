@@ -1,8 +1,8 @@
 """Reads by time from a ring, as its host would answer them. Pure.
 
-A read that the ring cannot answer exactly has the result None: the caller then asks the host. The span of an item may
-reach into an interval from before, so a read needs the bucket at or before its start. The ring has the whole of each
-bucket that begins after the first item of its first ordered slot.
+If the ring cannot answer a read exactly, the result is None, and the caller asks the host. An item before the interval
+may have a span that reaches into it, so a read needs the bucket at or before its start. The ring has the whole of each
+bucket that is later than the first item of its first ordered slot.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from stampede_rt.values.model import ABSENT
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 
-SLOTS_MAX = 256  # of one read; longer intervals are the host's
-ITEMS_MAX = 8192
+SLOTS_MAX = 256  # the most slots of one read; the host answers reads of more
+ITEMS_MAX = 8192  # the most items of these slots
 
 Columns = tuple[Sequence[int], Sequence[int] | None]
 ColumnsOf = Callable[[bytes], Columns]
@@ -82,7 +82,7 @@ class _Items:
         return self.slots[number].seq + at - self.begins[number]
 
     def pieces(self, picks: Sequence[int]) -> list[RunPiece] | None:
-        """Return the picked items, which ascend; None if some are not whole any more."""
+        """Return the items at the positions `picks`, which ascend; None if the host has overwritten some of them."""
         pieces: list[RunPiece] = []
         for number, (begin, end) in enumerate(pairwise(self.begins)):
             own = picks[bisect_left(picks, begin) : bisect_left(picks, end)]
@@ -108,10 +108,10 @@ def _runs(body: bytes, picks: Sequence[int], begin: int, items: int) -> list[Run
 
 
 def select(view: RingView, facts: list[int], query: ReadQuery, now: int, columns_of: ColumnsOf) -> RingAnswer | None:
-    """Return the answer to a read without `after` and `newer_than`, or None if only the host has it.
+    """Return the answer to a read without `after` and `newer_than`, or None if only the host can answer.
 
-    `now`: the host's clock. The answer has items, and nothing of it is missing. The caller looks afterwards whether the
-    ring is still open.
+    `now`: the host's clock. An answer has at least one item, and lacks none. The caller then checks that the ring is
+    still open.
     """
     if facts[NEWEST_SLOT] < 0 or query.after is not None or query.newer_than is not None:
         return None
@@ -136,14 +136,14 @@ def _answer(
     found: _Items, picks: list[int] | None, query: ReadQuery, within: ResolvedInterval, facts: list[int],
     aged: int | None, knows_start: bool, truncated: bool,
 ) -> RingAnswer | None:  # fmt: skip
-    """Apply the limit. `knows_start`: the items have the whole interval, and nothing of it was collected."""
+    """Apply the limit. `knows_start`: `found` has all items of the interval, and none of them was collected."""
     if not picks:
         return None
     limit = query.limit
     more = limit is not None and len(picks) > limit
     if not (knows_start or more):
         return None
-    if limit is not None and more:  # with the item that the limit cuts off, which must be held, too
+    if limit is not None and more:  # keep also the first item beyond the limit, which must be held for `more`
         picks = picks[-limit - 1 :] if query.newest_first else picks[: limit + 1]
     if not all(surely_held(facts, found.times[at], found.seq(at), None if knows_start else aged) for at in picks):
         return None
@@ -179,7 +179,7 @@ def _last_slot(view: RingView, first: int, head: int, is_before: Callable[[int],
 def _candidates(
     view: RingView, facts: list[int], query: ReadQuery, within: ResolvedInterval, columns_of: ColumnsOf
 ) -> tuple[_Items, bool] | None:
-    """Return the items that may match, and whether all that may match are among them."""
+    """Return items that may match, and whether they are all items that may match."""
     first, head = view.first_ordered(facts), facts[HEAD]
     start, end = within.start, within.end
     last = _last_slot(view, first, head, lambda time: time < end or (time == end and not within.end_exclusive))
@@ -248,7 +248,7 @@ def _reaching_in(found: _Items, within: ResolvedInterval, now: int, facts: list[
 
 
 def _staying_in(found: _Items, within: ResolvedInterval, now: int, low: int, high: int, facts: list[int]) -> list[int]:
-    """Return the items whose whole spans lie in the interval. Only those of the last bucket can end outside it."""
+    """Return the items whose whole spans lie in the interval. Only items of the last bucket can end outside of it."""
     if low >= high:
         return []
     times, durations, bucket = found.times, found.durations, found.times[high - 1]

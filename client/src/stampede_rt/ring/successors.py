@@ -12,9 +12,9 @@ from stampede_rt.ring.selecting import ColumnsOf, RunPiece
 
 
 class FoundNext(NamedTuple):
-    """Items that follow each other in seq. `next_time`: the time of the bucket after the last one. `slot`: their slot.
+    """Items with consecutive seqs. `next_time`: the time of the next later bucket; None: there is none.
 
-    `end_seq`: the seq after the last item's seq.
+    `slot`: the slot of the items. `end_seq`: the seq after the last item's seq.
     """
 
     piece: RunPiece
@@ -26,9 +26,9 @@ class FoundNext(NamedTuple):
 def find_next(
     view: RingView, facts: list[int], seq: int, near: int, now: int, columns_of: ColumnsOf
 ) -> FoundNext | bool:
-    """Return the items from `seq` on; False if there are none yet, True to ask the host.
+    """Return the next items from `seq` on; False: there are none yet; True: only the host can answer.
 
-    `near`: the slot of the items before, or -1. `now`: the host's clock.
+    `near`: the slot of the preceding items; -1: unknown. `now`: the host's clock.
     """
     if seq >= facts[NEXT_SEQ]:
         return seq > facts[NEXT_SEQ]

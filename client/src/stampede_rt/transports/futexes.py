@@ -1,4 +1,6 @@
-"""Waits for a change of a word in shared memory, by the futex calls of Linux. One call wakes all who wait for a word.
+"""Waits for a change of a word in shared memory, by the futex calls of Linux.
+
+One call wakes all waiting threads of all processes.
 
 Base Python has no such call, so this module makes the system calls by ctypes.
 """
@@ -19,7 +21,7 @@ _FUTEX, _FUTEX_WAITV = 202, 449  # the numbers of the system calls on x86-64
 _WAIT, _WAKE = 0, 1
 _WORD_OF_4_BYTES = 2  # FUTEX2_SIZE_U32
 _ALL = 2**31 - 1
-WORDS_MAX = 128  # for which one call waits at the same time
+WORDS_MAX = 128  # the most words for which one call waits
 _CLOCK_MONOTONIC = 1
 
 
@@ -75,7 +77,7 @@ def address_of(memory: mmap.mmap) -> int:
 
 
 def wait(address: int, value: int, timeout_s: float) -> None:
-    """Wait while the word at `address` has `value`, for at most `timeout_s`. It may return earlier for no reason."""
+    """Wait while the word at `address` has `value`, for at most `timeout_s`. It may return earlier without a reason."""
     limit = _Timespec(int(timeout_s), int(timeout_s % 1 * 1e9))
     _system_call()(
         ctypes.c_long(_FUTEX), ctypes.c_void_p(address), ctypes.c_long(_WAIT), ctypes.c_uint32(value & 0xFFFF_FFFF),
@@ -84,7 +86,7 @@ def wait(address: int, value: int, timeout_s: float) -> None:
 
 
 def wake(address: int) -> None:
-    """Wake all who wait for a change of the word at `address`, in all processes. The memory may be read-only here."""
+    """Wake all threads of all processes that wait for the word at `address`. The memory may be read-only here."""
     _system_call()(
         ctypes.c_long(_FUTEX), ctypes.c_void_p(address), ctypes.c_long(_WAKE), ctypes.c_long(_ALL),
         ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_long(0),
@@ -107,4 +109,4 @@ def wait_for_any(words: Sequence[tuple[int, int]], timeout_s: float) -> None:
         raise OSError(ctypes.get_errno(), "the system has no futex_waitv")
 
 
-_NO_CALL = (1, 22, 38)  # EPERM, EINVAL and ENOSYS: of a sandbox, or of Linux before 5.16
+_NO_CALL = (1, 22, 38)  # EPERM, EINVAL and ENOSYS: a sandbox forbids the call, or Linux is older than 5.16

@@ -22,8 +22,8 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
 
 SHARE_METHOD = "/stampede_rt.v1.ChannelService/ShareMemory"
-WAIT_S_MAX = 0.5  # a reader looks at the host's fence so often
-_LISTENING_PERIOD_NANOS = 50_000_000  # a reader looks so often whether the host has closed the stream
+WAIT_S_MAX = 0.5  # the longest wait between two looks of a reader at the host's fence
+_LISTENING_PERIOD_NANOS = 50_000_000  # the time between two looks of a reader whether the host has closed the stream
 _SEALS = 0x2 | 0x4 | 0x10  # F_SEAL_SHRINK, GROW and FUTURE_WRITE
 _GET_SEALS = getattr(fcntl, "F_GET_SEALS", 1034)
 _RECEIVE_BYTES = 4096
@@ -32,11 +32,11 @@ _FILES_MAX = 4
 
 
 class ChannelNotShared(StampedeError):
-    """The host repeats no channel of this kind in shared memory."""
+    """The host does not share a channel with this policy or with such large items."""
 
 
 def boottime_nanos() -> int:
-    """Return the machine's clock that leases use."""
+    """Return CLOCK_BOOTTIME, the clock of the machine that leases use, in nanoseconds."""
     return time.clock_gettime_ns(_BOOTTIME)
 
 
@@ -58,7 +58,7 @@ class RingMapping:
 
     @property
     def may_be_open(self) -> bool:
-        """Whether nothing has told yet that the ring has ended. `is_open` looks, so call it after each read."""
+        """Whether the ring may still be open, without a look at the stream. Call `is_open` after each read."""
         return not self._is_ended and self.view.words[STATE_WORD] == OPEN
 
     def is_open(self, boottime: int) -> bool:
@@ -72,7 +72,7 @@ class RingMapping:
         return not self._is_ended and self.view.is_open(boottime)
 
     def _listen(self) -> None:
-        """Take in the signs of life of the host, and its end."""
+        """Read the host's signs of life from the stream, and note its end."""
         try:
             while data := self._socket.recv(_RECEIVE_BYTES):
                 if any(kind != FrameKind.ALIVE for kind, _ in self._frames.feed(data)):
@@ -85,7 +85,7 @@ class RingMapping:
 
     @property
     def changes(self) -> int:
-        """A number that changes after each change of the ring. Read it before the look that `wait` follows."""
+        """A number that changes after each change of the ring. Read it before you read the ring and then `wait`."""
         return int(self.view.words[CHANGES_WORD])
 
     @property
@@ -94,15 +94,21 @@ class RingMapping:
         return self._changes_address
 
     def wait(self, changes: int, timeout_s: float) -> None:
-        """Block until the ring changes, for at most `timeout_s` and WAIT_S_MAX. `changes`: as before the last look."""
+        """Block until the ring changes, for at most `timeout_s` and WAIT_S_MAX.
+
+        `changes`: its value before the last look.
+        """
         futexes.wait(self._changes_address, changes, min(timeout_s, WAIT_S_MAX))
 
     def wake(self) -> None:
-        """Wake all who wait for this ring, so that they look again."""
+        """Wake all callers that wait for this ring, so that they look again."""
         futexes.wake(self._changes_address)
 
     def close(self) -> None:
-        """Give the ring up, and wake those who wait. The memory goes with its last user. Idempotent."""
+        """Give the ring up, and wake the waiting callers.
+
+        The system frees the memory after its last user. Idempotent.
+        """
         self._is_ended = True
         if self._forks == forking.forks():
             self._socket.close()
@@ -169,7 +175,7 @@ def _response(connected: socket.socket, frames: FrameReader, files: list[int]) -
 
 
 def _mapped(file: int, memory_bytes: int) -> mmap.mmap:
-    """Map the file, after a look that nobody can shrink it: otherwise a read could end this process."""
+    """Map the file, after a check that no process can shrink it. Else a read could end this process by a signal."""
     found_bytes, seals = os.fstat(file).st_size, fcntl.fcntl(file, _GET_SEALS)
     if found_bytes != memory_bytes or memory_bytes > RING_BYTES_MAX or seals & _SEALS != _SEALS:
         raise InvalidArgument(

@@ -109,7 +109,10 @@ class RingWaits:
                 return
 
     def _words(self) -> list[tuple[int, int]]:
-        """Wake those whose ring has changed. Returns the words for which the others wait. The caller has the mutex."""
+        """Wake the callers whose ring has changed.
+
+        Returns the words for which the others wait. The caller has the mutex.
+        """
         words = {ctypes.addressof(self._news): self._news.value}
         for wait in [*self._waits]:
             if wait.mapping.changes != wait.changes:

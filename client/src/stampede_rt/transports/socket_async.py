@@ -33,11 +33,12 @@ class SocketCall(asyncio.BufferedProtocol):
         self._opening = opening
         self._transport: Any = None
         self._frames = FrameReader(RECEIVED_BYTES_MAX)
-        # Not a new buffer for each read, as asyncio makes otherwise: it takes longer than the read.
+        # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._came: deque[Frame] = deque()
         self._unread_bytes = 0
-        self._error: grpc.RpcError | asyncio.CancelledError | None = None  # after which nothing comes
+        # the end of the stream; no response comes after it
+        self._error: grpc.RpcError | asyncio.CancelledError | None = None
         self._is_over = self._is_full = self._is_paused = False
         self._news: asyncio.Future[None] | None = None
         self._room: asyncio.Future[None] | None = None
@@ -58,7 +59,7 @@ class SocketCall(asyncio.BufferedProtocol):
             raise
         return call
 
-    # what asyncio calls
+    # --- asyncio calls these methods
 
     def connection_made(self, transport: Any) -> None:
         """Send the opening."""
@@ -72,7 +73,7 @@ class SocketCall(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Take the frames. While the program reads none, more of them wait at the host."""
+        """Take the received frames. While the program reads no messages, further messages wait at the host."""
         self._heard_s = self._loop.time()
         try:
             frames = self._frames.feed(self._buffer[:nbytes])
@@ -104,7 +105,7 @@ class SocketCall(asyncio.BufferedProtocol):
         """The connection is closed."""
         self._end(broken(str(error) if error else "the host has closed it"))
 
-    # what the stream calls
+    # --- the stream's user calls these methods
 
     async def write(self, request: Any) -> None:
         """Send a request. Returns when the system has taken it. Raises grpc.RpcError after the end of the stream."""
@@ -140,7 +141,7 @@ class SocketCall(asyncio.BufferedProtocol):
         return body if decode is None else decode(body)
 
     def cancel(self) -> None:
-        """End the stream. What has come and was not read is lost."""
+        """End the stream. Messages that the program has not read are lost."""
         if not self._is_over:
             self._came.clear()
             self._end(asyncio.CancelledError())
@@ -153,7 +154,10 @@ class SocketCall(asyncio.BufferedProtocol):
             self._done.append(callback)
 
     def _end(self, error: grpc.RpcError | asyncio.CancelledError | None) -> None:
-        """Note the end; `error` is None for the regular one. Only the first end counts."""
+        """Note the end of the stream; `error` is None if the host ended it regularly.
+
+        Only the first call has an effect.
+        """
         if self._is_over:
             return
         self._is_over, self._error = True, error

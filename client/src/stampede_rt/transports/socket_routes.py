@@ -21,7 +21,10 @@ LOCAL_PREFIX = "unix:"
 TARGETS_MAX = 4
 TICKET_BYTES_MAX = 1024
 _OF_HOSTS = re.compile(r"unix:/[^\0]*/[0-9a-f]{16}\.sock")
-"""The paths that hosts make. A false host must not lead the client to the socket of another program of its user."""
+"""The paths of sockets that hosts make.
+
+A false host must not lead the client to the socket of another program of its user.
+"""
 
 
 class SocketRoute:
@@ -48,12 +51,15 @@ class SocketRoute:
 
     @property
     def may_lead(self) -> bool:
-        """Whether the next stream may go over a socket, or must raise Unavailable because it may not."""
+        """Whether the next stream should try a socket.
+
+        A program that has chosen sockets gets Unavailable if there is none.
+        """
         return bool(self.targets) or self.must_ask or self.is_forced
 
     @property
     def is_forced(self) -> bool:
-        """Whether the program has chosen sockets, so that nothing else may serve."""
+        """Whether the program has chosen sockets, so that gRPC may not replace them."""
         return self._transport in (Transport.SOCKET, Transport.SHARED)
 
     @property

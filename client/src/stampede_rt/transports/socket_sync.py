@@ -42,14 +42,14 @@ class SocketCall:
         self._frames = FrameReader(RECEIVED_BYTES_MAX)
         self._came: deque[Frame] = deque()
         self._is_cancelled = False
-        self._failure: SocketError | None = None  # of sending
-        self._mutex = threading.Lock()  # guards sending
+        self._failure: SocketError | None = None  # the error of a send
+        self._mutex = threading.Lock()  # guards the sending side
         self._backlog = _Backlog(connected)
-        # Not a new buffer for each read: a new one of this length takes longer than the read.
+        # a new buffer for each read would take longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._limit = ReadLimit()
         connected.setblocking(True)
-        self._readable = select.poll()  # unlike SO_RCVTIMEO it keeps its time limit also while many signals come
+        self._readable = select.poll()  # unlike SO_RCVTIMEO, poll keeps its time limit even if many signals come
         self._readable.register(connected, select.POLLIN)
         forking.keep_out_of_children(connected)
         weakref.finalize(self, _drop, connected, self._backlog, self._forks)  # also at the end of the program
@@ -76,9 +76,10 @@ class SocketCall:
         return self
 
     def limit(self, timeout_s: float | None) -> ReadLimit:
-        """Return a context in which the thread that reads waits for at most `timeout_s`; None: without limit.
+        """Return a context in which the reading thread waits for at most `timeout_s`; None: without limit.
 
-        Then the stream is cancelled. The context is a list, as that of `Watchdog.limit`. No other thread takes part.
+        At the limit the reading thread cancels the stream. The context is a list, as that of `Watchdog.limit`. It needs
+        no other thread.
         """
         self._limit.ends_s = inf if timeout_s is None else monotonic() + timeout_s
         return self._limit
@@ -135,7 +136,10 @@ class SocketCall:
         return min(left_s, SILENCE_S_MAX)
 
     def _write(self, buffers: Iterable[bytes]) -> None:
-        """Send as much as the system takes now, and then the rest: here, or on a thread. The caller holds the mutex."""
+        """Send as much as the system takes now.
+
+        Send the rest on this thread or on another one. The caller holds the mutex.
+        """
         left = [memoryview(one) for one in buffers]
         try:
             if not self._backlog.writes:
@@ -150,7 +154,10 @@ class SocketCall:
             self._failure = error
 
     def _send_rest(self, left: list[memoryview]) -> None:
-        """Send the rest. Take in what comes meanwhile: while the host gives signs of life, it may take more later."""
+        """Send the rest, and receive meanwhile.
+
+        As long as the host gives signs of life, it may take more bytes later.
+        """
         poll = select.poll()
         poll.register(self._socket, select.POLLIN | select.POLLOUT)
         while left and not any(kind == FrameKind.STATUS for kind, _ in self._came):
@@ -181,7 +188,10 @@ class ReadLimit:
 
 
 class _Backlog:
-    """Sends on a thread of its own what the system did not take at once. The first such write starts the thread."""
+    """Sends, on a thread of its own, bytes that the system did not take at once.
+
+    The first such bytes start the thread.
+    """
 
     def __init__(self, connected: socket.socket) -> None:
         self.writes = 0
@@ -216,7 +226,7 @@ class _Backlog:
 
 
 def _send_some(connected: socket.socket, left: list[memoryview]) -> list[memoryview]:
-    """Send what the system takes without waiting. Returns the rest."""
+    """Send the bytes that the system takes without waiting. Returns the rest."""
     while left:
         try:
             sent_bytes = connected.sendmsg(left, (), _NOW)

@@ -40,7 +40,7 @@ def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
 
 
 class FrameReader:
-    """Cuts the bytes of a socket into frames. It keeps the bytes that came of an unfinished frame, and no more."""
+    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame."""
 
     __slots__ = ("_bytes_max", "_came_bytes", "_partial", "_wanted_bytes")
 
@@ -53,12 +53,12 @@ class FrameReader:
 
     @property
     def unfinished_bytes(self) -> int:
-        """The bytes that came of an unfinished frame."""
+        """The number of bytes that have come of an unfinished frame."""
         return self._came_bytes or len(self._partial)
 
     @property
     def missing_bytes(self) -> int:
-        """The bytes that are missing of an unfinished frame, or of its head; 0 if no frame has begun."""
+        """The number of bytes that are missing of an unfinished frame, or of its head; 0 if no frame has begun."""
         return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
 
     def room(self) -> memoryview:

@@ -29,10 +29,11 @@ from stampede_rt_runtime.rpc import Context
 
 
 class Slots:
-    """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
+    """The slots of a port: `concurrent_rpcs_max` for calls of any caller, and `reserved_rpcs_max` more (see `Limits`).
 
-    At most `streams_max` of the first may be streams. One caller gets at most three quarters of the first, rounded up,
-    unless its quota of streams is unlimited. The reserved slots are for the methods of `is_for_members`.
+    At most `streams_max` of the slots for any caller may be streams. One caller gets at most three quarters of these
+    slots, rounded up, unless its quota of streams is unlimited. The reserved slots are for the methods of
+    `is_for_members`.
     """
 
     def __init__(self, limits: Limits) -> None:

@@ -28,7 +28,7 @@ from stampede_rt_runtime.rpc import Context
 from stampede_rt_runtime.stream_headers import send_headers
 
 STREAMS_PER_TURN = 4
-"""Their steps take up to 0.5 ms. With 16 in a turn each step would take 0.3 us less (decision 0123)."""
+"""The steps of so many streams take up to 0.5 ms. With 16, each step would take 0.3 us less (decision 0123)."""
 AT_ONCE_NANOS = 1_000_000
 
 

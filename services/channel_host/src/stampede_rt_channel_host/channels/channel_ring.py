@@ -17,12 +17,15 @@ from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingRun, RingWriter
 
 SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
-FILLED_BYTES_MAX = 2**20  # of the held items with which a ring begins, so that its beginning takes no long step
+FILLED_BYTES_MAX = 2**20  # the most bytes of held items in a new ring, so that its beginning takes no long step
 FILLED_SLICES_MAX = 64
 
 
 class ChannelRing:
-    """A ring, and the mapping through which the host writes it. Its memory has no name: it ends with its last user."""
+    """A ring, and the mapping through which the host writes it.
+
+    Its memory has no name in the file system. The system frees it after the last user has closed it.
+    """
 
     def __init__(self, channel: ChannelCore, size: RingSize, clock: Callable[[], ClockReading]) -> None:
         """Raises OSError if the system gives no memory."""
@@ -90,7 +93,7 @@ class ChannelRing:
         return True
 
     def refresh(self, fence_boottime: int) -> None:
-        """Show readers until when the host may serve, and its clock."""
+        """Write to the ring the instant until which the host may serve, and the host's clock."""
         self._writer.set_fence(fence_boottime)
         self._writer.note_clock(self._clock())
 

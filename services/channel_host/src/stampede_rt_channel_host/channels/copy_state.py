@@ -1,4 +1,4 @@
-"""A copy of a channel at this host, as its readers depend on it: how old it is, and whether it can serve them."""
+"""The state of a copy of a channel at this host: its age, and whether it can serve readers."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from stampede_rt_channel_host.core.group import CutFloor
 
 SERVED_STALENESS_NANOS_MAX = 5_000_000_000
 """A copy that is older than this serves nobody."""
-REACH_SECONDS_MAX = 2.0  # a subscription that has come from elsewhere waits so long for the copy to catch up with it
+# a subscription that continues here waits this long at most, until the copy has the items that its reader has
+REACH_SECONDS_MAX = 2.0
 
 
 class Freshness(NamedTuple):
-    """What a read demands of a copy: at most this old, and the item of this seq. None: not demanded."""
+    """The demands of a read on a copy: the greatest age of its state, and a seq that it must have. None: no demand."""
 
     max_staleness_nanos: int | None = None
     least_seq: int | None = None
 
 
 class CopyState:
-    """The state of a copy, as its feed keeps it up to date.
+    """The state of a copy, which its feed keeps up to date.
 
-    `heard_nanos`: the copy has all that the owner had at this moment of the steady clock; None: it has nothing yet.
-    `caught_up`: it has had all items of its source at some moment. `source_next_seq`: as the source last reported it.
+    `heard_nanos`: the copy has all items that the owner had at this moment of the steady clock; None: it has nothing
+    yet. `caught_up`: the copy has had all items of its source at some moment. `source_next_seq`: as the source last
+    reported it.
     """
 
     def __init__(
@@ -72,12 +74,14 @@ class CopyState:
         return condition()
 
     def note_progress(self) -> None:
-        """Wake those who wait for the copy."""
+        """Wake the callers that wait for the copy."""
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
 
     def check(self, name: str, next_seq: int, demand: Freshness) -> None:
-        """Raises StaleBinding (MOVED) if the copy of channel `name`, with seqs below `next_seq`, does not do."""
+        """Raises StaleBinding (MOVED) if the copy of channel `name`, with seqs below `next_seq`, does not meet the
+        demand.
+        """
         if not self.is_ready:
             raise refusals.copy_cannot(name, "has lost its source, or has not caught up with it yet")
         stale, least = demand.max_staleness_nanos, demand.least_seq

@@ -1,8 +1,8 @@
 """The copies of one channel that this host feeds, and the readers that it sends to them.
 
-The host of the channel knows how many readers each copy has, because the copies report it on their feeds. So it sends a
-new reader to the copy with the fewest, if this has fewer than the host itself. If a copy is added while readers are
-connected, the host sends some of them there, a few at a time.
+Each copy reports the number of its readers on its feed. The host sends a new reader to the copy with the fewest
+readers, if that copy has fewer readers than the host itself. If a copy is added while readers are connected, the host
+sends some of them there, a few at a time.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.observers import Observers
 
 HEARD_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
-READERS_MOVED_MAX = 16  # at each report of a copy, about twice a second
+READERS_MOVED_MAX = 16  # the most readers that move at each report of a copy, about twice a second
 BALANCED_SHARE = 8
-"""The host sends connected readers to a copy only if it has two more than the copy, and an eighth of a share more."""
+"""The host sends connected readers to a copy only if it has at least two more readers than the copy, and more than an
+eighth of a fair share more."""
 
 
 class FedCopy:
-    """One copy that this host feeds. `waiting` returns how many items the host has still to send to it."""
+    """One copy that this host feeds. `waiting` returns the number of items that the host has still to send to it."""
 
     def __init__(self, host_id: bytes, target: str, waiting: Callable[[], int]) -> None:
         self.host_id = host_id
         self.target = target
         self.waiting = waiting
-        self.subscriptions = 0  # as last reported, and the readers sent there since
+        self.subscriptions = 0  # as last reported, plus the readers that the host has sent there since
         self.ready = False
         self.heard_nanos = time.monotonic_ns()
 
@@ -68,14 +69,18 @@ class FedCopies:
         self._copies.pop(copy, None)
 
     def less_loaded(self, name: str, own: int) -> StampedeError | None:
-        """The error that sends a new reader of channel `name` to a copy; None if the host, with `own`, has no more."""
+        """The error that sends a new reader of channel `name` to a copy; None if the host should serve the reader
+        itself.
+
+        `own`: the number of readers at the host.
+        """
         copy = min(self._serving(), key=lambda one: one.subscriptions, default=None)
         if copy is None or copy.subscriptions >= own:
             return None
         return _to(name, copy)
 
     def for_gets(self) -> str:
-        """The gatekeeper of a copy for a reader's gets, each in turn; empty if none can serve."""
+        """The gatekeeper of a copy for a reader's gets: another copy at each call; empty if no copy can serve."""
         serving = self._serving()
         self._turn += 1
         return serving[self._turn % len(serving)].target if serving else ""
@@ -100,5 +105,5 @@ class FedCopies:
 
 
 def _to(name: str, copy: FedCopy) -> StampedeError:
-    copy.subscriptions += 1  # until its next report
+    copy.subscriptions += 1  # counts until the next report of the copy
     return refusals.to_copy(name, copy.host_id, copy.target)

@@ -1,4 +1,4 @@
-"""The copies of other hosts' channels at this host. They are in the table of the store, among its own channels."""
+"""The copies of other hosts' channels at this host. The store's table has them beside the host's own channels."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 class HostedCopies:
     """Begins and drops copies. `channels` is the table of the store, `add` and `forget` change it.
 
-    `on_bound` is called if somebody binds a channel of which the directory has a copy here. It begins the copy, and
-    waits until it can serve readers.
+    The store calls `on_bound` if a caller binds a channel of which the directory has a copy at this host. `on_bound`
+    begins the copy, and waits until the copy can serve readers.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class HostedCopies:
         return hosted
 
     def begin(self, record: RecordedChannel, begun: NewCopy) -> HostedChannel:
-        """Make an empty copy of the channel. Drops a copy that there is; its readers get MOVED.
+        """Make an empty copy of the channel. Drops a former copy; the readers of the former copy get MOVED.
 
         Raises Overloaded if the host has too many channels.
         """
@@ -62,7 +62,7 @@ class HostedCopies:
 
 
 def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError | None:
-    """The error for a read that has waited at a copy which no longer meets its demand; else None."""
+    """The error for a read that waited at a copy, if the copy no longer meets the read's demand; else None."""
     try:
         if hosted.copy is not None:
             hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand or Freshness())
@@ -72,7 +72,7 @@ def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError
 
 
 def _nothing() -> None:
-    """Does nothing: the feed of a copy goes on."""
+    """Do nothing, because the feed of the copy goes on."""
 
 
 async def _refuse(record: RecordedChannel) -> None:

@@ -1,4 +1,4 @@
-"""The rings in shared memory of a host: who reads them, how much memory they take, and when they end."""
+"""The rings in shared memory of a host: their readers, their memory, and their ends."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from stampede_rt_runtime.rpc import Context
 logger = logging.getLogger(__name__)
 
 DATA_BYTES_MIN, DATA_BYTES_MAX = 4 * 2**20, 64 * 2**20
-RUNS_MIN = 16  # a ring has room for at least so many runs of the largest size that its channel has had
+RUNS_MIN = 16  # a ring has room for at least this many runs of the largest size that its channel has had
 MEMORY_SHARE = 4  # all rings together take at most this part of the host's memory
-KEPT_SECONDS = 10.0  # for which a ring stays without readers
-REFRESH_SECONDS = 0.2
+KEPT_SECONDS = 10.0  # a ring without readers stays for this time
+REFRESH_SECONDS = 0.2  # the time between two refreshes of the fence and the clock in all rings
 
 
 class Rings:
     """Makes a ring when a reader first asks for one, and drops it KEPT_SECONDS after its last reader has left."""
 
     def __init__(self, memory: MemoryBudget, clock: Callable[[], ClockReading]) -> None:
-        """`clock` reads the clocks."""
+        """`clock` reads the host's clock together with CLOCK_BOOTTIME."""
         self._memory, self._clock = memory, clock
         self.fence_boottime: Callable[[], int] = lambda: 0
-        """Tells until when the host may serve, in nanoseconds of CLOCK_BOOTTIME; 0: it may not."""
+        """Returns the instant until which the host may serve, in nanoseconds of CLOCK_BOOTTIME; 0: it may not serve."""
         self._open: dict[ChannelRing, HostedChannel] = {}
         self._charge = memory.charge_for("")
         self._used_bytes = 0
@@ -47,7 +47,8 @@ class Rings:
     async def serve(self, hosted: HostedChannel, context: Context) -> None:
         """Give one reader the ring of the channel. Returns when the ring has ended, or the reader has gone.
 
-        Raises InvalidArgument if the reader is not at a Unix socket, and Overloaded without memory.
+        Raises InvalidArgument if the reader is not at a Unix socket, and Overloaded if the host has no memory for a
+        ring.
         """
         write: Any = getattr(context, "write_with_file", None)
         if write is None or not futexes.is_supported():
@@ -64,7 +65,7 @@ class Rings:
         finally:
             ring.readers -= 1
             if is_denied():
-                hosted.close_ring()  # the other readers get a new one, which this one cannot read
+                hosted.close_ring()  # the other readers get a new ring, which the denied reader cannot map
             elif not ring.readers and ring.is_open:
                 asyncio.get_running_loop().call_later(KEPT_SECONDS, self._drop_unused, ring)
 
@@ -95,13 +96,13 @@ class Rings:
         return ring
 
     def refresh(self) -> None:
-        """Show the readers of all rings until when the host may serve, and its clock."""
+        """Write to all rings the instant until which the host may serve, and the host's clock."""
         fence_boottime = self.fence_boottime()
         for ring in self._open:
             ring.refresh(fence_boottime)
 
     def fence(self) -> None:
-        """Let no reader believe a ring any more, because the host shuts down."""
+        """Tell the readers of all rings that the host serves no more, because it shuts down."""
         self.fence_boottime = lambda: 0
         self.refresh()
 
@@ -128,7 +129,7 @@ class Rings:
 
 
 def _unsuited(hosted: HostedChannel) -> str:
-    """Why a ring cannot answer for the channel; empty if it can."""
+    """The reason why a ring cannot repeat the channel; empty if it can."""
     policy = hosted.record.policy
     if policy.consumers or policy.max_age_unconsumed_nanos:
         return "items of a channel with consumers leave it when they are consumed, which only the host knows"

@@ -54,11 +54,11 @@ class FeedStream:
         self._lag = LagWatch()
 
     def wake(self) -> None:
-        """The channel has changed."""
+        """Note that the channel has changed."""
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the channel any more."""
+        """Note that the host does not serve the channel any more."""
         self._stream.end(error)
 
     async def run(self, request: pb.FeedRequest) -> None:
@@ -139,7 +139,7 @@ class FeedStream:
     async def _send(self, hosted: HostedChannel, part: FeedPart) -> None:
         about = self._response(hosted, part)
         delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
-        del part  # so that the runs are not kept in memory while the message is written
+        del part  # Frees the runs before the message is written.
         self._credit.spend(delivery.charge_bytes)
         self._work.spend_write()
         await self._write(delivery.encoded)

@@ -32,8 +32,8 @@ from stampede_rt.ring.layout import (
 )
 
 _DATA_SHARE_MAX = 4
-"""A ring does not take a run of more than this part of its data. A reader needs time to copy a run."""
-_SLOT_BYTES = 512  # of data for each slot, as a guess
+"""A ring takes no run that is longer than a quarter of its data, because a reader needs time to copy a run."""
+_SLOT_BYTES = 512  # of data for each slot: a guess of the length of a usual run
 _PAGE_BYTES = 4096
 
 
@@ -53,7 +53,7 @@ class RingRun(NamedTuple):
 
 
 class RingFacts(NamedTuple):
-    """The facts about a channel that a ring repeats, see `layout`. None: there is no such instant."""
+    """The facts about a channel that a ring repeats, see `layout`. None: the instant or the limit is absent."""
 
     next_seq: int
     has_items: bool
@@ -73,14 +73,14 @@ class ClockReading(NamedTuple):
 
 
 def ring_size(data_bytes_min: int) -> RingSize:
-    """A size with at least so many bytes of data."""
+    """The size of a ring with at least `data_bytes_min` bytes of data."""
     data_bytes = -(-data_bytes_min // _PAGE_BYTES) * _PAGE_BYTES
     slots = 1 << max(6, (data_bytes // _SLOT_BYTES).bit_length() - 1)
     return RingSize(slots, data_bytes)
 
 
 class RingWriter:
-    """The only writer of a ring. `memory` is zero at first."""
+    """The only writer of a ring. All bytes of `memory` are zero at first."""
 
     def __init__(self, memory: memoryview, size: RingSize, incarnation: int, newest_time: int | None) -> None:
         """`newest_time`: the time of the channel's newest item. Append the newest held items next, in order."""
@@ -100,7 +100,7 @@ class RingWriter:
         words[STATE_WORD] = OPEN
 
     def takes(self, body_bytes: int) -> bool:
-        """Whether a run of that length fits."""
+        """Whether the ring takes a run of that length."""
         return body_bytes <= self._size.data_bytes // _DATA_SHARE_MAX
 
     def append(self, run: RingRun) -> None:
@@ -122,7 +122,7 @@ class RingWriter:
             words[place] = value
 
     def _order(self, run: RingRun) -> None:
-        """Note whether the run follows the newest item."""
+        """Note whether the run comes after the newest item in time, and which slot has the newest item."""
         if run.first_time < self._newest_time and self._is_filled:
             self._late += 1
             self._ordered_from = self._head + 1
@@ -131,7 +131,10 @@ class RingWriter:
             self._is_filled = True
 
     def _make_room(self, body_bytes: int) -> int:
-        """Where the run begins. Moves the tail first, past all slots whose bytes it will overwrite."""
+        """Make room for a run, and return its offset.
+
+        First moves the tail past all slots whose bytes the run overwrites.
+        """
         data_bytes, begin = self._size.data_bytes, self._offset
         if begin % data_bytes + body_bytes > data_bytes:
             begin += data_bytes - begin % data_bytes
@@ -143,7 +146,7 @@ class RingWriter:
         return begin
 
     def publish(self, facts: RingFacts, clock: ClockReading) -> None:
-        """Show the appended runs and the facts to readers. The caller then wakes those that wait."""
+        """Show the appended runs and the facts to readers. The caller then wakes the waiting readers."""
         if not facts.has_items:
             self._newest_slot = NO_ITEMS
         elif self._newest_slot == NO_ITEMS:
@@ -170,7 +173,7 @@ class RingWriter:
         words[CHANGES_WORD] = (words[CHANGES_WORD] + 1) & 0xFFFF_FFFF
 
     def note_clock(self, clock: ClockReading) -> None:
-        """Show a later reading of the clocks to readers. Wakes nobody."""
+        """Show a later reading of the clocks to readers. The caller need not wake waiting readers."""
         words = self._words
         sequence = words[SEQUENCE_WORD] + 1
         words[SEQUENCE_WORD] = sequence
@@ -179,7 +182,7 @@ class RingWriter:
         words[SEQUENCE_WORD] = sequence + 1
 
     def set_fence(self, boottime: int) -> None:
-        """Set until when the host may serve, in nanoseconds of CLOCK_BOOTTIME."""
+        """Set the instant until which the host may serve, in nanoseconds of CLOCK_BOOTTIME."""
         self._words[FENCE_WORD] = boottime
 
     def release(self) -> None:
@@ -188,7 +191,7 @@ class RingWriter:
         self._data.release()
 
     def close(self) -> None:
-        """Tell readers that the ring repeats the channel no more. The caller then wakes those that wait."""
+        """Tell readers that the host writes this ring no more. The caller then wakes the waiting readers."""
         words = self._words
         words[STATE_WORD] = CLOSED
         words[CHANGES_WORD] = (words[CHANGES_WORD] + 1) & 0xFFFF_FFFF

@@ -59,7 +59,7 @@ class CopiedGroup:
         return Horizon(None if at == NOTHING_VISIBLE else at, self.held_by)
 
     def held_by(self) -> str:
-        """What holds the cut back, as a phrase for error texts."""
+        """Returns the part that holds the cut back, as a phrase for error texts."""
         return "until the owner of the channel has told its copy a later cut"
 
     def check_incarnation(self, incarnation: int) -> None:

@@ -53,7 +53,7 @@ class SocketContext:
         await self._connection.write(message if self._encode is None else self._encode(message))
 
     def answer_at_once(self, take: AtOnce) -> None:
-        """From now on call `take` for each encoded message for which `read` waits. It must not wait."""
+        """From now on pass each encoded message for which `read` waits to `take` first. `take` must not wait."""
         self._connection.at_once = take
 
     async def write_with_file(self, message: Any, file: int) -> None:

@@ -1,8 +1,8 @@
 """The memory into which the sockets of a port are read.
 
-A few long frames of each caller come at the same time. The others wait in the buffers of the system. A caller may have
-thousands of streams. Without this limit it could make the event loop read a long frame of each of them in one turn, and
-keep an unfinished frame of each of them in memory.
+The service reads only a few long frames of each caller at the same time. The others wait in the buffers of the system.
+A caller may have thousands of streams. Without this limit it could make the event loop read a long frame of each stream
+in one turn, and keep an unfinished frame of each stream in memory.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.working import SOCKET_COSTS, CallerWork
 
 SHORT_BYTES = 2**14
-"""The most bytes that are read at once. A frame of which more is missing is long, and waits for a place."""
+"""The most bytes of one read. A frame that needs more is long, and waits for a place."""
 PLACES = 16
-"""The most long frames of one caller that come at the same time. To read one of 256 KiB takes about 0.1 ms."""
+"""The most long frames of one caller that the service reads at the same time. To read 256 KiB takes about 0.1 ms."""
 
 
 class _Line:
@@ -40,7 +40,7 @@ class _Line:
 
 
 class FrameBuffers:
-    """One buffer for all short reads, and the places for long frames. Callers without quotas never wait for one."""
+    """One buffer for all short reads, and the places for long frames. A caller without quotas needs no place."""
 
     def __init__(self) -> None:
         self.short = memoryview(bytearray(SHORT_BYTES))
@@ -57,7 +57,7 @@ class FrameBuffers:
 
 
 class FramePlace:
-    """One stream's place, which it takes for each long frame."""
+    """The right of one stream to read a long frame. The stream takes a place for each long frame."""
 
     __slots__ = ("_line", "_work")
 

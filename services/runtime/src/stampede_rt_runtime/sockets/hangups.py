@@ -1,7 +1,7 @@
-"""Tells at once that a peer has gone from whose socket nothing is read at present.
+"""Reports soon that a peer has gone, even while the service reads nothing from its socket.
 
-asyncio learns of a closed socket only when it reads. A caller that closes its stream cancels it, also while the service
-takes no more of its messages.
+asyncio notices a closed socket only when it reads. A caller that closes its stream also cancels its call, even while
+the service takes no more of its messages.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class _Watched(NamedTuple):
 
 
 class HangupWatcher:
-    """Watches sockets for the end of their connection. On a system without epoll it watches nothing.
+    """Watches sockets for the end of their connection.
 
-    There the next sign of life tells that a peer has gone.
+    On a system without epoll it watches nothing. The service then notices the end at its next sign of life.
     """
 
     def __init__(self) -> None:

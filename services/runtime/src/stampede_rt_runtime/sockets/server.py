@@ -41,7 +41,7 @@ ENDED_PER_TURN = 64
 
 
 class _CallDetails(NamedTuple):
-    """What interceptors know of a call, as grpc.HandlerCallDetails."""
+    """The facts of a call that interceptors read, as in grpc.HandlerCallDetails."""
 
     method: str
     invocation_metadata: Metadata
@@ -77,7 +77,7 @@ class SocketServer:
         self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
         self._unopened: set[StreamSocket] = set()
-        # By their credentials: a caller with a thousand openings delays those of others by one opening only.
+        # one line for each credential: a caller with a thousand openings delays other callers by one opening only
         self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
         self._changed = asyncio.Event()
         self._acceptor: Acceptor | None = None
@@ -98,7 +98,7 @@ class SocketServer:
         """Do nothing: the same handlers come by `add_registered_method_handlers`."""
 
     def add_registered_method_handlers(self, service: str, handlers: Mapping[str, Any]) -> None:
-        """Serve those of the methods that have streams in both directions."""
+        """Serve the methods that have streams in both directions."""
         for name, handler in handlers.items():
             if handler.request_streaming and handler.response_streaming:
                 self._methods[f"/{service}/{name}"] = handler
@@ -138,7 +138,10 @@ class SocketServer:
         self._hangups.close()
 
     def _accepted(self, accepted: socket.socket) -> None:
-        """Serve a connection. Refuse one of another user, or beyond the limits, before anything of it is read."""
+        """Serve a connection.
+
+        Refuse one of another user, or beyond the limits, before the service reads any of its bytes.
+        """
         error = self._refusal(accepted)
         if error is not None:  # without time for the peer to read: there may be many
             with contextlib.suppress(OSError), accepted:

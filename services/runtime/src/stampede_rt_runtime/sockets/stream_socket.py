@@ -1,4 +1,4 @@
-"""One connection: a stream over a socket of its own, with the bounds that a stream of the gRPC server has."""
+"""A stream over a socket of its own. Its limits are those of a stream of the gRPC server."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers,
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
-STALL_SECONDS_MAX = 30.0  # for which a peer may take nothing of what the service writes
-LINGER_SECONDS = 2.0  # for which a peer may read the status after its stream has ended
-_MESSAGE_OVERHEAD_BYTES = 64  # a waiting message takes as much memory beside its bytes
+STALL_SECONDS_MAX = 30.0  # the longest time for which a peer may take no bytes from the service
+LINGER_SECONDS = 2.0  # the time that a peer has to read the status after the end of its stream
+_MESSAGE_OVERHEAD_BYTES = 64  # the memory of a waiting message beside its bytes
 _JOINED_BYTES_MAX = 2**16  # up to this length a copy of a message takes less time than a second system call
 
 ALIVE = frame_of(FrameKind.ALIVE)
@@ -39,13 +39,13 @@ class SocketOwner(Protocol):
     """Learns of the events of its connections."""
 
     def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
-        """The opening has come. May raise a StampedeError."""
+        """Called when the opening has come. May raise a StampedeError."""
 
     def failed(self, connection: StreamSocket, error: StampedeError) -> None:
-        """The peer did not keep to the rules of frames. The owner must call `end`."""
+        """Called when the peer has broken the rules of frames. The owner must call `end`."""
 
     def lost(self, connection: StreamSocket) -> None:
-        """The peer has gone, or the connection was closed here."""
+        """Called when the peer has gone, or the connection was closed here."""
 
 
 class StreamSocket(asyncio.BufferedProtocol):
@@ -57,7 +57,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self.is_over = False
         """Whether the status was written."""
         self.at_once: AtOnce | None = None
-        """Is called for a message for which `read` waits. `read` returns the message if this has not taken it."""
+        """Gets each message for which `read` waits. If it does not take the message, `read` returns the message."""
         self._owner, self._limits, self._hangups, self._buffers = owner, limits, hangups, buffers
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
@@ -72,10 +72,10 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._is_full = False
         self._frame_since_s: float | None = None
         self._place: FramePlace | None = None  # of the stream's caller, from its first read on
-        self._is_filling = False  # a long frame, which has a place
+        self._is_filling = False  # Whether a long frame that has a place is being read.
         self._stalled_since_s, self._stalled_bytes = 0.0, 0
 
-    # what asyncio calls
+    # --- asyncio calls these methods
 
     def connection_made(self, transport: Any) -> None:
         """Wait for the opening, for a limited time."""
@@ -85,11 +85,11 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._deadline = self._loop.call_later(opening_s, self._opening_overdue, opening_s)
 
     def get_buffer(self, _sizehint: int) -> memoryview:
-        """Where the next bytes go. All connections share one buffer, except for long frames."""
+        """The memory for the next bytes. All connections share one buffer, except for long frames."""
         return self._frames.room() if self._is_filling else self._buffers.short
 
     def buffer_updated(self, came_bytes: int) -> None:
-        """Take the frames. What comes after the stream's end is dropped."""
+        """Take the received frames. Bytes after the stream's end are dropped."""
         if self.is_over:
             return
         try:
@@ -119,7 +119,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         return whole
 
     def _must_wait_for_place(self) -> bool:
-        """Whether a long frame has begun that must wait. If it need not, it takes a place, and the rest comes next."""
+        """Whether a long frame has begun that must wait for a place. If it need not wait, it takes its place now."""
         if self._is_filling or self._frames.missing_bytes <= SHORT_BYTES or not self.is_opened:
             return False
         self._is_filling = self._place is not None and self._place.take_now()
@@ -152,7 +152,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         _wake(self._room)
         self._owner.lost(self)
 
-    # what the stream calls
+    # --- the stream's user calls these methods
 
     async def read(self) -> Any:
         """The next message, or EOF."""
@@ -246,12 +246,12 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._has_written = False
 
     def _drop_frame(self) -> None:
-        """Free what came of an unfinished frame: the objects of a stream may stay for a while."""
+        """Free the bytes of an unfinished frame, because the objects of a stream may stay in memory for a while."""
         self._leave_place(self._frames.unfinished_bytes)
         self._frames.drop()
 
     def _pause(self) -> None:
-        """Leave what comes next in the buffers of the system."""
+        """Stop reading, so that further bytes wait in the buffers of the system."""
         if not (self._is_paused or self.is_over or self._is_closing):
             self._is_paused, self._frame_since_s = True, None
             self._transport.pause_reading()

@@ -1,8 +1,8 @@
-"""Tickets with which callers prove over a local socket which certificate they have shown over gRPC.
+"""Tickets. With a ticket a caller proves over a local socket which certificate it has shown over gRPC.
 
 TLS proves a certificate for one connection. A caller gets a ticket over such a connection, and sends it at the
-beginning of each stream over a socket. Only processes of the same user can open the socket, and these could read the
-caller's key as well as its ticket. So the stream itself needs no TLS (decision 0165).
+beginning of each stream over a socket. Only processes of the same user can open the socket, and such a process could
+read the caller's key as well as its ticket. So the stream itself needs no TLS (decision 0165).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _KEPT = (_CERTIFICATE, "peer_uri")
 AuthContext = Mapping[str, Iterable[bytes]]
 """The properties of a TLS connection, as `grpc.ServicerContext.auth_context` has them."""
 Proof = Mapping[str, Sequence[bytes]]
-"""Those of them that tell the certificate."""
+"""The properties that identify the certificate."""
 
 
 class SocketTickets:

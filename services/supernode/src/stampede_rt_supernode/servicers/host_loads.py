@@ -1,7 +1,7 @@
-"""Keeps the loads that hosts report with their renewals, and notes them in the log when they have changed.
+"""Keeps the loads that hosts report with their renewals, and notes changed loads in the log.
 
-A part of `lease_keeper`, and used on its event loop. One entry is for all hosts, and there is at most one entry in
-NOTE_NANOS. A cluster whose loads stay as they are adds none.
+A part of `lease_keeper`, used on its event loop. One entry of the log has the loads of all hosts, and there is at most
+one entry in NOTE_NANOS. While no load changes, there are no entries.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ from stampede_rt_supernode.servicers.submission import Submission
 
 NOTE_NANOS = 2 * 10**9
 HOSTS_PER_ENTRY_MAX = 512
-CHANGE_PERMILLE = 50  # a smaller change of the load is not noted
+CHANGE_PERMILLE = 50  # a load that has changed by less is not noted
 PROPOSAL_SECONDS = 5.0
 
 
 class HostLoads:
-    """The loads of hosts, as they reported them to this leader. At most one for each live host."""
+    """The loads that hosts reported to this leader, at most one for each live host."""
 
     def __init__(self, replica: DirectoryReplica, submission: Submission, clock: HostClock) -> None:
         self._replica = replica
         self._submission = submission
         self._clock = clock
         self._reported: dict[bytes, HostLoad] = {}
-        self._owned: dict[bytes, int] = {}  # the things that each host owned when its last report came
+        self._owned: dict[bytes, int] = {}  # the number of channels and queues that each host owned at its last report
         self._noted_nanos = 0
 
     def note(self, host_id: bytes, load: HostLoad) -> None:
         """Note the load that a host reports with its renewal.
 
-        The host measured it since its previous report, so things that it got since then are not fully in it.
+        The host measured it since its previous report. So the load does not fully include channels that the host got
+        meanwhile.
         """
         owned = self._replica.read(lambda directory: _owned(directory, host_id))
         self._reported[host_id] = replace(load, owned=min(owned, self._owned.get(host_id, owned)))

@@ -1,4 +1,4 @@
-"""What a host says of the answer of a get beside the items."""
+"""The summary of a get's answer: all that the host says beside the items."""
 
 from __future__ import annotations
 

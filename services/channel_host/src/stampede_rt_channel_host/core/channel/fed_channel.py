@@ -104,10 +104,10 @@ class FedChannel(ChannelCore):
         return self._tick(now) if self._held.has_backlog else None
 
     def _age(self) -> None:
-        """Nothing: the feed says which items are too old."""
+        """Do nothing: the feed says which items are too old."""
 
     def _outdate(self, clock: int) -> None:
-        """Nothing: the feed says which items are too old or consumed."""
+        """Do nothing: the feed says which items are too old or consumed."""
 
 
 def _without_places(policy: Policy) -> Policy:

@@ -30,7 +30,7 @@ class FedHoldings(Holdings):
         self._make_way()
 
     def follow(self, collection: Collection) -> None:
-        """Collect the items that the source has collected, and take over what it knows of collected items."""
+        """Collect the items that the source has collected, and take over the facts about them."""
         self.last_cause, self.shared_batches = collection.last_cause, None
         self._collect_below(collection.floor)
         self.floor = self._reported_to = collection.floor
