@@ -23,7 +23,7 @@ CALL_SECONDS = 20.0  # a busy machine answers later than a quiet one, but not ne
 ANSWERS_MAX = 20
 LEARNT_PERCENT = 25
 # What may wait for as long as its caller does.
-WAITING = ("/GetCut", "/AddSupernode", "/RemoveSupernode", "/Bind", "/TakeSnapshot")
+WAITING = ("/GetCut", "/AddSupernode", "/RemoveSupernode", "/TakeSnapshot")
 WRITTEN_TOO_LATE = "Internal error from Core"  # what this side's gRPC says if a call has ended before a request is sent
 
 Metadata = tuple[tuple[str, str], ...]
