@@ -3,8 +3,17 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+from collections import Counter
 
-from stampede_rt_runtime.sockets.hangups import HangupWatcher
+import pytest
+
+from stampede_rt_runtime.sockets import server
+from stampede_rt_runtime.sockets.hangups import CLOSED_PER_TURN, HangupWatcher
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from tests.support.raw_stream import RawStream
+from tests.support.socket_port import ECHO, HOLD, Open, port_fixture, until
+
+port = port_fixture()
 
 
 async def test_the_close_of_a_watched_socket_is_told_once_although_nobody_reads() -> None:
@@ -35,3 +44,37 @@ async def test_a_socket_that_has_the_number_of_a_closed_one_stays_watched() -> N
         far.close()
         assert await asyncio.wait_for(told.get(), 20) == "successor"
     hangups.close()
+
+
+@pytest.mark.parametrize("method", [ECHO, HOLD])
+async def test_a_caller_that_ends_with_many_streams_has_a_few_of_them_closed_in_each_turn_of_the_loop(
+    port: Open, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Also if the service reads from them at the moment (ECHO), so that it sees the end of each."""
+    lost_in: Counter[int] = Counter()
+    turn, lose, loop = 0, server.SocketServer.lost, asyncio.get_running_loop()
+
+    def count_turns() -> None:
+        nonlocal turn
+        turn += 1
+        if lost_in.total() < 40:
+            loop.call_soon(count_turns)
+
+    def lost(self: server.SocketServer, connection: StreamSocket) -> None:
+        lost_in[turn] += 1
+        lose(self, connection)
+
+    monkeypatch.setattr(server.SocketServer, "lost", lost)
+    async with port() as one:
+        streams = [RawStream(*await asyncio.open_unix_connection(one.target.removeprefix("unix:"))) for _ in range(40)]
+        for stream in streams:
+            await stream.begin(method)
+        served = one.server.sockets._streams
+        await until(lambda: len(served) == 40 and all(found.task is not None for found in served.values()))
+        await until(lambda: all(found._is_paused is (method == HOLD) for found in served))
+        count_turns()
+        for stream in streams:
+            stream.writer.transport.abort()
+        await until(lambda: not served)
+        assert lost_in.total() == 40
+        assert max(lost_in.values()) <= CLOSED_PER_TURN

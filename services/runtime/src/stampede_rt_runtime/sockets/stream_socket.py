@@ -140,6 +140,11 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._is_full = False
         _wake(self._room)
 
+    def eof_received(self) -> bool:
+        """The peer has gone: close the connection, after those of which this was known before."""
+        self._hangups.gone(self._transport.close)
+        return True  # asyncio must not close it at once: thousands may end in one turn of the loop
+
     def connection_lost(self, _error: Exception | None) -> None:
         """The peer has gone, or the connection was closed here."""
         self._is_lost = self._has_ended = True
