@@ -6,8 +6,9 @@ import re
 import sys
 
 import pytest
+from grpc._cython import cygrpc  # type: ignore[attr-defined]  # it is private, and so is its logger
 
-from stampede_rt_runtime.logs import JsonFormatter, LineFormatter
+from stampede_rt_runtime.logs import JsonFormatter, LineFormatter, set_up_logging
 
 
 def record(message: str, *args: object, **extra: object) -> logging.LogRecord:
@@ -75,3 +76,21 @@ def test_a_json_line_has_no_control_character_whatever_its_values(value: object)
 def test_a_record_without_an_event_is_an_other_one() -> None:
     assert json.loads(JsonFormatter().format(record("m")))["event"] == "other"
     assert " event=other " in LineFormatter().format(record("m"))
+
+
+def test_a_caller_that_has_gone_before_its_answer_fills_no_log(capsys: pytest.CaptureFixture[str]) -> None:
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        set_up_logging("info")
+        for error in (cygrpc.ExecuteBatchError("Failed"), ValueError("a defect")):
+            try:
+                raise error
+            except Exception:
+                logging.getLogger("grpc._cython.cygrpc").exception("%s raised by servicer method", type(error).__name__)
+    finally:
+        root.handlers[:] = handlers
+        root.setLevel(level)
+    told = capsys.readouterr().err
+    assert "ExecuteBatchError" not in told
+    assert "a defect" in told

@@ -16,6 +16,7 @@ LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("text", "json")
 UNNAMED = "other"
 """The event of a record that names none, such as one of a library."""
+_GRPC_CALLS = "grpc._cython.cygrpc"
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 
@@ -74,3 +75,13 @@ def set_up_logging(level: str, form: str = "text") -> None:
     handler.setFormatter(JsonFormatter() if form == "json" else LineFormatter())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would hide ours
+    logging.getLogger(_GRPC_CALLS).addFilter(_is_no_lost_caller)
+
+
+def _is_no_lost_caller(record: logging.LogRecord) -> bool:
+    """Whether gRPC tells more than that it could not answer a caller that has gone.
+
+    It writes a traceback of 3 KB for each such call if it has not yet heard of the end of the call. So callers without
+    any credential could fill the log.
+    """
+    return record.exc_info is None or getattr(record.exc_info[0], "__name__", "") != "ExecuteBatchError"
