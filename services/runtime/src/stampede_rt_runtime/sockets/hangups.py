@@ -1,4 +1,4 @@
-"""Reports soon that a peer has gone, even while the service reads nothing from its socket. Closes few sockets in a turn.
+"""Reports soon that a peer has gone, even while the service reads nothing from its socket. Closes few at a time.
 
 asyncio notices a closed socket only when it reads. A caller that closes its stream also cancels its call, even while
 the service takes no more of its messages. A caller that ends may leave thousands of sockets, so the service closes a
