@@ -21,7 +21,6 @@ needs_namespaces = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 
 
 @needs_namespaces
-@pytest.mark.timeout(180)
 async def test_a_directory_whose_leader_is_killed_and_removed_loses_nothing(tmp_path: Path) -> None:
     faults = ["kill_leader", "remove_leader"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, quiet_s=0.1)
@@ -70,7 +69,6 @@ def doubled_claim(history: list[Operation]) -> list[Operation]:
 
 
 @needs_namespaces
-@pytest.mark.timeout(180)
 async def test_a_secured_cluster_whose_host_is_killed_has_one_owner_at_a_time(tmp_path: Path) -> None:
     faults = ["restart_host", "strangers"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=True, hosts=HOSTS, quiet_s=0.1)
@@ -159,7 +157,6 @@ def test_a_round_that_takes_much_too_long_is_cut() -> None:
 
 
 @needs_namespaces
-@pytest.mark.timeout(180)
 async def test_hostile_clients_and_used_up_quotas_cost_good_clients_no_call_and_no_lease(tmp_path: Path) -> None:
     faults = ["attack_unfinished-puts", "quota_streams", "quota_channels"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, hosts=1, quiet_s=0.1)

@@ -44,7 +44,6 @@ class Logged:
 
 
 @pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
-@pytest.mark.timeout(120)
 def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
     logged, got, taken = Logged(caplog), [], []
     with st.connect(cluster.address) as rt:
@@ -84,7 +83,6 @@ def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, ca
 
 
 @pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
-@pytest.mark.timeout(120)
 async def test_after_a_long_outage_all_that_listened_goes_on_with_await(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:

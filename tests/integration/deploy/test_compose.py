@@ -32,8 +32,6 @@ KINDS: dict[str, tuple[str, type[ServiceSettings]]] = {
     **dict.fromkeys(HOSTS, ("host", HostSettings)),
 }
 
-pytestmark = pytest.mark.timeout(180)  # the first run downloads and compiles the reference parser
-
 
 @pytest.fixture(scope="module")
 def check(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -13,7 +13,6 @@ from stampede_rt_channel_host.channels.limits.request_room import CALLER_BYTES_M
 from stampede_rt_runtime.limits import Limits
 from tests.benchmarks.attacks.trial import Found, Setup, trial
 
-pytestmark = pytest.mark.timeout(120)
 SECONDS = 2.0
 BUDGET_MIB = 64  # of the host
 MARGIN_MIB = 100

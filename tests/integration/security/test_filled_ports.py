@@ -30,8 +30,6 @@ from tests.support.supernode.processes import (
     resolve,
 )
 
-pytestmark = pytest.mark.timeout(240)
-
 AT_ONCE = 128
 
 
@@ -79,11 +77,17 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
                 watches.append(call)
                 return
 
+    async def replace_ended() -> None:
+        """A busy machine may have ended some of the first ones."""
+        for _ in range(AT_ONCE):
+            await watch()
+
     try:
         for _ in range(few_streams.LIMITS.streams_max // AT_ONCE):
             await asyncio.gather(*(watch() for _ in range(AT_ONCE)))
         with pytest.raises(grpc.aio.AioRpcError) as refused:
-            await watch()
+            await replace_ended()
+        watches[:] = [one for one in watches if not one.done()]
         assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
         yield watches
     finally:

@@ -39,7 +39,6 @@ def upgrade(cluster: LocalCluster, number: int) -> None:
     one.restart()
 
 
-@pytest.mark.timeout(120)
 def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_its_upgrade(
     cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,8 +16,6 @@ from tests.support.flipped_memory import FLAG, FLIPPED
 from tests.support.supernode.commands import command, prepared, status_has
 from tests.support.supernode.processes import Cluster, Supernode, attempts, called, free_ports, open_channel, register
 
-pytestmark = pytest.mark.timeout(120)
-
 MODULE = "tests.support.flipped_memory"
 NAME = f"{FLIPPED}cam"
 

@@ -6,12 +6,8 @@ import shutil
 import signal
 from pathlib import Path
 
-import pytest
-
 from tests.support.supernode.commands import command, prepared
 from tests.support.supernode.processes import Supernode, free_ports, register
-
-pytestmark = pytest.mark.timeout(120)
 
 
 def copied(original: Supernode, folder: Path, port: int) -> Supernode:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import grpc
-import pytest
 
 from stampede_rt.v1 import directory_service_pb2, raft_service_pb2_grpc
 from stampede_rt.v1 import raft_service_pb2 as pb
@@ -29,7 +28,6 @@ from tests.support.supernode.processes import (
     running_cluster,
 )
 
-pytestmark = pytest.mark.timeout(120)
 FAR = 2**62 - 1
 
 

@@ -15,8 +15,6 @@ from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import running_cluster
 
-pytestmark = pytest.mark.timeout(120)
-
 PATIENCE_SECONDS = 30.0
 LOST, FOUND = "no supernode can serve this front-end", "the directory can serve"
 

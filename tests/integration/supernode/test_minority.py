@@ -7,12 +7,8 @@ import json
 import signal
 from pathlib import Path
 
-import pytest
-
 from tests.support.supernode.commands import command
 from tests.support.supernode.processes import Supernode, free_ports, open_channel, register, resolve, running_cluster
-
-pytestmark = pytest.mark.timeout(120)
 
 
 async def test_a_supernode_without_a_majority_gives_what_it_holds_and_a_new_cluster_goes_on_with_it(

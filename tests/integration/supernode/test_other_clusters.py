@@ -22,8 +22,6 @@ from tests.support.supernode.processes import (
     running_cluster,
 )
 
-pytestmark = pytest.mark.timeout(120)
-
 
 async def renewed(one: Supernode, number: int, former: str) -> None:
     """Renew a host's lease; tried again while the supernode just begins to lead."""

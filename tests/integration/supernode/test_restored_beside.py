@@ -23,7 +23,7 @@ from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.dial import dial
 from tests.support.cluster import cluster_fixture
 
-pytestmark = [pytest.mark.timeout(180), pytest.mark.without_rules("it acts as an operator")]
+pytestmark = pytest.mark.without_rules("it acts as an operator")
 
 cluster = cluster_fixture(scope="function", hosts=2, supernodes=3, log_level="debug")
 

@@ -69,7 +69,6 @@ async def risen(cluster: Cluster) -> None:
             return
 
 
-@pytest.mark.timeout(120)
 async def test_members_are_upgraded_one_by_one_and_the_new_command_works_once_all_know_it(
     cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,8 +9,6 @@ import signal
 import sys
 from pathlib import Path
 
-import pytest
-
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME, WATERMARK_NAME
 from tests.support.supernode.commands import command, prepared, status_has
@@ -26,7 +24,6 @@ from tests.support.supernode.processes import (
     running_cluster,
 )
 
-pytestmark = pytest.mark.timeout(120)
 WRITES = 20
 
 

@@ -14,8 +14,6 @@ from stampede_rt.v1.frontend_service_pb2 import BindRequest, BindResponse
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
-pytestmark = pytest.mark.timeout(120)
-
 cluster = cluster_fixture(scope="function", hosts=2, supernodes=3, frontends=2)
 
 

@@ -56,7 +56,6 @@ def refused(answer: Future[list[pb.PutAck]]) -> bool:
     return all(not ack.HasField("first_seq") and ack.HasField("error") for ack in acks)
 
 
-@pytest.mark.timeout(120)
 def test_a_host_that_is_continued_after_its_lease_acknowledges_nothing_under_its_old_epoch(
     cluster: LocalCluster,
 ) -> None:

@@ -31,6 +31,7 @@ READ = "/stampede_rt.v1.DirectoryService/Read"
 SECRET = Secret(text="right", path=Path("secret"))
 FIRST = asyncio.FIRST_COMPLETED
 NO_REQUEST = b"\xff\xff\xff"
+LIMIT_S = 60.0
 
 
 class Directory(grpc.GenericRpcHandler):
@@ -86,13 +87,13 @@ class Port:
         call = self.channel.unary_unary(
             LIST, pb.ListChannelsRequest.SerializeToString, pb.ListChannelsResponse.FromString
         )
-        response: pb.ListChannelsResponse = await call(pb.ListChannelsRequest(name_glob=glob), timeout=20)
+        response: pb.ListChannelsResponse = await call(pb.ListChannelsRequest(name_glob=glob), timeout=LIMIT_S)
         return response.next_page_token
 
     async def sent(self, method: str, *messages: bytes) -> tuple[grpc.StatusCode, str]:
         """What a call is answered that brings these bytes and then ends."""
         while True:  # ends with the test's timeout
-            call: Any = self.channel.stream_stream(method)(iter(messages), timeout=20)  # type: ignore[arg-type]
+            call: Any = self.channel.stream_stream(method)(iter(messages), timeout=LIMIT_S)  # type: ignore[arg-type]
             code, details = await call.code(), await call.details()
             if details != "Internal error from Core":  # grpc.aio was still sending when the answer came, and lost it
                 return code, details
@@ -120,7 +121,7 @@ async def test_a_call_without_its_request_ends_and_gives_its_slot_back(
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.requests.REQUEST_SECONDS_MAX", 0.05)
     async with port(limits=Limits(concurrent_rpcs_max=2, streams_max=2)) as one:
-        silent: list[Any] = [one.channel.stream_stream(method)(timeout=20) for _ in range(2)]
+        silent: list[Any] = [one.channel.stream_stream(method)(timeout=LIMIT_S) for _ in range(2)]
         for call in silent:
             assert await call.code() is grpc.StatusCode.DEADLINE_EXCEEDED
             assert f"no whole request of {method} came within 0.05 s" in await call.details()
@@ -147,7 +148,7 @@ async def test_a_server_reads_only_a_few_unfinished_requests_of_a_caller_at_the_
 
         async def read(number: int) -> list[int]:
             """The streams that are read, as soon as there are that many."""
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(LIMIT_S):
                 while sum(task.done() for task in sending) < number:
                     await asyncio.wait({task for task in sending if not task.done()}, return_when=FIRST)
             return [stream for stream in streams if raw.allowed_bytes[stream] > limits.unread_bytes_max]
@@ -181,7 +182,7 @@ async def test_who_brings_no_secret_is_refused_before_anything_is_read(method: s
         raw = await RawConnection.open(one.address)
         stream = await raw.call(method)
         await raw.begin_message(stream, 20 * 2**20, 1000)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(LIMIT_S):
             await raw.ended[stream].wait()
         await raw.aclose()
 
@@ -192,7 +193,7 @@ async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_much_o
         streams = [await raw.call(CHECK) for _ in range(500)]
         for stream in streams[:50]:
             await raw.begin_message(stream, 20 * 2**20, 500)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(LIMIT_S):
             for stream in streams:
                 await raw.ended[stream].wait()
         assert max(raw.allowed_bytes.values()) < 20 * 2**20  # the server never asked for the rest
@@ -201,7 +202,7 @@ async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_much_o
             CHECK, health_pb2.HealthCheckRequest.SerializeToString, health_pb2.HealthCheckResponse.FromString
         )
         for service in ("", "stampede_rt.v1.DirectoryService"):
-            answer = await check(health_pb2.HealthCheckRequest(service=service), timeout=20)
+            answer = await check(health_pb2.HealthCheckRequest(service=service), timeout=LIMIT_S)
             assert answer.status == health_pb2.HealthCheckResponse.SERVING
 
 
@@ -211,7 +212,7 @@ async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more
         await raw.greeted.wait()
         assert raw.streams_max == 8
         await raw.aclose()
-        held: list[Any] = [one.channel.stream_stream(FOLLOW)(timeout=20) for _ in range(30)]
+        held: list[Any] = [one.channel.stream_stream(FOLLOW)(timeout=LIMIT_S) for _ in range(30)]
         for call in held:
             await call.write(pb.ListChannelsRequest(name_glob="x").SerializeToString())
             await call.read()
@@ -241,7 +242,7 @@ async def test_a_message_over_the_limit_is_refused_before_it_has_come() -> None:
         await raw.greeted.wait()
         stream = await raw.call(FOLLOW)
         await raw.begin_message(stream, Limits().request_bytes_max + 1, 100)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(LIMIT_S):
             await raw.ended[stream].wait()
         await raw.aclose()
 

@@ -7,7 +7,6 @@ import pytest
 from tests.robustness.fuzz.ports.methods import PORTS
 from tests.robustness.fuzz.ports.run import run
 
-pytestmark = pytest.mark.timeout(180)
 INPUTS = {"host": 4000, "supernode": 3000, "frontend": 1000}
 WITH_CERTIFICATES = ("frontend",)  # the others bring the secret here; `--tls` has all bring certificates
 

@@ -57,7 +57,6 @@ def test_a_run_that_misses_frames_is_refused() -> None:
         judge(frames(29), CAPTIONS)
 
 
-@pytest.mark.timeout(120)  # six processes come up
 def test_consumers_in_places_of_their_own_get_every_frame_through_the_group() -> None:
     with nullcontext() if unavailable_because() else NamespaceNetwork(MACHINES) as network:
         frames, captions = play(Setting(name="grouped"), network, seconds=1)

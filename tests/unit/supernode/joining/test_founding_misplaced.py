@@ -64,7 +64,6 @@ def test_what_cannot_be_restored_from_is_called_what_it_is(tmp_path: Path) -> No
         restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="c")
 
 
-@pytest.mark.timeout(120)
 async def test_a_forgotten_data_dir_is_named_as_soon_as_the_other_members_call(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,8 +8,6 @@ import re
 import signal
 from pathlib import Path
 
-import pytest
-
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from tests.support.supernode.commands import cluster_id, command, prepared, status_has
 from tests.support.supernode.processes import (
@@ -21,8 +19,6 @@ from tests.support.supernode.processes import (
     resolve,
     running_cluster,
 )
-
-pytestmark = pytest.mark.timeout(120)
 
 
 async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_path: Path) -> None:
