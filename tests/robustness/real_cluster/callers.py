@@ -1,4 +1,4 @@
-"""Callers that write histories, and hosts that keep leases and believe what they were told."""
+"""Callers that record their calls, and hosts that keep leases and act on the directory's answers."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 6, 4.0
 
 
 class TwoOwners(AssertionError):
-    """Two hosts believed at one moment that they own a channel."""
+    """Two hosts acted as the owner of one channel at the same moment."""
 
 
 class NotDone(Exception):
-    """The call was certainly not done."""
+    """The call certainly had no effect."""
 
 
 class Unknown(Exception):
-    """The call may or may not have been done."""
+    """The call may have had its effect."""
 
 
 async def persist(
@@ -45,8 +45,10 @@ async def persist(
     seconds: float = CALL_SECONDS,
     who: tuple[Role, str] = (Role.CLIENT, "caller"),
 ) -> Any:
-    """One call, at one supernode after the other with the same request id. Raises StampedeError for what the directory
-    itself refuses, NotDone or Unknown."""
+    """Make one call at one supernode after the other, with the same request id.
+
+    Raises StampedeError if the directory refuses the call, NotDone or Unknown.
+    """
     deadline, unknown = time.monotonic() + seconds, False
     nodes = rng.sample(cluster.supernodes, len(cluster.supernodes))
     turn = 0
@@ -65,7 +67,7 @@ async def persist(
 
 
 class Caller:
-    """One sequential caller. Knows only what it was itself told."""
+    """One caller, which makes one call at a time. It knows only the answers to its own calls."""
 
     def __init__(self, number: int, cluster: Cluster, recorder: Recorder, hosts: list[HostActor], seed: int) -> None:
         self._cluster, self._recorder, self._hosts = cluster, recorder, hosts
@@ -82,7 +84,7 @@ class Caller:
             await asyncio.sleep(self._random_source.uniform(0, 2 * pause_s))
 
     async def once(self, name: str) -> None:
-        """One random call about a name, taken down."""
+        """Make one random call about a name, and record it."""
         call, invoked = self._choose(name), time.monotonic()
         try:
             answer = await self._answer(name, call)
@@ -142,15 +144,15 @@ class Caller:
 
 
 def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> Seen:
-    """What an answer showed of a channel."""
-    value = record.spec.retention.max_items  # 0 where it was never stated: the directory allows no 0
+    """The facts about a channel that an answer showed."""
+    value = record.spec.retention.max_items  # 0 if no limit was stated, because the directory allows no limit of 0
     return Seen(record.channel_id, record.epoch, value, record.spec_version, created)
 
 
 class HostActor:
-    """A host without items: it registers, keeps its lease by the product's own rules, and believes what it was told.
+    """A host without items: it registers, keeps its lease by the product's rules, and acts on the answers that it gets.
 
-    Its fence and this process's callers read one clock, so that belief and ownership can be compared at one moment.
+    Its fence and the callers of this process use one clock, so that the tests can compare them at one moment.
     """
 
     def __init__(self, number: int, cluster: Cluster, seed: int) -> None:
@@ -165,10 +167,10 @@ class HostActor:
         self.registrations = self.renewals = self.fenced = 0
 
     def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
-        """Somebody who asked at `asked` was just told this, and comes to the host with it.
+        """Take in a record that a caller got from the directory for a call begun at `asked`.
 
-        Raises TwoOwners if this host believes otherwise at this very moment. It believes what it hears only if its
-        registration is older than the question: an answer from before may be out of date.
+        Raises TwoOwners if another host acts as the owner at this moment. The host uses only answers to calls that
+        began after its registration, because earlier answers may be out of date.
         """
         epoch = self._owned.get(record.channel_id)
         if record.host_id != self.host_id and epoch is not None and epoch < record.epoch and self._held():
@@ -181,7 +183,7 @@ class HostActor:
         return self._lease.is_held(_boottime())
 
     async def run(self) -> None:
-        """Register and renew until cancelled; now and then miss renewals for longer than a lease lasts."""
+        """Register and renew until cancelled. Sometimes miss renewals for longer than a lease lasts."""
         while True:
             try:
                 await (self._renew() if self.registrations and self._held() else self._enter())

@@ -1,4 +1,6 @@
-"""The certificates of a cluster under test, made by `stampede certs` as an operator would; and those of strangers."""
+"""The certificates of a cluster under test, made by `stampede certs` as an operator would, and certificates of
+strangers.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ DAY = timedelta(days=1)
 
 
 class Certificates:
-    """An authority and what it issued, in `folder`; all parts read their files there, and read them again."""
+    """An authority and its certificates, in `folder`.
+
+    All parts of the cluster read their files there, again after each change.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -30,7 +35,7 @@ class Certificates:
 
     @property
     def ca(self) -> Path:
-        """The authorities that all parts trust."""
+        """The file of the authorities that all parts trust."""
         return self.folder / "ca.pem"
 
     @property
@@ -38,30 +43,30 @@ class Certificates:
         return self.folder / f"authority-{self._authorities}"
 
     def take_over(self) -> None:
-        """A new authority issues from now on; the former ones stay trusted."""
+        """Make a new authority, which issues from now on. The parts still trust the former ones."""
         self._authorities += 1
         _run("init", str(self._authority), "--cluster", CLUSTER)
         former = self.ca.read_bytes() if self.ca.exists() else b""
         self._trust(former + (self._authority / "ca.pem").read_bytes())
 
     def forget_former(self) -> None:
-        """Only the newest authority is trusted from now on."""
+        """Let the parts trust only the newest authority from now on."""
         self._trust((self._authority / "ca.pem").read_bytes())
 
     def files(self, role: Role, name: str, *addresses: str) -> TlsFiles:
-        """The certificate of that part, issued if it has none yet; a service's is good for `addresses`."""
+        """The certificate of a part. Issues it if there is none yet, for `addresses` if the part is a service."""
         if (role, name) not in self._issued:
             self._issued[role, name] = addresses
             self._issue(role, name, addresses)
         return self._files(role, name)
 
     def renew(self) -> None:
-        """Issue every certificate anew, by the newest authority."""
+        """Issue every certificate again, by the newest authority."""
         for (role, name), addresses in list(self._issued.items()):
             self._issue(role, name, addresses)
 
     def expired(self, role: Role, name: str) -> TlsFiles:
-        """A genuine certificate that ended yesterday. `stampede certs` makes none, for good reasons."""
+        """A genuine certificate that ended yesterday. `stampede certs` cannot make one."""
         authority = IssuedCertificate(
             (self._authority / "ca.pem").read_bytes(), (self._authority / "ca.key").read_bytes()
         )
@@ -71,7 +76,7 @@ class Certificates:
         return TlsFiles(ca=self.ca, certificate=certificate, key=key)
 
     def foreign(self, role: Role, name: str, folder: Path) -> TlsFiles:
-        """The same name from an authority that is not the cluster's, for a caller that trusts the cluster's."""
+        """A certificate of the same name from another authority, for a caller that trusts the cluster's authority."""
         stranger = Certificates(folder).files(role, name)
         return TlsFiles(ca=self.ca, certificate=stranger.certificate, key=stranger.key)
 
@@ -91,7 +96,7 @@ class Certificates:
 
 
 def _run(*words: str) -> None:
-    """`stampede certs`. Raises OSError with what it said if it failed."""
+    """Run `stampede certs`. Raises OSError with its output if it fails."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = stampede_certs(words)

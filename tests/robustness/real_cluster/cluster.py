@@ -1,4 +1,4 @@
-"""A whole cluster as processes in namespaces: supernodes that come and go, a front-end, channel hosts."""
+"""A whole cluster as processes in namespaces: supernodes that come and go, a front-end, and channel hosts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COMMAND_SECONDS = 40.0
 
 
 class Frontend(PlacedProcess):
-    """Where the clients of the channel hosts start."""
+    """The front-end for clients of the channel hosts."""
 
     package = "stampede_rt_frontend"
 
@@ -41,7 +41,7 @@ class Frontend(PlacedProcess):
         self._seeds = ",".join(one.address for one in supernodes)
 
     def flags(self) -> Sequence[str]:
-        """Led to the founders."""
+        """The founders' addresses."""
         return ["--supernodes", self._seeds, *self.listen_flags()]
 
 
@@ -57,13 +57,13 @@ class Host(PlacedProcess):
         self._frontend = frontend
 
     def flags(self) -> Sequence[str]:
-        """With an identity that lasts."""
+        """A name that stays over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
         return [*words, *self.listen_flags()]
 
 
 class Cluster:
-    """All processes, on a network. `supernodes` are the members that there should be at this moment."""
+    """All processes, on a network. `supernodes` are the members that the cluster should have at this moment."""
 
     def __init__(
         self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int, compacts_early: bool
@@ -117,25 +117,25 @@ class Cluster:
 
     @property
     def outside(self) -> NetworkNamespace:
-        """A namespace in which no service runs, as long as no supernode is about to join."""
+        """A namespace without a service, unless a supernode is about to join."""
         return self._spare[-1]
 
     def newcomer(self) -> Supernode:
-        """A supernode that has yet to join, under an id that was never used, in the place that is free."""
+        """A supernode that has yet to join, under an unused id, in the free namespace."""
         self._made += 1
         made = self._supernode(f"s{self._made}", self._spare.pop(), "")
         made.mount_small_disk()
         return made
 
     async def forget(self, one: Supernode) -> None:
-        """It is no member any more: its place is free for the next newcomer."""
+        """Note that the supernode is no member any more. Its namespace is free for the next newcomer."""
         self.supernodes = [other for other in self.supernodes if other is not one]
-        self._former.append(one)  # there are callers that have not heard of it yet
+        self._former.append(one)  # some callers do not know of the removal yet
         await one.close()
         self._spare.append(one.namespace)
 
     async def command(self, *words: str, seconds: float = COMMAND_SECONDS) -> tuple[int, str]:
-        """`stampede supernode WORDS` as the operator; its exit code and what it printed. Raises TimeoutError."""
+        """Run `stampede supernode WORDS` as the operator. Returns the exit code and the output. Raises TimeoutError."""
         environment = clean_environment()
         if (files := self._files(Role.OPERATOR, OPERATOR)) is not None:
             names = ("STAMPEDE_TLS_CA", "STAMPEDE_TLS_CERTIFICATE", "STAMPEDE_TLS_KEY")
@@ -159,11 +159,11 @@ class Cluster:
         return [*self.supernodes, *([self.frontend] if self.frontend is not None else []), *self.hosts]
 
     def others(self, one: Supernode) -> list[Supernode]:
-        """The members but for one."""
+        """The other members."""
         return [other for other in self.supernodes if other is not one]
 
     async def leader(self, seconds: float = READY_SECONDS) -> Supernode:
-        """The one that takes itself for the leader, as soon as there is one. Raises TimeoutError."""
+        """The supernode that calls itself the leader, as soon as there is one. Raises TimeoutError."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             for one in self.supernodes:
@@ -206,20 +206,20 @@ class Cluster:
             await _started(self.hosts)
 
     async def close(self) -> None:
-        """End everything."""
+        """End all processes."""
         await asyncio.gather(*(one.hang_up() for one in [*self.supernodes, *self._former]))
         await asyncio.gather(*(one.close() for one in self.processes()))
 
 
 async def _started(several: Sequence[PlacedProcess]) -> None:
-    """Raises OSError with the last words of one that ended instead."""
+    """Wait until all processes are ready. Raises OSError with the last log line of one that ended instead."""
     for one, ready in zip(several, await asyncio.gather(*(one.start() for one in several)), strict=True):
         if not ready:
             raise OSError(f"{one.name} did not start: {one.last_words()!r}")
 
 
 async def serves(one: Supernode, deadline: float) -> None:
-    """Wait until it answers a confirmed read. Raises TimeoutError with its last words."""
+    """Wait until the supernode answers a confirmed read. Raises TimeoutError with its last log line."""
     while time.monotonic() < deadline:
         try:
             await one.stub.ListHosts(pb.ListHostsRequest(page_size=1), timeout=1)
@@ -233,7 +233,7 @@ async def serves(one: Supernode, deadline: float) -> None:
 async def running_cluster(
     folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0, compacts_early: bool = True
 ) -> AsyncIterator[Cluster]:
-    """A cluster that serves, gone without a trace afterwards; its folder stays."""
+    """Yield a cluster that serves, and remove it afterwards, except its folder."""
     with Network(SUPERNODES + SPARE_NAMESPACES + (hosts + 1 if hosts else 0)) as network:
         cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts, compacts_early=compacts_early)
         try:
@@ -244,5 +244,5 @@ async def running_cluster(
 
 
 def request_id() -> bytes:
-    """Names a request; repeated with it."""
+    """A random id for a request. A repetition of the request has the same id."""
     return secrets.token_bytes(16)

@@ -1,4 +1,4 @@
-"""Links between namespaces that can be cut in either direction, and how one sees that they are."""
+"""Links between namespaces, which tests can cut in either direction, and checks that a cut has its effect."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ WITNESS_SECONDS = 0.3
 
 
 class Network(namespaces.NamespaceNetwork):
-    """Places that reach each other as long as nothing is blocked or unplugged, with a witness in each."""
+    """Namespaces that reach each other unless a test cuts a link.
+
+    Each has a witness, which sends and receives datagrams.
+    """
 
     def __init__(self, size: int) -> None:
         super().__init__(size)
@@ -38,13 +41,13 @@ class Network(namespaces.NamespaceNetwork):
         return self
 
     def close(self) -> None:
-        """Take everything down; what was not made yet is passed over."""
+        """Remove everything that was made."""
         for witness in self._witnesses.values():
             witness.close()
         super().close()
 
     def block(self, sender: NetworkNamespace, receiver: NetworkNamespace) -> None:
-        """From now on nothing that `sender` sends reaches `receiver`; the other direction stays as it is."""
+        """Cut the direction from `sender` to `receiver`. The other direction stays as it is."""
         if self._drops_silently:
             rule = ("INPUT", "-s", sender.address, "-j", "DROP")
             run(receiver.command("iptables", "-C", *rule), check=False) or run(
@@ -54,7 +57,7 @@ class Network(namespaces.NamespaceNetwork):
             run(sender.command("ip", "route", "replace", "blackhole", f"{receiver.address}/32"))
 
     def unblock_all(self) -> None:
-        """Everything passes again."""
+        """End all cuts."""
         for namespace in self.namespaces:
             if self._drops_silently:
                 run(namespace.command("iptables", "-F", "INPUT"))
@@ -62,15 +65,18 @@ class Network(namespaces.NamespaceNetwork):
                 run(namespace.command("ip", "route", "flush", "type", "blackhole"), check=False)
 
     def plug(self, namespace: NetworkNamespace, *, in_: bool) -> None:
-        """Pull the place's cable, or put it back in."""
+        """Cut the link of the namespace, or connect it again."""
         ip("link", "set", namespace.outer_link, "up" if in_ else "down")
 
     def ways(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
-        """From whom to whom a datagram arrives at this moment, of all pairs. Blocks for WITNESS_SECONDS at most."""
+        """All pairs of which a datagram of the first reaches the second at this moment.
+
+        Blocks for WITNESS_SECONDS at most.
+        """
         tokens: dict[bytes, tuple[NetworkNamespace, NetworkNamespace]] = {}
         for sender, receiver in itertools.permutations(namespaces, 2):
             tokens[token := secrets.token_bytes(8)] = (sender, receiver)
-            with contextlib.suppress(OSError):  # the sender was told that there is no way
+            with contextlib.suppress(OSError):  # the system told the sender that there is no route
                 self._witnesses[sender.name].sendto(token, (receiver.address, WITNESS_PORT))
         deadline = time.monotonic() + WITNESS_SECONDS
         arrived = set()
@@ -79,7 +85,7 @@ class Network(namespaces.NamespaceNetwork):
         return arrived
 
     def _inbox(self, namespace: NetworkNamespace, deadline: float) -> Iterator[bytes]:
-        """What has arrived there, and what does until `deadline`."""
+        """The datagrams that have arrived there, and those that arrive until `deadline`."""
         inbox = self._witnesses[namespace.name]
         while True:
             inbox.settimeout(max(0.001, deadline - time.monotonic()))
@@ -90,7 +96,7 @@ class Network(namespaces.NamespaceNetwork):
 
 
 def _socket_inside(namespace: NetworkNamespace) -> socket.socket:
-    """A socket of this process in the namespace of `namespace`. Only the thread that makes it goes there."""
+    """A socket of this process in another namespace. Only the thread that makes the socket enters the namespace."""
 
     def make() -> socket.socket:
         namespace.enter()

@@ -1,4 +1,4 @@
-"""A service process in a namespace of its own, everything that can be done to it, and how one sees that it was done."""
+"""A service process in its own namespace. Tests can kill, stop and limit it, and check the effects."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ SEEN_SECONDS = 2.0
 
 
 class FaultHadNoEffect(AssertionError):
-    """A fault was injected, but its effect was not observed, so the campaign would prove nothing."""
+    """A fault was injected, but had no visible effect. The campaign would prove nothing."""
 
 
 class PlacedProcess:
-    """Its place, folder and address stay; the process comes and goes. What is run is the service in `package`."""
+    """A service whose folder and address stay while its process is started and ended. `package` names the service."""
 
     package = ""
 
@@ -40,31 +40,31 @@ class PlacedProcess:
         self.clock_file.write_text("0")
         self._process: asyncio.subprocess.Process | None = None
         self._launched = 0.0
-        self.start_seconds = 0.0  # of the last start, from the launch to the ready line
+        self.start_seconds = 0.0  # the time of the last start, from the launch to the ready line
 
     def flags(self) -> Sequence[str]:
-        """What the service is told beside where it listens."""
+        """The flags of the process, beside its address and certificates."""
         raise NotImplementedError
 
     def listen_flags(self) -> list[str]:
-        """Where it listens, and with what."""
+        """The flags for its address."""
         if self.tls is None:
             return ["--listen", self.address, "--allow-insecure-anywhere"]
         return ["--listen", self.address, *self.tls_flags()]
 
     def tls_flags(self) -> list[str]:
-        """Its certificates, if the cluster has any."""
+        """The flags for its certificates, if the cluster has any."""
         if self.tls is None:
             return []
         ca, certificate, key = map(str, self.tls.paths())
         return ["--tls-ca", ca, "--tls-certificate", certificate, "--tls-key", key]
 
     def environment(self) -> dict[str, str]:
-        """What the process finds in its environment."""
+        """The environment variables of the process."""
         return clean_environment() | {CLOCK_FILE: str(self.clock_file)}
 
     async def launch(self) -> None:
-        """Start the process and do not wait for it."""
+        """Start the process without waiting for it."""
         module = "tests.support.service_process"
         words = [sys.executable, "-m", module, self.package, *self.flags(), "--log-level", "warning"]
         self._launched = time.monotonic()
@@ -74,12 +74,12 @@ class PlacedProcess:
             )
 
     async def start(self) -> bool:
-        """Start it and wait until it says that it is ready; False if it ended instead."""
+        """Start the process, and wait until it is ready. Returns False if it ended instead."""
         await self.launch()
         return await self.said_ready()
 
     async def said_ready(self) -> bool:
-        """Wait for the ready line of a launched process; False if it ended instead."""
+        """Wait for the ready line of the process. Returns False if it ended instead."""
         assert self._process is not None
         assert self._process.stdout is not None
         async with asyncio.timeout(READY_SECONDS):
@@ -97,24 +97,30 @@ class PlacedProcess:
         return self._process is not None and self._process.returncode is None
 
     def signal(self, number: signal.Signals) -> None:
-        """Send it a signal, if it still runs. Process.send_signal may reap the child, whose exit code is lost then."""
+        """Send a signal, if the process still runs.
+
+        Process.send_signal may reap the child, and its exit code is then lost.
+        """
         if self.running:
-            with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio has yet to hear of it
+            with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio does not know yet
                 os.kill(self.pid, number)
 
     async def ended(self) -> int:
-        """Wait for its end; returns the exit code."""
+        """Wait for the end of the process. Returns the exit code."""
         assert self._process is not None
         return await self._process.wait()
 
     async def kill(self) -> None:
-        """kill -9, and wait until it is gone. Raises FaultHadNoEffect if it had ended by itself."""
+        """Kill the process with SIGKILL, and wait for its end. Raises FaultHadNoEffect if it had ended by itself."""
         self.signal(signal.SIGKILL)
         if self._process is not None and await self.ended() != -signal.SIGKILL:
             raise FaultHadNoEffect(f"{self.name} had ended before it was killed: {self.last_words()!r}")
 
     async def freeze(self) -> None:
-        """SIGSTOP; returns when the kernel shows it as stopped. Raises FaultHadNoEffect if it never does."""
+        """Stop the process with SIGSTOP, and wait until the kernel shows it as stopped.
+
+        Raises FaultHadNoEffect if it never does.
+        """
         self.signal(signal.SIGSTOP)
         deadline = time.monotonic() + SEEN_SECONDS
         while self.kernel_state() != "T":
@@ -123,20 +129,20 @@ class PlacedProcess:
             await asyncio.sleep(0.01)
 
     def thaw(self) -> None:
-        """SIGCONT."""
+        """Let the process go on (SIGCONT)."""
         self.signal(signal.SIGCONT)
 
     def kernel_state(self) -> str:
-        """The state letter of proc(5)."""
+        """The state letter of the process, see proc(5)."""
         return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
     def last_words(self) -> str:
-        """The last line that it logged, without the name of its folder."""
+        """Its last log line, without the name of its folder."""
         lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
         return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
 
     def limit_descriptors(self, spare: int | None) -> int:
-        """Leave it `spare` file descriptors more than it has open; None: as many as this process may have.
+        """Limit its file descriptors to those that it has open and `spare` more; None: to the limit of this process.
 
         Returns the limit.
         """
@@ -146,29 +152,29 @@ class PlacedProcess:
         return soft
 
     def descriptors(self) -> int:
-        """How many file descriptors it has open."""
+        """The number of its open file descriptors."""
         return len(list(Path(f"/proc/{self.pid}/fd").iterdir()))
 
     def step_wall_clock(self, seconds: float) -> None:
-        """Its wall clock is off by so much from now on (see `service_process`)."""
+        """Let its wall clock be off by `seconds` from now on (see `service_process`)."""
         self.clock_file.write_text(f"{int(seconds * 1e9)}".ljust(31))
 
     def forget_memory_peak(self) -> None:
-        """`memory_peak_bytes` counts from now on (proc(5), clear_refs)."""
+        """Begin a new measurement of `memory_peak_bytes` (proc(5), clear_refs)."""
         Path(f"/proc/{self.pid}/clear_refs").write_text("5")
 
     def memory_peak_bytes(self) -> int:
-        """The most memory that it had resident at once."""
+        """The greatest resident memory of the process so far."""
         status = Path(f"/proc/{self.pid}/status").read_text()
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) * 1024
 
     async def end(self) -> None:
-        """Nothing of it runs any more, however it ended."""
+        """End the process, whatever its state."""
         self.thaw()
         self.signal(signal.SIGKILL)
         if self._process is not None:
             await self.ended()
 
     async def close(self) -> None:
-        """Nothing of it is left."""
+        """End the process, and remove everything that belongs to it."""
         await self.end()

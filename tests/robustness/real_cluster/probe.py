@@ -1,4 +1,4 @@
-"""Measures when the directory serves, and whether this process was itself kept from looking."""
+"""Measures when the directory serves, and when this process itself did not run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ Write = Callable[[Supernode, float], Awaitable[None]]
 
 
 async def register_probe_host(node: Supernode, patience_s: float) -> None:
-    """A write as a host: always a log entry. Its host is offered to the directory as an owner of channels."""
+    """Write as a host, which always adds an entry to the log.
+
+    The directory may then choose this host as an owner of channels.
+    """
     request = pb.RegisterHostRequest(
         request_id=request_id(),
         host_id=b"p" * 16,
@@ -36,7 +39,7 @@ async def register_probe_host(node: Supernode, patience_s: float) -> None:
 
 
 class ChannelWrites:
-    """A write as a client, for clusters where every host must be a real one: a channel is made, and forgotten."""
+    """Writes as a client: creates a channel and deletes it. For clusters in which every host must be a real one."""
 
     def __init__(self) -> None:
         self._turn = 0
@@ -48,15 +51,16 @@ class ChannelWrites:
             pb.OpenChannelRequest(request_id=request_id(), name=name, create=True), timeout=patience_s
         )
         forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=opened.channel.channel_id)
-        with contextlib.suppress(grpc.aio.AioRpcError):  # it was served: what is left over is found by the next turn
+        # the write was served; the next round finds a channel that is left over
+        with contextlib.suppress(grpc.aio.AioRpcError):
             await node.stub.DeleteChannel(forget, timeout=patience_s)
 
 
 class Probe:
-    """Sends a write every so often, at each supernode in turn, never waiting for the one before.
+    """Sends a write at regular times, to each supernode in turn, without waiting for earlier writes.
 
-    `served`: (invoked, answered) of those that were acknowledged. `stalls`: when this process came late to its own
-    turn, and by how much, which is how far its figures may be too high for want of a processor.
+    `served`: the times (sent, answered) of the acknowledged writes. `stalls`: the times at which this process was late,
+    and by how much. Its figures may be too high by so much, because it had no processor.
     """
 
     def __init__(self, cluster: Cluster, write: Write, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:
@@ -83,7 +87,7 @@ class Probe:
                 task.cancel()
 
     async def write(self, node: Supernode) -> None:
-        """One write, whose acknowledgement counts as service."""
+        """Send one write. Its acknowledgement counts as service."""
         invoked = time.monotonic()
         try:
             await self._write(node, self._patience_s)
@@ -94,23 +98,26 @@ class Probe:
             self._news.notify_all()
 
     def longest_gap_s(self, began: float, ended: float) -> float:
-        """The longest time between two acknowledged writes, or between one and either end of the time in question."""
+        """The longest time between two acknowledged writes, or between one and the begin or end of the period."""
         answered = sorted(moment for _, moment in self.served if began <= moment <= ended)
         return max(later - earlier for earlier, later in itertools.pairwise([began, *answered, ended]))
 
     def stalled_s(self, began: float, ended: float) -> float:
-        """The longest that this process itself did not run in that time."""
+        """The longest time in the period for which this process itself did not run."""
         return max((late_s for due, late_s in self.stalls if began <= due <= ended), default=0.0)
 
     async def serves_after(self, moment: float, *, seconds: float) -> float:
-        """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""
+        """The time from `moment` until the first acknowledgement of a write that began after `moment`.
+
+        Raises TimeoutError.
+        """
         async with asyncio.timeout(seconds), self._news:
             await self._news.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
         return min(answered for invoked, answered in self.served if invoked >= moment) - moment
 
 
 async def with_background(work: Sequence[Awaitable[None]], body: Callable[[], Awaitable[None]]) -> None:
-    """Run `body` beside endless `work`; a failure in either ends both and is raised."""
+    """Run `body` beside endless `work`. A failure of either ends both, and is raised."""
     tasks = [asyncio.ensure_future(one) for one in work]
     main = asyncio.ensure_future(body())
     try:

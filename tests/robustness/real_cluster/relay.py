@@ -1,10 +1,12 @@
-"""A TCP relay that makes a network bad: `python -m tests.robustness.real_cluster.relay LISTEN_HOST:PORT TO_HOST:PORT`.
+"""A TCP relay that simulates a bad network: `python -m tests.robustness.real_cluster.relay LISTEN_HOST:PORT
+TO_HOST:PORT`.
 
-Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share [bytes_per_s]`, each answered with a line that
-counts what the weather before it did: chunks, of those stalled, milliseconds waited in all, connections cut. Every
-chunk waits delay plus up to jitter; a `stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs
-a TCP reader (RFC 6298); at a `cut_share` of them the connection is reset. All connections share `bytes_per_s` each way.
-Bytes of one connection stay in order, as TCP has it; those of different connections overtake each other.
+Lines on stdin set the weather: `delay_s jitter_s stall_share cut_share [bytes_per_s]`. The relay answers each line with
+the counts of the weather before: chunks, stalled chunks, milliseconds of all waits, and cut connections. Every chunk
+waits for the delay and up to the jitter. A `stall_share` of the chunks waits 0.2 to 0.6 s more, like a TCP reader for a
+lost segment (RFC 6298). At a `cut_share` of the chunks the relay resets the connection. All connections share
+`bytes_per_s` in each direction. The bytes of one connection stay in order; those of different connections may overtake
+each other.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ CHUNKS_WAITING_MAX = 256
 
 @dataclass(slots=True)
 class Weather:
-    """What happens to a chunk, and how often it did."""
+    """The delays and cuts of chunks, with counts of them."""
 
     delay_s: float = 0.0
     jitter_s: float = 0.0
@@ -35,25 +37,25 @@ class Weather:
     cuts: int = 0
 
     def wait_s(self) -> float:
-        """How long the next chunk is on its way."""
+        """The time that the next chunk waits."""
         stalled = random.random() < self.stall_share
         wait_s = self.delay_s + random.random() * self.jitter_s + (random.uniform(0.2, 0.6) if stalled else 0.0)
         self.chunks, self.stalled, self.waited_s = self.chunks + 1, self.stalled + stalled, self.waited_s + wait_s
         return wait_s
 
     def cuts_now(self) -> bool:
-        """Whether the connection is reset instead."""
+        """Whether the relay resets the connection at this chunk."""
         cut = random.random() < self.cut_share
         self.cuts += cut
         return cut
 
     def counts(self) -> str:
-        """The line of counts."""
+        """The line with the counts."""
         return f"{self.chunks} {self.stalled} {round(1000 * self.waited_s)} {self.cuts}"
 
 
 class _Way:
-    """One direction, which carries so many bytes a second; whoever sends more waits."""
+    """One direction, with a limit of bytes per second. A sender beyond the limit waits."""
 
     def __init__(self) -> None:
         self._free_at = 0.0
@@ -65,7 +67,7 @@ class _Way:
 
 
 class Relay:
-    """Every connection is passed on to `target`, under the weather of the moment."""
+    """Relays each connection to `target`, under the present weather."""
 
     def __init__(self, target: tuple[str, int]) -> None:
         self.weather = Weather()
@@ -73,7 +75,7 @@ class Relay:
         self._inward, self._outward = _Way(), _Way()
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection, until either end closes or the weather cuts it."""
+        """Relay one connection, until either side closes it or the weather cuts it."""
         try:
             far_reader, far_writer = await asyncio.open_connection(*self._target)
         except OSError:

@@ -1,4 +1,4 @@
-"""One supernode under test: its store on a disk that can be filled, stubs to call it as this or that participant."""
+"""One supernode under test. A test can fill its disk, and call it as any participant."""
 
 from __future__ import annotations
 
@@ -34,8 +34,10 @@ CallerFiles = Callable[[Role, str], TlsFiles | None]
 
 
 class Supernode(PlacedProcess):
-    """One supernode. `members`: the founders, for one of them; empty for one that joined. `callers`: the certificates
-    of those who call it."""
+    """One supernode. `members`: the founders, if it is one of them; empty if it joins.
+
+    `callers`: the certificates of its callers.
+    """
 
     package = "stampede_rt_supernode"
 
@@ -60,24 +62,24 @@ class Supernode(PlacedProcess):
         self.has_small_disk = False
 
     def flags(self) -> Sequence[str]:
-        """As a founder or as one that joined; the latter finds the rest in its folder."""
+        """The flags of a founder, or of a joined supernode, which finds the other settings in its folder."""
         founding = ["--id", self.name, "--members", self._members] if self._members else []
         listen = ["--listen", f"localhost:{INNER_PORT}", *self.tls_flags()] if self._relayed else self.listen_flags()
         return [*founding, "--data-dir", str(self.data_dir), "--lease-ttl", f"{LEASE_TTL_SECONDS}s", *listen]
 
     def environment(self) -> dict[str, str]:
-        """With an early compaction, or that of production."""
+        """The environment: compaction after few entries, or as in production."""
         early = {SNAPSHOT_EVERY: str(SNAPSHOT_ENTRIES)} if self._compacts_early else {}
         return super().environment() | early
 
     async def start(self) -> bool:
-        """Start it, behind its relay if it has one."""
+        """Start the supernode, and its relay if it has one."""
         if self._relayed and self._relay is None:
             await self._start_relay()
         return await super().start()
 
     def channel(self, role: Role = Role.CLIENT, name: str = "caller") -> grpc.aio.Channel:
-        """A connection as that participant; kept."""
+        """The connection of that participant, which this object keeps."""
         if (role, name) not in self._channels:
             files = self._callers(role, name)
             reader = None if files is None else TlsReader(files)
@@ -85,36 +87,36 @@ class Supernode(PlacedProcess):
         return self._channels[role, name]
 
     def stub_for(self, role: Role, name: str) -> Any:
-        """The directory's service, called by that participant."""
+        """The stub of the directory's service for that participant."""
         if (role, name) not in self._stubs:
             self._stubs[role, name] = directory_service_pb2_grpc.DirectoryServiceStub(self.channel(role, name))
         return self._stubs[role, name]
 
     @property
     def stub(self) -> Any:
-        """The directory's service, called by a client."""
+        """The stub of the directory's service for a client."""
         return self.stub_for(Role.CLIENT, "caller")
 
     async def members_seen(self) -> tuple[str | None, int]:
-        """Whom it takes for the leader, and how far it has applied. Raises AioRpcError."""
+        """The leader that it knows, and the index up to which it has applied. Raises AioRpcError."""
         listed = await self.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=1)
         leaders = [one.supernode_id for one in listed.supernodes if one.is_leader]
         return (leaders[0] if leaders else None), listed.applied_index
 
     async def wall_clock_nanos(self) -> int:
-        """What it says the time is."""
+        """The time that it tells."""
         return int((await self.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).time_unix_nano)
 
     def mount_small_disk(self) -> None:
-        """Give it a file system of its own, small enough to be filled, before its first start."""
+        """Give it a file system of its own, small enough to be filled. Call this before its first start."""
         self.data_dir.mkdir(parents=True, exist_ok=True)
         subprocess.run(["mount", "-t", "tmpfs", "-o", SMALL_DISK, "robustness", str(self.data_dir)], check=True)
         self.has_small_disk = True
 
     def first_index_kept(self) -> int:
-        """The first position that its log still has; what came before is in the snapshot only.
+        """The first index that its log still has. Earlier entries are in the snapshot only.
 
-        Read from a copy: the process has its store to itself.
+        Reads a copy of the store, because the running process has the store for itself.
         """
         with tempfile.TemporaryDirectory(dir=self.folder) as copy:
             for file in self.data_dir.glob(f"{DATABASE_NAME}*"):
@@ -131,7 +133,7 @@ class Supernode(PlacedProcess):
         await self._relay.stdout.readline()
 
     async def set_weather(self, *figures: float) -> list[int]:
-        """What the relay before it does from now on, and what it did before, see `relay`."""
+        """Set the weather of its relay. Returns the counts of the weather before (see `relay`)."""
         assert self._relay is not None
         assert self._relay.stdin is not None
         assert self._relay.stdout is not None
@@ -139,12 +141,12 @@ class Supernode(PlacedProcess):
         return [int(word) for word in (await self._relay.stdout.readline()).split()]
 
     async def hang_up(self) -> None:
-        """Close the callers' connections; whoever still calls is cancelled."""
+        """Close the callers' connections. Calls under way are cancelled."""
         for channel in self._channels.values():
             await channel.close()
 
     async def close(self) -> None:
-        """Nothing of it runs any more, and its disk is gone."""
+        """End the process, and remove its disk."""
         await self.end()
         if self._relay is not None and self._relay.returncode is None:
             self._relay.kill()

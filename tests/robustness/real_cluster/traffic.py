@@ -1,4 +1,4 @@
-"""Clients of the product that put and read items at real channel hosts, and take down what they were told."""
+"""Clients of the product that put and read items at real channel hosts, and record the answers."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tests.robustness.real_cluster.cluster import Cluster
 CLIENT = "traffic"
 NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 3, 10.0
 PAUSE_SECONDS = 0.05
-KEPT_SECONDS = "1h"  # longer than any campaign: nothing is collected
+KEPT_SECONDS = "1h"  # longer than any campaign, so that retention collects nothing
 ITEMS_MAX = 1_000_000
 
 
 class Traffic:
-    """One connection, several workers on it. Enter it as a context manager before `run`."""
+    """Several workers on one connection. Enter it as a context manager before `run`."""
 
     def __init__(self, cluster: Cluster, recorder: Recorder, seed: int) -> None:
         self._cluster, self.recorder = cluster, recorder
@@ -29,7 +29,7 @@ class Traffic:
         self._numbers = 0
         self._handles: dict[str, aio.Channel] = {}
         self._rt: aio.Connection | None = None
-        self.failed = 0  # calls that ended with an error, whose outcome is open
+        self.failed = 0  # the calls that ended with an error; each may or may not have had its effect
 
     async def __aenter__(self) -> Traffic:
         assert self._cluster.frontend is not None
@@ -48,14 +48,14 @@ class Traffic:
         return self._rt
 
     async def run(self, began: float) -> None:
-        """Put and read until cancelled: channels come and go, and a few are in use at a time."""
+        """Put and read until cancelled. Channels come and go, and a few are in use at a time."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
             await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_AT_ONCE)}")
             await asyncio.sleep(self._random_source.uniform(0, 2 * PAUSE_SECONDS))
 
     async def once(self, name: str) -> None:
-        """One random call about one channel, taken down."""
+        """Make one random call about one channel, and record it."""
         chance = self._random_source.random()
         try:
             channel = await self.open(name)
@@ -69,14 +69,14 @@ class Traffic:
             self.failed += 1
 
     async def open(self, name: str, host: str | None = None) -> aio.Channel:
-        """The channel, made if it is not there. Raises StampedeError."""
+        """Open the channel, and create it if it does not exist. Raises StampedeError."""
         if name not in self._handles:
             kept = {"max_age": KEPT_SECONDS, "max_items": ITEMS_MAX}
             self._handles[name] = await self.rt.channel(name, host=host, **kept)  # type: ignore[arg-type]
         return self._handles[name]
 
     async def put(self, channel: aio.Channel) -> st.Item:
-        """Put one item that nobody else puts. Raises StampedeError."""
+        """Put an item that no other caller puts. Raises StampedeError."""
         self._numbers += 1
         call, invoked = Put(f"{self._numbers}".encode()), time.monotonic()
         try:
@@ -88,14 +88,14 @@ class Traffic:
         return item
 
     async def newest(self, channel: aio.Channel) -> None:
-        """Ask for the newest item. Raises StampedeError."""
+        """Get the newest item. Raises StampedeError."""
         invoked = time.monotonic()
         items = await channel.get(st.OLDEST, st.NEWEST, newest_first=True, limit=1, payloads=False)
         seq = items[0].seq if items else 0
         self.recorder.done(channel.name, Newest(), invoked, Found(items.incarnation, seq))
 
     async def read_all(self, channel: aio.Channel) -> None:
-        """Ask for all items. Raises StampedeError."""
+        """Get all items. Raises StampedeError."""
         invoked = time.monotonic()
         items = await channel.get(st.OLDEST, st.NEWEST)
         listed = tuple((item.seq, item.payload or b"") for item in items)

@@ -1,4 +1,4 @@
-"""A file system of its own on a loop device, that can lose its power, fail or hang, as a disk does. Needs root."""
+"""An ext4 file system on a loop device, which can lose its power, fail or hang like a disk. Needs root."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ _numbers = itertools.count()
 
 
 class Ext4:
-    """Mounted at `path` until `close`. Raises CalledProcessError or FileNotFoundError where it cannot be made."""
+    """A file system, mounted at `path` until `close`.
+
+    Raises CalledProcessError or FileNotFoundError if it cannot be made.
+    """
 
     def __init__(self, image: Path, path: Path) -> None:
         self._image, self.path = image, path
@@ -35,10 +38,10 @@ class Ext4:
         self.mount()
 
     def mount(self) -> None:
-        """Bring it up: the journal is replayed.
+        """Mount the file system. The kernel replays the journal.
 
-        What is mounted is a copy of the image. A network namespace made meanwhile keeps the former mount alive,
-        and mounting the same image would then give the same file system, which is shut down.
+        Mounts a copy of the image: a network namespace that was made meanwhile keeps the former mount alive, and a
+        second mount of the same image would be the same file system, which is shut down.
         """
         copy = self._image.with_suffix(f".{next(_numbers)}")
         _run("cp", "--sparse=always", str(self._image), str(copy))
@@ -47,7 +50,7 @@ class Ext4:
         self._mounted = True
 
     def unmount(self) -> None:
-        """Once nobody has it open any more; blocks until then, for 10 s at most."""
+        """Unmount the file system once no process has it open. Blocks for 10 s at most."""
         deadline = time.monotonic() + UNMOUNT_SECONDS
         while True:
             try:
@@ -60,7 +63,7 @@ class Ext4:
                 time.sleep(0.05)
 
     def lose_power(self) -> None:
-        """Nothing more reaches it, and what was not synced is gone."""
+        """Cut the power: no further write reaches the disk, and unsynced data is lost."""
         folder = os.open(self.path, os.O_RDONLY)
         try:
             fcntl.ioctl(folder, EXT4_IOC_SHUTDOWN, struct.pack("I", NO_LOG_FLUSH))
@@ -68,20 +71,20 @@ class Ext4:
             os.close(folder)
 
     def freeze(self) -> None:
-        """Every write and sync waits from now on."""
+        """Let every write and sync wait from now on."""
         _run("fsfreeze", "--freeze", str(self.path))
         self._frozen = True
 
     def thaw(self) -> None:
-        """They go on."""
+        """Let the waiting writes and syncs go on."""
         if self._frozen:
             _run("fsfreeze", "--unfreeze", str(self.path))
             self._frozen = False
 
     def close(self) -> None:
-        """Undo everything, whatever was done to it; once is enough.
+        """Unmount the file system and free the loop device, in any state. Idempotent.
 
-        What still has it open keeps no mount alive, and its loop device goes with the last of them.
+        A process that still has a file open does not keep the mount. The loop device goes with the last such process.
         """
         with contextlib.suppress(subprocess.CalledProcessError):
             self.thaw()

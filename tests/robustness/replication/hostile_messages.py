@@ -1,6 +1,6 @@
-"""What a hostile holder of valid credentials may say: well-formed messages that lie, drawn by a seed.
+"""Well-formed messages with false contents, as a hostile holder of valid credentials may send them, drawn by a seed.
 
-Half of the numbers lie close to what its victim holds, where a rule is easily missed; the rest is anywhere.
+Half of the numbers are close to the victim's own numbers, where a rule is easily missed. The others are anywhere.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NAMES = "abcdexyz"
 
 
 class Liar:
-    """Draws messages to one replica, whose state it knows."""
+    """Draws messages to one replica whose state it knows."""
 
     def __init__(self, random_source: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
         """`asked`: ids of requests that the victim has sent."""
@@ -46,7 +46,7 @@ class Liar:
         )
 
     def message(self) -> pb.RaftMessage:
-        """The next one."""
+        """Return the next message."""
         return self._random_source.choice(self._drawn)()  # type: ignore[return-value]
 
     def _near(self, number: int) -> int:
@@ -107,7 +107,7 @@ class Liar:
         return pb.RaftMessage(append_entries=body)
 
     def _snapshot_piece(self) -> pb.RaftMessage:
-        """A whole one that may even be sound, a part, or rubbish."""
+        """Return a whole snapshot that may even be correct, a part of one, or random bytes."""
         record = self._snapshot() if self._random_source.random() < 0.7 else self._bytes(200) or b"x"
         start = 0 if self._random_source.random() < 0.8 else self._random_source.randrange(len(record))
         end = len(record) if self._random_source.random() < 0.8 else self._random_source.randint(start, len(record))

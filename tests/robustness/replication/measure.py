@@ -27,7 +27,7 @@ async def latency(call: Callable[[], Awaitable[object]]) -> str:
 
 
 async def throughput(log: ReplicatedLog, callers: int) -> float:
-    """Writes per second of so many callers at once, all acknowledged."""
+    """Acknowledged writes per second of `callers` parallel callers."""
     done, end = 0, time.perf_counter() + SECONDS
 
     async def write(caller: int) -> None:

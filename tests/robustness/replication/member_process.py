@@ -1,8 +1,8 @@
-"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `leader`,
-`disk` (whether it waits for its disk).
+"""One member as a process. Its standard input takes the commands `propose TEXT`, `entries`, `leader`, and `disk`
+(whether the member waits for its disk).
 
-Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line. Two of them
-are no results: UNKNOWN_OUTCOME and REFUSED.
+Arguments: the member id, the folder for stores and sockets, and the ids of all members. Every answer is one line. Two
+answers are no results: UNKNOWN_OUTCOME and REFUSED.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""What members say and commit, held against their disks: rules of Raft whose breach no caller may see for long.
+"""Checks the messages and commits of members against their disks: rules of Raft whose breach callers may notice late or
+never.
 
-The proofs of Raft rest on them (Ongaro and Ousterhout 2014, figure 2 and section 5.4; the dissertation, section 4.1
-with the correction of July 2015), so that a fault shows where it is made, and not only when two come together.
+The proofs of Raft rest on these rules (Ongaro and Ousterhout 2014, figure 2 and section 5.4; the dissertation, section
+4.1 with the correction of July 2015). So a fault shows at the place of its cause, and not only when two faults meet.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 @dataclass
 class Said:
-    """What one member has told others of itself."""
+    """The promises that one member has made to others."""
 
     member_id: str
-    # The newest term in which it voted, and for whom.
+    # The newest term in which it voted, and its vote.
     vote: tuple[int, str] = (0, "")
-    # The newest term in which it acknowledged entries, and up to where.
+    # The newest term in which it acknowledged entries, and up to which index.
     held: tuple[int, int] = (0, 0)
 
     def note(self, to: str, message: Message) -> None:
-        """A message leaves it."""
+        """Note a message that leaves the member."""
         match message:
             case AppendReply(success=True):
                 self.held = max(self.held, (message.term, message.next_index - 1))
@@ -43,7 +44,7 @@ class Said:
         self.vote = max(self.vote, (term, candidate))
 
     def check_kept(self, disk: StoredState) -> None:
-        """The power is lost: the disk must hold what was said, unless a later term has undone it."""
+        """Check after a loss of power that the disk holds the promises, unless a later term has undone them."""
         if (disk.term, disk.voted_for or "") < self.vote and (disk.term, disk.voted_for) != self.vote:
             raise PromiseBroken(f"{self.member_id} voted {self.vote}; its disk has {(disk.term, disk.voted_for)}")
         term, index = self.held
@@ -54,7 +55,7 @@ class Said:
 
 @dataclass
 class Committed:
-    """What leaders have committed: the term of each entry."""
+    """The entries that leaders have committed: the term of each index."""
 
     terms: dict[int, int] = field(default_factory=dict)
     highest: int = 1
@@ -69,7 +70,9 @@ class Committed:
         rosters: Sequence[Sequence[Member]],
         disks: dict[str, StoredState],
     ) -> None:
-        """A leader has committed up to `index`: a majority of one of the rosters must have it on its disks."""
+        """Check that a majority of one of the rosters has the entries up to `index` on its disks, when a leader commits
+        them.
+        """
         if not any(_majority(index, term, [disks[one.member_id] for one in roster]) for roster in rosters):
             raise PromiseBroken(f"entry {index} of term {term} was committed without a majority of the disks")
         self.own.add(term)
@@ -79,21 +82,21 @@ class Committed:
         self.highest = max(self.highest, index)
 
     def by_follower(self, member_id: str, index: int, log: RaftLog) -> None:
-        """A member takes everything up to `index` for committed."""
+        """Note that a member counts all entries up to `index` as committed, and check their terms."""
         entry = log.entry_at(index)
         if index > self.highest or entry is None or self.terms.get(index, entry.term) != entry.term:
             raise PromiseBroken(f"{member_id} takes entry {index} for committed, which no leader has committed")
 
     def configured(self, term: int, index: int) -> None:
-        """A leader has put a change of the members into the log: after an entry of its own was committed."""
+        """Check that a leader put a change of the members into the log only after it committed an entry of its own."""
         if term not in self.own:
             raise PromiseBroken(f"a leader changes the members at {index}, with nothing of term {term} committed")
 
 
 def check_match(term: int, member_id: str, match: int, held: Entry | None, disk: StoredState) -> None:
-    """A leader believes that a member holds its log up to `match`, where it has `held` itself.
+    """Check a leader's belief that a member holds its log up to `match`, where the leader has the entry `held`.
 
-    In a later term than the leader's, what was not committed may be gone.
+    A member in a later term than the leader's may have lost entries that were not committed.
     """
     if match > 0 and held is not None and disk.term <= term and not _holds(disk, match, held.term):
         raise PromiseBroken(f"a leader believes that {member_id} holds entry {match} of term {held.term}; it does not")
@@ -104,6 +107,6 @@ def _majority(index: int, term: int, disks: Sequence[StoredState]) -> bool:
 
 
 def _holds(disk: StoredState, index: int, term: int) -> bool:
-    """What a snapshot stands for is held, too."""
+    """Whether the disk holds the entry. A snapshot holds all entries that it replaces."""
     position = index - disk.entries[0].log_index if disk.entries else 0
     return position < 0 or (position < len(disk.entries) and disk.entries[position].term == term)

@@ -1,4 +1,6 @@
-"""One member of a simulated cluster: a real replica on a disk that stays, with false wires to the others."""
+"""One member of a simulated cluster: a real replica, a disk that survives crashes, and simulated connections to the
+others.
+"""
 
 from __future__ import annotations
 
@@ -23,28 +25,28 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# A slow wire takes pieces of snapshots and entries until so much waits on it.
+# The most bytes that wait on a slow connection. Beyond this it takes no more pieces of snapshots and entries.
 ROOM_SECONDS = 0.5
 
 
 @dataclass
 class Wire:
-    """The connection from one member to another, as its sender sees it."""
+    """The connection from one member to another, as the sender sees it."""
 
     up: bool = False
     blocked: bool = False
-    # Messages of an earlier connection are lost with it.
+    # Number of the connection. Messages of an earlier connection are lost with it.
     generation: int = 0
     last_arrival: float = 0.0
     answer_due: float = 0.0
-    # What is sent waits until then, as while TCP sends again and again.
+    # Messages wait until this time, as TCP repeats segments.
     stalled_until: float = 0.0
-    # How fast it is; one that is slow lets nothing overtake anything.
+    # The speed. On a slow connection no message overtakes another.
     bytes_per_second: float = float("inf")
 
 
 class LateResult(Generic[T]):
-    """Work that another thread does: finished when it was asked for some times."""
+    """Work of another thread: done after it was asked for a certain number of times."""
 
     def __init__(self, work: Callable[[], T], times: int) -> None:
         self._work = work
@@ -59,7 +61,10 @@ class LateResult(Generic[T]):
 
 
 class SimMember:
-    """One member: a disk that stays, and a replica that comes and goes. It is its replica's RaftNetwork."""
+    """One member: a disk that stays, and a replica that is started and crashed.
+
+    It is the RaftNetwork of its replica.
+    """
 
     def __init__(self, world: World, member: Member, seeds: Sequence[Member], *, joining: bool = False) -> None:
         self.world = world
@@ -76,28 +81,28 @@ class SimMember:
         )
         self.disk = Disk()
         self.said = Said(member.member_id)
-        # Whether it does not know the command `FORK`, as a member of an older release.
+        # Whether it does not know the command `FORK`, like a member of an older release.
         self.forks = self.has_forked = False
         self.machine = ListMachine(world.history)
         self.replica: RaftReplica | None = None
         self.frozen_until = 0.0
-        # Whether the disk was put back to an earlier state, and whether another member found that out.
+        # Whether its disk was put back to an earlier state, and whether another member has noticed that.
         self.rolled_back = self.refused = False
         self._next_step = float("inf")
-        # How often it was started; for how long the present step has waited for the disk; when the last one ends.
+        # The number of its starts; how long the present step has waited for the disk; when the last wait ends.
         self._starts = 0
         self._waited = self._busy_until = self._hangs_since = 0.0
         self._checked = (0, 0)
 
     @property
     def now(self) -> float:
-        """What its clock says: in a step that waits for the disk, later than the world's."""
+        """The time of its clock. In a step that waits for the disk, it is later than the world's."""
         return self.world.now + self._waited
 
     def start(self) -> None:
-        """Come up from the disk, with every connection still to be made."""
+        """Start from the disk, without connections."""
         self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
-        self.has_forked |= self.forks  # others may hear of the cause's end a little later
+        self.has_forked |= self.forks  # other members may learn a little later that the cause has ended
         self._starts += 1
         self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
         self.replica = self._open()
@@ -122,33 +127,33 @@ class SimMember:
         return LateResult(work, self.world.random_source.randint(0, 20))
 
     def crash(self) -> None:
-        """Lose everything but what is on the disk by now."""
+        """Lose everything except the data on the disk."""
         self.replica = None
         self.disk.lose_power(self.world.now, lucky=lambda: self.world.random_source.random() < 0.5)
         self.said.check_kept(self.disk.newest)
         self.world.on_crash(self)
 
     def put_back(self, state: StoredState) -> None:
-        """While it is down, somebody restores a backup of its disk."""
+        """Restore a backup of its disk while it is down."""
         self.disk.put_back(state)
         self.said, self.rolled_back = Said(self.member.member_id), True
 
     def hang(self, seconds: float) -> None:
-        """Its disk does not answer for so long: the log stands still, and the rest of the process goes on."""
+        """Let its disk not answer for `seconds`: the log stands still, and the rest of the process goes on."""
         self._hangs_since = self.world.now
         self._busy_until = max(self._busy_until, self.world.now + seconds)
 
     @property
     def stuck_seconds(self) -> float:
-        """For how long it has waited for a disk that does not answer."""
+        """How long it has waited for a disk that does not answer."""
         return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
 
     def refuse_release(self, by: str, why: str) -> None:
-        """Another member has told it that its release is too old."""
+        """Note that another member has refused its release as too old."""
         raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
 
     def after_disk(self, call: Callable[[], None]) -> None:
-        """Call when the step has come so far, its waiting for the disk included, unless the process ends before."""
+        """Call once the step has come so far and its waits for the disk are over, unless the process ends before."""
         start = self._starts
         self.world.after(self._waited, lambda: call() if self.replica and self._starts == start else None)
 
@@ -157,7 +162,7 @@ class SimMember:
             for to, message in messages:
                 self.said.note(to, message)
                 self.world.send(self.member.member_id, to, message)
-            # The power might be lost at this very moment.
+            # The power may fail at this moment.
             self.said.check_kept(self.disk.durable(self.world.now))
 
         self.after_disk(leave)
@@ -168,7 +173,7 @@ class SimMember:
                 self.world.break_wire(ends)
 
     def drop(self, member_id: str, why: str) -> None:
-        """A member broke the rules: its stream ends."""
+        """End the stream of a member that broke the rules."""
         self.world.fault(member_id, self.member.member_id, why)
 
     def has_room(self, member_id: str) -> bool:
@@ -178,7 +183,7 @@ class SimMember:
         return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
     def _write(self) -> tuple[float, float]:
-        """Spend the time of a commit; perhaps the power is lost within it."""
+        """Spend the time of a commit. Perhaps the power fails during it."""
         weather, random_source, start, began = self.world.weather, self.world.random_source, self._starts, self.now
         seconds = random_source.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
         if random_source.random() < weather.disk_hangs:
@@ -189,7 +194,7 @@ class SimMember:
         return began, self.now
 
     def _lose_power(self, start: int) -> None:
-        """Unless it has ended since `start`, or all has been healed meanwhile."""
+        """Cut the power, unless the process has ended since `start`, or everything was healed meanwhile."""
         if self.replica and self._starts == start and self.world.weather.disk_crash:
             self.crash()
 
@@ -215,7 +220,7 @@ class SimMember:
         self._plan(0.0 if again else self.world.timing.tick_seconds)
 
     def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
-        """Hold what it has committed in this step against the rules of Raft."""
+        """Check the entries that it committed in this step against the rules of Raft."""
         status, log, committed = replica.status(), replica._log, self.world.committed
         commit_index, changed_at = log.commit_index, log.configurations.current_index
         if status.diverged_at and not self.forks:
@@ -224,7 +229,7 @@ class SimMember:
             raise PromiseBroken(f"{self.member.member_id} holds states for doubtful: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
-        # One that has heard nobody for too long commits, and leads no more, in one step.
+        # A leader that has heard no member for too long may commit and stop leading in one step.
         led = status.is_leader or (before.is_leader and before.term == status.term)
         entry = log.entry_at(commit_index)
         if commit_index <= self._checked[0]:

@@ -1,6 +1,6 @@
-"""Runs the replicated log through seeded bad weather: `python -m tests.robustness.replication.simulate --seeds 1000`.
+"""Runs the replicated log under random faults: `python -m tests.robustness.replication.simulate --seeds 1000`.
 
-One seed is one run, the same every time: `--first SEED --seeds 1` replays a failure.
+A seed determines the whole run: `--first SEED --seeds 1` repeats a failure.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS = 12.0
 [PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")
-OFTEN = 15  # entries between two snapshots, so that most seeds have many
+OFTEN = 15  # entries between two snapshots: few, so that most seeds have many snapshots
 PROCESSES_MAX = 12
-# A link that stalls for longer is ended, and what is on it is lost.
+# A connection that stalls for longer is ended, and its messages are lost.
 SILENCE_SECONDS = RaftTiming().link_silence_seconds
 # After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
 # of 120 seeds; the promise for the first of it, an election included, is 5 s.
@@ -34,7 +34,7 @@ HEAL_SECONDS = 8.0
 
 
 def weather_of(random_source: random.Random) -> Weather:
-    """Some kind of bad weather."""
+    """Draw the kinds and rates of faults."""
     return Weather(
         loss=random_source.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
         delay_mean=random_source.choice([0.001, 0.005, 0.03, 0.15]),
@@ -53,7 +53,7 @@ def weather_of(random_source: random.Random) -> Weather:
 
 
 class Storm:
-    """Faults and callers over a world, until it ends."""
+    """Makes faults and calls in a world, until it ends."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -122,7 +122,7 @@ class Storm:
         world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
     def _isolate(self) -> None:
-        """Whoever leads is cut off from all others, and goes on to take commands for a while that nobody commits."""
+        """Cut the leader off from all others. For a while it goes on to take commands, which nobody commits."""
         world = self._world
         names = [name for name, one in world.members.items() if one.replica and one.replica.status().is_leader]
         pairs = [ends for ends in world.wires if set(ends) & set(names)]
@@ -130,8 +130,10 @@ class Storm:
         world.after(world.random_source.uniform(1.0, 4.0), lambda: world.unblock(pairs))
 
     def _outvote(self) -> None:
-        """Whoever leads is left with one follower, whose last answers are late. The others elect another leader, after
-        whom the first one leads again, unless somebody else does; and only then those answers come.
+        """Leave the leader with one follower, whose last answers are late.
+
+        The others elect another leader. Then the first one leads again, unless another member does. Only then the late
+        answers come.
         """
         random_source, world = self._world.random_source, self._world
         leaders = self._leaders()
@@ -172,14 +174,14 @@ class Storm:
         return [name for name, one in self._world.members.items() if one.replica and one.replica.status().is_leader]
 
     def _when(self, holds: Callable[[], bool], then: Callable[[], None], *, until: float) -> None:
-        """Call `then` once `holds`, if that is before `until`."""
+        """Call `then` once `holds()` is true, if that is before `until`."""
         if holds():
             then()
         elif self._world.now < until:
             self._world.after(0.05, lambda: self._when(holds, then, until=until))
 
     def _let_lead(self, wanted: str, *, until: float) -> None:
-        """Others hand over until this one leads, or it is too late for that."""
+        """Let other leaders hand over until the member `wanted` leads, or `until` has come."""
         if not self.over and self._world.now < until and self._leaders() != [wanted]:
             self._hand_over()
             self._world.after(0.2, lambda: self._let_lead(wanted, until=until))
@@ -190,7 +192,7 @@ class Storm:
                 member.replica.change_members(HandOver(lambda left: None))
 
     def _change(self) -> None:
-        """Somebody asks whoever seems to lead to let a member come or go, or to hand over."""
+        """Ask the apparent leader to add or remove a member, or to hand over."""
         random_source, world = self._world.random_source, self._world
         leaders = [each for each in world.alive() if each.replica and each.replica.status().is_leader]
         if not leaders:
@@ -209,7 +211,7 @@ class Storm:
             world.change(leader, random_source.choice(list(world.members.values())).member, is_removal=False)
 
     def _snapshot(self) -> None:
-        """Somebody asks a member for a snapshot, as for a backup."""
+        """Ask a member for a snapshot, as for a backup."""
         if (member := self._some()) is not None and member.replica is not None:
             member.replica.take_snapshot(SnapshotRequest(lambda outcome: None))
 
@@ -225,7 +227,7 @@ class Storm:
 
 
 def _revive(world: World) -> None:
-    """Crashed members come back after a while, for as long as the world turns."""
+    """Start crashed members again after a while, for the whole run."""
     for member in world.members.values():
         if member.replica is None and world.random_source.random() < 0.3:
             world.restart(member)
@@ -233,14 +235,14 @@ def _revive(world: World) -> None:
 
 
 def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World:
-    """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
+    """Run one seed: faults, healing, checks. Raises PromiseBroken. `rules` and `forgets` plant faults."""
     random_source = random.Random(f"weather-{seed}")
     size, weather, every = random_source.choice([1, 2, 3, 3, 3, 5]), weather_of(random_source), OFTEN
-    if seed % 5 == 4:  # as in production: a snapshot is old, and much has happened since
+    if seed % 5 == 4:  # as in production: the snapshot is old, and many entries came after it
         weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
-    elif seed % 5 == 2:  # leaders come and go, and leave behind what only they hold
+    elif seed % 5 == 2:  # leaders come and go, and leave entries behind that only they have
         weather = replace(weather, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
-    elif seed % 5 == 3:  # the words of one tenure come in a later one
+    elif seed % 5 == 3:  # messages of one tenure arrive in a later one
         size, every = 5, PRODUCTION
         weather = Weather(delay_mean=weather.delay_mean, full_links=weather.full_links, outvotes=1.0)
     kept_log_bytes = (1, 4000, 100_000)[seed % 3]
@@ -257,9 +259,9 @@ def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World
 
 
 def calm(world: World) -> None:
-    """Heal everything; then every member must answer and agree.
+    """Heal everything. Then check that every member answers and that all agree.
 
-    It is not healed before the last late message has come.
+    The healing begins only after the last late message has arrived.
     """
     stalls_end = max((wire.stalled_until for wire in world.wires.values()), default=0.0)
     late_until = max(world.now + world.weather.late_seconds_max, stalls_end)
@@ -293,7 +295,7 @@ def calm(world: World) -> None:
 
 
 def settled_members(world: World, end: float) -> list[SimMember]:
-    """Who the members are, once nothing is on its way any more; no removal that was acknowledged is undone."""
+    """The members, once no message is under way. Checks that no acknowledged removal is undone."""
     found: list[SimMember] = []
 
     def settled() -> bool:
@@ -316,7 +318,7 @@ def settled_members(world: World, end: float) -> list[SimMember]:
 
 
 def main() -> int:
-    """Run many seeds and name those that fail."""
+    """Run many seeds, and print those that fail."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)

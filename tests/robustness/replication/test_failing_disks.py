@@ -1,4 +1,4 @@
-"""Members as processes, each on a file system of its own that loses its power, fails, or hangs."""
+"""Members as processes, each on its own file system, which loses its power, fails, or hangs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.skipif(
 
 
 class Machine(MemberProcess):
-    """A process, and the disk that its folder is on."""
+    """A process, and the disk of its folder."""
 
     def __init__(self, member_id: str, folder: Path) -> None:
         super().__init__(member_id, folder)
@@ -45,7 +45,7 @@ class Machine(MemberProcess):
 
 @contextlib.asynccontextmanager
 async def mounted_machines() -> AsyncIterator[list[Machine]]:
-    """Three of them, that are started by whoever asks. Nothing of them is left afterwards, whatever went wrong."""
+    """Yield three machines, not started. Removes all their mounts and devices afterwards, even after a failure."""
     # Socket paths have a short limit, and pytest's own folders are long.
     async with contextlib.AsyncExitStack() as undo:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="srt-")))
@@ -73,7 +73,7 @@ async def machines() -> AsyncIterator[list[Machine]]:
 
 
 def left_over(folder: Path) -> list[str]:
-    """What is mounted below a folder, or is a loop device of a file in it."""
+    """The mounts below a folder, and the loop devices of files in it."""
     devices = subprocess.run(["losetup", "--list", "--noheadings", "--output", "BACK-FILE"], capture_output=True)
     lines = [*Path("/proc/mounts").read_text().splitlines(), *devices.stdout.decode().splitlines()]
     return [line for line in lines if str(folder) in line]
@@ -94,7 +94,7 @@ async def test_disks_leave_nothing_behind_when_a_test_fails_and_two_runs_do_not_
     assert len(folders) == 2
     for folder in folders:
         assert not folder.exists()
-        async for _ in attempts():  # the kernel lets go of a loop device a moment later
+        async for _ in attempts():  # the kernel frees a loop device a moment later
             if not left_over(folder):
                 break
 
@@ -115,7 +115,7 @@ async def test_what_was_acknowledged_survives_a_loss_of_power_everywhere(machine
 async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(machines: list[Machine]) -> None:
     await write(machines[0], ["before"])
     leader = machines[IDS.index(await machines[0].ask("leader"))]
-    leader.disk.lose_power()  # without a restart: EIO from now on
+    leader.disk.lose_power()  # without a restart: every write gives EIO from now on
     witness = next(machine for machine in machines if machine is not leader)
     while not (await witness.ask("propose after")).isdigit():
         pass
@@ -134,7 +134,7 @@ async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on
     while not (await witness.ask("propose meanwhile")).isdigit():
         pass
     assert await stuck in (UNKNOWN_OUTCOME, REFUSED)
-    # It does not go on to call itself the leader.
+    # The member must not go on to call itself the leader.
     assert await leader.ask("leader") == "None"
     assert await leader.ask("disk") == "silent"
     leader.disk.thaw()

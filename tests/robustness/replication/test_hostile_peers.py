@@ -1,7 +1,7 @@
-"""Hostile peers with valid credentials, drawn by seeds: outsiders who claim to be members, and members who lie.
+"""Hostile peers with valid credentials, drawn by seeds: outsiders that claim to be members, and members that lie.
 
-An outsider costs the cluster nothing. A member may break what Raft rests on, so that nothing holds of what its victim
-then knows; but it ends no process, nor does it leave a store behind that cannot be opened.
+An outsider does the cluster no harm. A lying member may break the rules on which Raft rests, so its victim's state may
+become wrong. But the lies end no process, and leave no store behind that cannot be opened.
 """
 
 from __future__ import annotations
@@ -44,71 +44,71 @@ MESSAGES = 400
 
 
 class Ears:
-    """The victim's network: notes whose stream was dropped, and sends nothing."""
+    """The victim's network. It notes the dropped streams, and sends nothing."""
 
     def __init__(self) -> None:
         self.dropped: list[str] = []
-        # Ids of requests that nobody has answered.
+        # The ids of the requests without an answer.
         self.asked: list[int] = []
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Nobody answers truly."""
+        """Send nothing: no peer gives a true answer."""
         for _, message in messages:
             if isinstance(message, ForwardedCommand | ReadIndexRequest):
                 self.asked = [*self.asked[-20:], message.request_id]
 
     def has_room(self, member_id: str) -> bool:
-        """There is always room."""
+        """Always true."""
         return True
 
     def drop(self, member_id: str, why: str) -> None:
-        """A member was found at fault."""
+        """Note that the victim has dropped a member at fault."""
         self.dropped.append(member_id)
 
     def follow(self, roster: MemberRoster) -> None:
-        """Everybody is connected anyway."""
+        """Do nothing: all are connected."""
 
 
 class Credulous(History):
-    """What a hostile leader makes of the state is not held against the victim."""
+    """A history without checks, because a hostile leader may make the victim's state wrong."""
 
     def applied(self, index: int, command: bytes) -> None:
-        """Whatever it is."""
+        """Do nothing."""
 
     def acknowledge(self, command: bytes, index: int) -> None:
-        """Whoever is misled may acknowledge what is not there."""
+        """Do nothing: a misled member may acknowledge a command that is not committed."""
 
     def read(self, *, acknowledged_before: int, index: int) -> None:
-        """Nor what it reads."""
+        """Do nothing."""
 
     def leads(self, member_id: str, term: int) -> None:
-        """Nor who leads."""
+        """Do nothing."""
 
 
 class Unjudged(Committed):
-    """What a misled member commits is not held against it."""
+    """The rules without checks, because a misled member may commit wrong entries."""
 
     def by_leader(self, *facts: object) -> None:  # type: ignore[override]
-        """Whatever it is."""
+        """Do nothing."""
 
     def by_follower(self, *facts: object) -> None:  # type: ignore[override]
-        """Whatever it is."""
+        """Do nothing."""
 
     def configured(self, *facts: object) -> None:  # type: ignore[override]
-        """Whatever it is."""
+        """Do nothing."""
 
 
 class CredulousMachine(ListMachine):
-    """A state machine that a hostile leader may also set back."""
+    """A state machine that a hostile leader may set back."""
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """Without a look at what was before, whatever bytes they are."""
+        """Apply any bytes, without a check of the former state."""
         self.entries.append((index, command.hex().encode()))
         return b"%d" % index
 
 
 class Victim:
-    """Member `a` of `a`, `b` and `c` with a store on a disk, and a clock that is moved by hand."""
+    """Member `a` of `a`, `b` and `c`, with a store on a disk, and a clock that the test moves."""
 
     def __init__(self, random_source: random.Random, folder: Path) -> None:
         self._random_source, self._folder = random_source, folder
@@ -138,7 +138,7 @@ class Victim:
         return replica
 
     def hear(self, sender: str, message: pb.RaftMessage) -> None:
-        """As the servicer does: what cannot be read, and what is too much, ends the stream."""
+        """Take a message as the servicer does: an unreadable or too large one ends the stream."""
         try:
             told = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
             self.replica.deliver(Received(sender, told, message.ByteSize()))
@@ -146,7 +146,7 @@ class Victim:
             self.replica.deliver(StreamOpened(sender))
 
     def step(self) -> None:
-        """Let a little time pass, and perhaps somebody ask for something."""
+        """Let a little time pass. Perhaps a caller makes a call."""
         self.now += self._random_source.choice((0.001, 0.03, 0.5))
         if self._random_source.random() < 0.3:
             self.replica.propose(Proposal(self._random_source.randbytes(8), self.now + 1.0, lambda outcome: None))
@@ -154,7 +154,7 @@ class Victim:
         self.replica.step()
 
     def restart(self) -> None:
-        """End, and come up with what is on the disk."""
+        """End, and start from the disk."""
         self.replica.close()
         self.replica = self._open()
 
@@ -176,7 +176,10 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
 
 
 class Outsider:
-    """Has valid credentials and is no member: introduces itself, and lies to whoever hears it."""
+    """Has valid credentials and is no member.
+
+    It introduces itself, and sends false messages to each member that listens.
+    """
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -185,7 +188,7 @@ class Outsider:
         self.heard = 0
 
     def begin(self) -> None:
-        """Bother somebody every few milliseconds."""
+        """Send something to a member every few milliseconds."""
         if self.over:
             return
         for member in self._world.alive():
@@ -196,7 +199,7 @@ class Outsider:
     def _bother(self, replica: RaftReplica) -> None:
         name = f"outsider{self._random_source.randint(0, 40)}"
         member = Member(member_id=name, address=f"{name}:1")
-        if name not in replica.roster.peers:  # as a hello is refused, and remembered
+        if name not in replica.roster.peers:  # as a refused hello is, and remembered
             replica.deliver(Introduced(name, member))
             return
         self.heard += 1
@@ -218,7 +221,7 @@ def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
     outsider, storm = Outsider(world), Storm(world)
     outsider.begin()
     assert world.run_until(5.0, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))
-    world.run_until(world.now + 2.0)  # two may win their pre-votes at once: the later one leads
+    world.run_until(world.now + 2.0)  # two members may win their pre-votes together; the later one then leads
     [leader] = [one for one in world.alive() if one.replica and one.replica.status().is_leader]
     assert leader.replica is not None
     term, acknowledged = leader.replica.status().term, len(world.history.acknowledged)
@@ -233,7 +236,7 @@ def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_outsiders_are_forgotten_after_bad_weather(seed: int) -> None:
-    """Outsiders may be heard by who is locked out. No process ends of it, and the members find together again."""
+    """A member that is cut off may listen to outsiders. No process ends, and the members find each other again."""
     world = World(seed, size=3, weather=weather_of(random.Random(seed)))
     world.history, world.committed, world.may_be_misled = Credulous(), Unjudged(), True
     for member in world.members.values():

@@ -1,4 +1,4 @@
-"""Members as processes of their own, killed without warning."""
+"""Members as processes, killed without warning."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IDS = ["m0", "m1", "m2"]
 
 
 class MemberProcess:
-    """One member: its folder stays, its process comes and goes."""
+    """One member: its folder stays, and its process is started and killed."""
 
     def __init__(self, member_id: str, folder: Path) -> None:
         self._arguments = ["-m", "tests.robustness.replication.member_process", member_id, str(folder), *IDS]
@@ -41,14 +41,14 @@ class MemberProcess:
         self._process.send_signal(number)
 
     async def ended(self) -> int:
-        """Wait until it has ended by itself; its exit code."""
+        """Wait until the process has ended by itself. Returns its exit code."""
         assert self._process is not None
         await self._process.communicate()
         assert self._process.returncode is not None
         return self._process.returncode
 
     async def kill(self) -> None:
-        """SIGKILL: nothing is flushed, nobody is told."""
+        """Kill the process with SIGKILL: it flushes nothing, and tells nobody."""
         if self._process is not None and self._process.returncode is None:
             self._process.kill()
             await self._process.communicate()
@@ -72,7 +72,7 @@ async def write(member: MemberProcess, names: list[str]) -> None:
 
 
 async def write_at_last(member: MemberProcess, name: str) -> None:
-    """Again and again until it is acknowledged. How soon that is, test_simulated_cluster.py says in its own time."""
+    """Repeat the write until it is acknowledged. test_simulated_cluster.py checks the time, in simulated time."""
     while not (answer := await member.ask(f"propose {name}")).isdigit():
         assert answer in (UNKNOWN_OUTCOME, REFUSED)
 

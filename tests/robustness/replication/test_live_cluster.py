@@ -1,4 +1,4 @@
-"""Three members over real gRPC with real stores: serve, lose one, catch up, keep strangers out."""
+"""Three members over real gRPC with real stores: they serve, lose one member, catch up, and refuse strangers."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def execute(what: str) -> None:
 
 
 class Bomb:
-    """A pickle that runs code when it is loaded."""
+    """A pickle that runs code when a program loads it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return execute, ("unpickled",)
@@ -195,7 +195,7 @@ def hello(**changes: Any) -> pb.RaftServiceExchangeRequest:
 
 
 async def refusal(address: str, *requests: bytes) -> grpc.StatusCode:
-    """Send raw requests on a stream, and return how the member ended it."""
+    """Send raw requests on a stream. Returns the status with which the member ended it."""
     channel = dial(address)
     try:
         call = channel.stream_stream(EXCHANGE)()
@@ -276,7 +276,7 @@ async def test_why_there_is_no_link_is_said_once(
 
 
 class Swallower:
-    """A member that accepts every stream, reads it, and never answers again."""
+    """A member that accepts every stream, reads it, and answers nothing."""
 
     def __init__(self) -> None:
         self.streams = 0

@@ -1,4 +1,4 @@
-"""Members that come and go over real gRPC with real stores, under load, without losing an acknowledged write."""
+"""Members come and go over real gRPC with real stores, under load. No acknowledged write is lost."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.supernode.live_cluster import (
 
 @dataclass
 class Load:
-    """Writes one command after the other for as long as the block lasts, wherever a member runs."""
+    """Writes one command after the other until the block ends, at any running member."""
 
     acknowledged: list[bytes] = field(default_factory=list)
 
@@ -102,7 +102,7 @@ async def test_members_survive_a_restart_of_all_of_them(tmp_path: Path) -> None:
         await proposed(newcomer, b"before")
         for member in cluster.all:
             await member.stop()
-        for member in cluster.all:  # with what each was told when it was new
+        for member in cluster.all:  # each with the members that it was told at its start
             await cluster.start(member)
         await proposed(newcomer, b"after")
         ids = [[each.member_id for each in running(member).status().members] for member in cluster.all]
@@ -152,7 +152,7 @@ async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_a
         await let_in(leader, other)
         with pytest.raises(ChangeUnderWay, match="took nothing of the log"):
             await under_way
-        # It is started again and again: the next one need not even wait.
+        # it is started again and again: the next start need not even wait
         monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 3600.0)
         again = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
         await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
@@ -162,7 +162,7 @@ async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_a
 
 
 async def let_in(leader: ReplicatedLog, newcomer: LiveMember) -> None:
-    """As a newcomer does: ask again while others come."""
+    """Let a newcomer in as it asks itself: repeat the request while other changes are under way."""
     async with asyncio.timeout(20):
         while True:
             try:

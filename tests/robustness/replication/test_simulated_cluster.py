@@ -1,4 +1,4 @@
-"""The production replica through seeded bad weather, and planted faults that the same check must find."""
+"""The production replica under random faults, and planted faults of the rules that the same checks must find."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_nothing_acknowledged_is_lost_in_bad_weather(block: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)  # on a busy machine; alone it takes half a minute
+@pytest.mark.timeout(900)  # on a busy machine; on an idle one it takes half a minute
 @pytest.mark.parametrize("first", range(100_000, 102_000, SEEDS_IN_BLOCK))  # each block shows that the run goes on
 def test_nothing_acknowledged_is_lost_in_very_much_bad_weather(first: int) -> None:
     play(range(first, first + SEEDS_IN_BLOCK))
@@ -55,18 +55,18 @@ def test_a_seed_gives_the_same_run_every_time() -> None:
 
 
 class StandsAtOnce(PreVoteElections):
-    """A member that raises its term as soon as it hears no leader, as the unchanged library does."""
+    """A member that raises its term as soon as it hears no leader, like the unchanged library."""
 
     def before_tick(self) -> None:
         pass
 
 
 def calm_cluster(rules: type = PreVoteElections) -> tuple[World, str, int]:
-    """Three members in good weather that have elected: the world, its leader and the term."""
+    """Three members without faults that have elected. Returns the world, the leader and the term."""
     world = World(1, size=3, weather=Weather(), rules=rules)
     for member in world.members.values():
         member.start()
-    world.run_until(5.0)  # two may stand at once the first time
+    world.run_until(5.0)  # at the first election, two members may stand together
     leader = leader_of(world)
     assert leader is not None
     return world, *leader
@@ -158,7 +158,7 @@ def test_a_member_that_comes_to_another_state_finds_out_and_never_leads(with_sna
     at = world.history.acknowledged[FORK]
     assert world.run_until(world.now + 2.0, lambda: forked.replica.status().diverged_at > 0)  # type: ignore[union-attr]
     assert forked.replica.status().diverged_at >= at
-    # Its log is sound, so that it counts: with it, the third member leads at once, and never the other way round.
+    # Its log is sound, so its vote counts: with it the third member leads at once. Without it, it never does.
     leader.crash()
     assert world.run_until(world.now + 10.0, lambda: third.replica.status().is_leader)  # type: ignore[union-attr]
     assert isinstance(world.propose(third, b"served", timeout=5.0), list)
@@ -166,7 +166,7 @@ def test_a_member_that_comes_to_another_state_finds_out_and_never_leads(with_sna
 
 
 def under_load(world: World, *, per_second: float) -> Callable[[], None]:
-    """Have whoever leads take commands all the time, until the function that is returned is called."""
+    """Let the leader take commands all the time, until the returned function is called."""
     over: list[bool] = []
 
     def one() -> None:
@@ -188,7 +188,7 @@ def lag(world: World, member: SimMember) -> int:
 
 
 class ForgetsWhatItSends(PreVoteElections):
-    """A leader that begins again with each snapshot that it takes, and keeps no log behind the last one."""
+    """A leader that begins a transfer again with each new snapshot, and keeps no log before the last one."""
 
     keeper: SnapshotKeeper
 
@@ -205,7 +205,7 @@ class ForgetsWhatItSends(PreVoteElections):
     [PreVoteElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
 )
 def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
-    """A snapshot of 12 kB takes 2 s to send, and one is taken every second."""
+    """To send a snapshot of 12 kB takes 2 s, and the members take one every second."""
     world = World(3, size=3, weather=Weather(), rules=rules, snapshot_every=50, kept_log_bytes=1_000_000)
     for member in world.members.values():
         member.start()
@@ -228,14 +228,14 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
 
 
 class KeepsItsDistance(PreVoteElections):
-    """A member that takes nothing from a leader of whom nobody has told it yet."""
+    """A member that takes nothing from a leader that no other member has named to it."""
 
     def on_introduced(self, member: Member) -> None:
         pass
 
 
 class ForgetsWhoLedItIn(PreVoteElections):
-    """A newcomer that knows only whom its snapshot names, which may be from before its leader came."""
+    """A newcomer that knows only the members of its snapshot, which may be older than its leader."""
 
     def open_snapshot(self) -> None:
         self._named = {}
@@ -247,7 +247,7 @@ class ForgetsWhoLedItIn(PreVoteElections):
 
 
 def replaced(world: World, old: list[str], new: int) -> None:
-    """Have so many members come and the old ones go, which end; all of it between two snapshots."""
+    """Add `new` members and remove the old ones, which end. All of it happens between two snapshots."""
     for _ in range(new):
         leader = leading(world)
         assert leader.replica is not None
@@ -261,7 +261,7 @@ def replaced(world: World, old: list[str], new: int) -> None:
 
 
 def changes(world: World, member: SimMember, *, is_removal: bool) -> None:
-    """Have a member come or go, whoever leads."""
+    """Add or remove a member, through the present leader."""
     outcomes: list[ChangeOutcome] = []
     end = world.now + 30.0
     while not any(isinstance(outcome, int) for outcome in outcomes):
@@ -279,7 +279,7 @@ def leading(world: World) -> SimMember:
 
 
 def with_snapshot(rules: type) -> World:
-    """Three members that have just written snapshots, and write none by themselves for long."""
+    """Three members that have just written snapshots, and will write no further ones for long."""
     world = World(1, size=3, weather=Weather(), rules=rules, snapshot_every=PRODUCTION)
     for member in world.members.values():
         member.start()
@@ -294,7 +294,7 @@ def with_snapshot(rules: type) -> World:
 
 
 def serves(world: World, member: SimMember, within: float = 10.0) -> bool:
-    """Whether a write through this member is acknowledged in time; one whose leader is lost is tried again."""
+    """Whether a write through this member is acknowledged in time. Repeats it if its leader is lost."""
     outcomes: list[Outcome] = []
     end = world.now + within
     while world.now < end and not any(isinstance(outcome, bytes) for outcome in outcomes):
@@ -334,7 +334,7 @@ def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rule
 
 
 class CutsOffWhatAgrees(PreVoteElections):
-    """The unchanged library's way with late appends."""
+    """The unchanged library's treatment of late appends."""
 
     def _merge(self, entries: list[Entry]) -> None:
         if entries and self.log.entry_at(entries[0].log_index) is not None:
@@ -344,7 +344,7 @@ class CutsOffWhatAgrees(PreVoteElections):
 
 
 class CommitsByPieces(PreVoteElections):
-    """The unchanged library's way with the commit index of a snapshot's pieces."""
+    """The unchanged library's treatment of the commit index in pieces of a snapshot."""
 
     def _on_install_snapshot(self, node: object, message: InstallSnapshot) -> None:
         self.raise_commit_index(min(message.commit_index, self.log.last_index))
@@ -359,7 +359,7 @@ class ReadsTooEarly(PreVoteElections):
 
 
 class VotesTwice(PreVoteElections):
-    """A member that forgets whom it voted for."""
+    """A member that forgets its vote."""
 
     def _on_vote_request(self, node: object, message: VoteRequest) -> None:
         if not message.pre_vote:
@@ -368,7 +368,7 @@ class VotesTwice(PreVoteElections):
 
 
 class HearsMembersOnly(PreVoteElections):
-    """A member that takes nothing from a leader of whom its own log does not know yet."""
+    """A member that takes nothing from a leader that its own log does not know yet."""
 
     def receive(self, node: object, message: Message) -> None:
         if node in self.other_voters:
@@ -403,7 +403,7 @@ def is_caught(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) ->
 
 
 def forking(world: World, *, leads: bool) -> tuple[SimMember, SimMember]:
-    """A member that does not know the command FORK, and leads or does not; and who leads."""
+    """Returns a member that does not know the command FORK, and leads if `leads`; and the leader."""
     forked = next(iter(world.members.values()))
     forked.forks = True
     for member in world.members.values():
@@ -423,7 +423,7 @@ def _leads(member: SimMember) -> bool:
 
 
 def fork(world: World, forked: SimMember) -> None:
-    """Somebody else's caller sends the command; a state of which no command is known has no digest."""
+    """Let another caller send the command. A state that no known command has made has no digest."""
     other = next(one for one in world.members.values() if one is not forked and one.replica is not None)
     for command in (b"before", FORK, b"after"):
         outcomes = world.propose(other, command, timeout=10.0)
@@ -436,7 +436,7 @@ def check_served(world: World, leader: SimMember) -> None:
 
 
 def doubts(world: World) -> list[list[str]]:
-    """Of each member that runs, whose states it holds for doubtful."""
+    """For each running member: the members whose states it doubts."""
     return [list(one.replica.status().doubts) for one in world.members.values() if one.replica is not None]
 
 

@@ -1,4 +1,4 @@
-"""What kind of bad weather a simulated run has."""
+"""The kinds and rates of the faults in a simulated run."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
-    """How bad a run is. Rates are per simulated second and cluster; times in seconds."""
+    """The faults of a run. Rates are per simulated second and cluster; times are in seconds."""
 
     loss: float = 0.0
     delay_mean: float = 0.002
-    # Share of messages that overtake others or, commands aside, come twice; how late they may be.
+    # The share of messages that overtake others or (not commands) come twice, and their greatest delay.
     unruly: float = 0.0
     unruly_seconds: float = 0.5
     crashes: float = 0.0
-    # How long a commit takes, on average; the share of commits in which the power is lost, or the disk hangs for long.
+    # The mean time of a commit; the share of commits during which the power fails, or the disk hangs for long.
     disk_seconds: float = 0.0
     disk_crash: float = 0.0
     disk_hangs: float = 0.0
     partitions: float = 0.0
     isolations: float = 0.0
-    # Leaders that are left with one follower, are replaced, and lead again.
+    # Leaders that keep one follower only, are replaced, and lead again.
     outvotes: float = 0.0
     freezes: float = 0.0
     link_breaks: float = 0.0
-    # Share of the times at which a link has no room for more entries.
+    # The share of the times at which a connection has no room for more entries.
     full_links: float = 0.0
-    # Members that are to come or go.
+    # Members that come or go.
     changes: float = 0.0
-    # Snapshots that somebody wants, beside those that the log takes by itself.
+    # Snapshots that operators request, beside those that the log takes by itself.
     snapshots: float = 0.0
 
     @property
     def late_seconds_max(self) -> float:
-        """By how much a message may come late, or come again."""
+        """The greatest delay of a message or of its repetition."""
         return 2 * self.unruly_seconds if self.unruly else 0.0

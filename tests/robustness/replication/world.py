@@ -1,4 +1,4 @@
-"""A cluster in one thread: real replicas under a false clock, network and disk, all driven by one seed."""
+"""A cluster in one thread: real replicas with a simulated clock, network and disk. One seed determines everything."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TIMING = RaftTiming(tick_seconds=0.05)
 
 
 class World:
-    """Time, members and wires. `at` plans a call; `run_until` makes time pass."""
+    """Time, members and connections. `at` plans a call; `run_until` lets time pass."""
 
     def __init__(
         self,
@@ -53,20 +53,20 @@ class World:
         self.weather = weather
         self.rules = rules
         self.snapshot_every = snapshot_every
-        # By default next to nothing, so that who lags is sent snapshots.
+        # By default few entries, so that a member that lags behind gets snapshots.
         self.kept_log_bytes = kept_log_bytes
         self.now = 0.0
         self.timing = timing
         self.history = History()
         self.committed = Committed()
-        # Whether hostile peers are about, of whose words members may repeat something.
+        # Whether there are hostile peers, whose false statements members may repeat.
         self.may_be_misled = False
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         roster = [Member(member_id=f"m{number}", address=f"m{number}:1") for number in range(size)]
         self.members: dict[str, SimMember] = {}
         self.wires: dict[tuple[str, str], Wire] = {}
-        # Ids of members whose removal was acknowledged.
+        # The ids of members whose removal was acknowledged.
         self.removed: set[str] = set()
         for member in roster:
             self._place(SimMember(self, member, roster))
@@ -83,7 +83,7 @@ class World:
         return SimMember(self, member, seeds, joining=True)
 
     def volunteer(self, seeds: Sequence[Member]) -> SimMember:
-        """A new process that wants to be a member, and was told who the members are."""
+        """Start a new process that asks to become a member, and knows the addresses of `seeds`."""
         name = f"m{len(self.members)}"
         newcomer = self._newcomer(Member(member_id=name, address=f"{name}:1"), seeds)
         newcomer.disk.forgets = next(iter(self.members.values())).disk.forgets
@@ -98,7 +98,7 @@ class World:
         self.at(self.now + delay, call)
 
     def run_until(self, end: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let time pass; True as soon as `until` holds, False when the end came first."""
+        """Let time pass. Returns True as soon as `until` holds, and False at `end`."""
         while self._events and self._events[0][0] <= end:
             self.now, _, call = heapq.heappop(self._events)
             call()
@@ -113,7 +113,7 @@ class World:
     # -- network ---------------------------------------------------------------------------------------------
 
     def send(self, sender: str, to: str, message: Message) -> None:
-        wire = self.wires.get((sender, to), Wire())  # to outsiders there is none
+        wire = self.wires.get((sender, to), Wire())  # there is no connection to outsiders
         if not wire.up or wire.blocked or self.random_source.random() < self.weather.loss:
             return
         data, generation = encode_message(message).SerializeToString(), wire.generation
@@ -136,19 +136,19 @@ class World:
             self._answer(sender, to, replica)
 
     def _answer(self, sender: str, to: str, receiver: RaftReplica) -> None:
-        """As the stream does: every half second in which something came, the sender is told who the members are."""
+        """As the stream does: tell the sender the members, every half second in which a message came."""
         wire, replica = self.wires[sender, to], self.members[sender].replica
         if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
             wire.answer_due = self.now + 0.5
             replica.deliver(MembersReported(to, receiver.roster.members))
 
     def fault(self, sender: str, receiver: str, why: str) -> None:
-        """No member that keeps to the rules is ever found to break them."""
+        """Fail, because no member that keeps the rules may be found to break them."""
         if sender in self.members and not self.may_be_misled:
             raise PromiseBroken(f"{receiver} finds {sender} at fault: {why}")
 
     def break_wire(self, ends: tuple[str, str]) -> None:
-        """The connection is gone, with what is on it; its sender notices and connects again."""
+        """Break the connection, and lose its messages. The sender notices it and connects again."""
         wire = self.wires[ends]
         if not wire.up:
             return
@@ -161,7 +161,7 @@ class World:
         self._plan_connect(ends)
 
     def _stream_ends(self, ends: tuple[str, str]) -> None:
-        """The receiver notices at once or a while later, unless a new connection comes first."""
+        """Let the receiver notice the end at once or later, unless a new connection comes first."""
         generation = self.wires[ends].generation
 
         def notice() -> None:
@@ -211,14 +211,14 @@ class World:
         receiver.deliver(StreamOpened(ends[0], sender.highest_level))
 
     def _refuse(self, member: SimMember) -> None:
-        """Its store lacks what it has promised: it ends, for good."""
+        """End the member for good, because its store lacks entries that it has promised."""
         if not member.rolled_back:
             raise PromiseBroken(f"{member.member.member_id} is refused though its disk kept what it should")
         member.refused = True
         member.crash()
 
     def block(self, pairs: Sequence[tuple[str, str]]) -> None:
-        """Nothing passes on these wires; their senders notice some time later, or never."""
+        """Let nothing pass on these connections. The senders notice it some time later, or never."""
         for ends in pairs:
             self.wires[ends].blocked = True
             if self.random_source.random() < 0.7:
@@ -233,7 +233,7 @@ class World:
             self.wires[ends].blocked = False
 
     def on_crash(self, member: SimMember) -> None:
-        """The others see their connections break; its own are gone without a word."""
+        """End the connections of a crashed member. The others see them break."""
         for ends, wire in self.wires.items():
             if ends[0] == member.member.member_id:
                 wire.up, wire.generation = False, wire.generation + 1
@@ -255,7 +255,7 @@ class World:
     # -- callers ---------------------------------------------------------------------------------------------
 
     def propose(self, member: SimMember, command: bytes, *, timeout: float) -> list[Outcome]:
-        """Propose on a live member; the outcome appears in the list returned."""
+        """Propose at a live member. The outcome appears in the returned list."""
         outcomes: list[Outcome] = []
 
         def done(outcome: Outcome) -> None:
@@ -273,7 +273,7 @@ class World:
         return outcomes
 
     def change(self, leader: SimMember, member: Member, *, is_removal: bool) -> list[ChangeOutcome]:
-        """Ask a live member to let another one come or go; the outcome appears in the list returned."""
+        """Ask a live member to add or remove another one. The outcome appears in the returned list."""
         outcomes: list[ChangeOutcome] = []
 
         def done(outcome: ChangeOutcome) -> None:
@@ -287,7 +287,7 @@ class World:
         return outcomes
 
     def read(self, member: SimMember, *, timeout: float) -> list[int | None]:
-        """Begin a confirmed read on a live member; what it gave appears in the list returned."""
+        """Begin a confirmed read at a live member. Its result appears in the returned list."""
         before, outcomes = self.history.highest_acknowledged, []
 
         def done(index: int | None) -> None:
