@@ -1,4 +1,4 @@
-"""How hosts and peers in simulated time ask the directory: at one supernode after the other."""
+"""Calls of hosts and peers to the directory in simulated time: to one supernode after the other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.robustness.directory.world import DirectoryWorld
 
 
 async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, *, caller: object) -> Any:
-    """The answer. Raises what the directory refuses, or the last failure."""
+    """Return the answer. Raises the directory's refusal, or the error of the last supernode."""
     began, deadline = world.now, world.now + seconds
     for member in _members(world, caller):
         left = deadline - world.now
@@ -22,7 +22,7 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
             world.last_answered[caller] = member
             return outcome
         if world.last_answered.get(caller) is member:
-            del world.last_answered[caller]  # another one is asked first from now on
+            del world.last_answered[caller]  # the next call begins at another supernode
         if isinstance(outcome, StampedeError) and not outcome.retryable:
             raise outcome
         await world.sleep(0.02 + world.random_source.random() * 0.1)
@@ -30,7 +30,10 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
 
 
 def _members(world: DirectoryWorld, caller: object) -> Iterator[Any]:
-    """The one that answered last comes first, as in `stampede_rt_channel_host.cluster.supernodes`."""
+    """The supernodes in the order of the calls.
+
+    The one that answered last comes first, as in `stampede_rt_channel_host.cluster.supernodes`.
+    """
     members = list(world.members.values())
     last = world.last_answered.get(caller)
     start = members.index(last) if last in members else world.random_source.randrange(len(members))
@@ -38,7 +41,7 @@ def _members(world: DirectoryWorld, caller: object) -> Iterator[Any]:
 
 
 class _Unanswered(StampedeError):
-    """Nobody answered."""
+    """No supernode answered."""
 
     reason = "NO_QUORUM"
     retryable = True

@@ -1,4 +1,4 @@
-"""One call on a name as a request to the directory, and what its answer shows, for channels and for queues alike."""
+"""The requests for calls about a name, and the facts in the answers, for channels and queues alike."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FINAL = FINAL_REASONS | {"QUEUE_NOT_FOUND"}
 
 
 def request_of(name: str, call: Call, random_source: random.Random) -> tuple[str, Any]:
-    """The RPC and its request. Names below QUEUES are those of queues."""
+    """The RPC and its request. Names below QUEUES are names of queues."""
     return (
         _queue_request(name, call, random_source)
         if name.startswith(QUEUES)
@@ -57,7 +57,7 @@ def _queue_request(name: str, call: Call, random_source: random.Random) -> tuple
 
 
 def shown(name: str, answer: Any) -> Seen:
-    """What an answer that holds a record showed."""
+    """The facts in an answer with a record."""
     created = getattr(answer, "created", False)
     if not name.startswith(QUEUES):
         return seen_in(answer.channel, created=created)
@@ -66,7 +66,7 @@ def shown(name: str, answer: Any) -> Seen:
 
 
 def refusal_of(reason: str) -> Refusal:
-    """A queue is judged by the model of channels, in its words."""
+    """The refusal in the terms of channels: queues have the same model."""
     return Refusal("CHANNEL_NOT_FOUND" if reason == "QUEUE_NOT_FOUND" else reason)
 
 

@@ -1,4 +1,4 @@
-"""Channel hosts in simulated time: the production lease and channel store, under a registration of a few lines."""
+"""Channel hosts in simulated time: the production lease and channel store, with a short registration."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ CHANNELS_LISTED_MAX = 1000
 
 
 class AtOnce(PieceScheduler):
-    """Long work without an event loop: all of its pieces at once."""
+    """Performs all pieces of long work in one go, without an event loop."""
 
     def begin(self, pieces: Pieces[None]) -> None:
-        """Do all of it."""
+        """Perform all pieces."""
         for _ in pieces:
             pass
 
 
 class Ownership:
-    """What all hosts together do, seen in true time."""
+    """All hosts together, in true time."""
 
     def __init__(self) -> None:
         self.hosts: list[SimHost] = []
@@ -42,7 +42,7 @@ class Ownership:
         self._highest: dict[bytes, int] = {}
 
     def acknowledged(self, channel_id: bytes, epoch: int) -> None:
-        """A host has just taken an item under this epoch. Raises PromiseBroken."""
+        """Note that a host has taken an item under this epoch. Raises PromiseBroken if that breaks a rule."""
         self.puts += 1
         if epoch < self._highest.get(channel_id, 0):
             raise PromiseBroken(f"an item was taken under epoch {epoch} after one under {self._highest[channel_id]}")
@@ -57,7 +57,7 @@ class Ownership:
 
 
 class SimHost:
-    """One host. It restarts with a new boot incarnation, freezes, and is far from the directory at times."""
+    """One host. It restarts with a new boot incarnation, freezes, and sometimes cannot reach the directory."""
 
     def __init__(self, world: DirectoryWorld, number: int, ownership: Ownership) -> None:
         self.world, self._ownership = world, ownership
@@ -72,7 +72,7 @@ class SimHost:
         self.restart()
 
     def restart(self) -> None:
-        """Killed and started: nothing is left but the id."""
+        """Kill and start the host. Only its id stays."""
         number = int.from_bytes(self._host_id, "big")
         self.identity = HostIdentity(
             host_id=self._host_id, name=f"host-{number}", boot_incarnation=1000 * number + next(self._boots)
@@ -90,13 +90,13 @@ class SimHost:
         self._run(self._keep)
 
     def epoch_served(self, channel_id: bytes) -> int:
-        """Under which epoch it would serve the channel now; 0: it would not."""
+        """The epoch under which it would serve the channel now; 0: it would not serve it."""
         held = (one for one in self.store.all() if one.record.channel_id == channel_id)
         served = next(held, None)
         return served.epoch if served is not None and self.store.lease_held() else 0
 
     def put(self, channel_id: bytes, epoch: int) -> None:
-        """Somebody's put arrives."""
+        """Take a put of a caller."""
         self._run(lambda: self._take(channel_id, epoch))
 
     def _run(self, make: Any) -> None:
@@ -110,16 +110,18 @@ class SimHost:
             call()
 
     async def _take(self, channel_id: bytes, epoch: int) -> None:
-        binding = self._binding  # of this start of the process
+        binding = self._binding  # belongs to this start of the process
         if channel_id in binding:
-            return  # it would wait for the store's lock, which takes an event loop; the caller would look again
+            # the production code would wait here for the store's lock, which needs an event loop; the caller tries
+            # again
+            return
         binding.add(channel_id)
         try:
             await self.store.bind(channel_id, epoch)
             self.store.find(channel_id, epoch)
             self._ownership.acknowledged(channel_id, epoch)
         except StampedeError:
-            pass  # the caller would look again
+            pass  # the caller tries again
         finally:
             binding.discard(channel_id)
 

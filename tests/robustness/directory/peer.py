@@ -1,4 +1,7 @@
-"""Peers in simulated time: each wants a name of few, keeps its lease, and holds that nobody else has the name."""
+"""Peers in simulated time.
+
+Each wants one of a few names, keeps its lease, and believes that no other peer has its name.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ NAMES = ("planner", "driver")
 
 
 class NameOwnership:
-    """What all peers together believe, seen in true time."""
+    """The beliefs of all peers together, in true time."""
 
     def __init__(self, world: DirectoryWorld) -> None:
         self.peers: list[SimPeer] = []
@@ -27,7 +30,7 @@ class NameOwnership:
         self._world = world
 
     def granted(self, name: str) -> None:
-        """A peer has just been told that the name is its own. Raises PromiseBroken."""
+        """Note that a peer got the name. Raises PromiseBroken if another one believes that it has the name."""
         self.grants += 1
         owners = [peer.number for peer in self.peers if peer.name == name and peer.believes()]
         if len(owners) > 1:
@@ -38,7 +41,7 @@ class NameOwnership:
 
 
 def check_mailboxes(directory: Directory) -> None:
-    """A peer has a mailbox if and only if it lives and has a name. Raises PromiseBroken."""
+    """Check that exactly the live peers with a name have a mailbox. Raises PromiseBroken."""
     tables = directory.tables
     held = {one.mailbox_peer_id: one.queue_id for one in tables.queues.by_id.values() if one.mailbox_peer_id}
     due = {one.peer_id: one.mailbox_queue_id for one in tables.peers.live() if one.name}
@@ -47,7 +50,10 @@ def check_mailboxes(directory: Directory) -> None:
 
 
 class SimPeer:
-    """One peer. It restarts with its proof and a new boot incarnation, and freezes; its lease is fenced as a host's."""
+    """One peer.
+
+    It restarts with its proof and a new boot incarnation, and freezes. Its lease has a fence, like a host's.
+    """
 
     def __init__(self, world: DirectoryWorld, number: int, ownership: NameOwnership) -> None:
         self.world, self.number, self._ownership = world, number, ownership
@@ -60,7 +66,7 @@ class SimPeer:
         self.restart()
 
     def restart(self) -> None:
-        """Killed and started; it kept its id and proof."""
+        """Kill and start the peer. It keeps its id and proof."""
         self.boot = 1000 * (self.number + 1) + next(self._boots)
         self.name = self.world.random_source.choice(NAMES)
         self.lease, self.epoch = HostLease(), RegistrationEpoch()
@@ -68,7 +74,7 @@ class SimPeer:
         drive(self._keep, alive=lambda: self.boot == boot, gate=self._when_awake)
 
     def believes(self) -> bool:
-        """It would say now that it has its name."""
+        """Whether it believes now that it has its name."""
         return self.lease.is_held(self.clock.boottime_nanos())
 
     def _when_awake(self, call: Any) -> None:
@@ -89,7 +95,7 @@ class SimPeer:
                 if self.epoch.may_overtake(error):
                     continue
             except StampedeError:
-                pass  # the name is taken, or nobody answered; tried again below
+                pass  # the name is taken, or no supernode answered; tried again below
             await self.world.sleep(max(0.05, self.lease.renewal_in_nanos(self.clock.boottime_nanos()) / 1e9))
 
     async def _enter(self) -> None:

@@ -17,7 +17,7 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 
 class CheckedReplica(NewerReplica):
-    """The newer release's directory, which says when the log holds what it should have kept out."""
+    """The newer release's directory. It reports a command in the log that the log should have refused."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """As in production."""
@@ -27,13 +27,13 @@ class CheckedReplica(NewerReplica):
 
 
 class UpgradedMember(DirectoryMember):
-    """One supernode, of today's release at first."""
+    """One supernode, first with today's release."""
 
     world: UpgradeWorld
     software: type[DirectoryReplica] = DirectoryReplica
-    # Whether it ever ran the newer release, and may have told so.
+    # Whether it ever ran the newer release, and may have reported the newer level.
     was_newer = False
-    # Until when its machine is off, and nobody can start or upgrade it.
+    # Its machine is off until then: nobody can start or upgrade the member.
     off_until = 0.0
 
     @property
@@ -49,7 +49,7 @@ class UpgradedMember(DirectoryMember):
         self._directory = self.software()
 
     def start(self) -> None:
-        """As in production; a release that is too old for its own folder does not come up."""
+        """Start as in production. A release that is too old for its own folder ends."""
         self.was_newer |= self.software is CheckedReplica
         self._outdated = Refusals()
         try:
@@ -67,7 +67,7 @@ class UpgradedMember(DirectoryMember):
         self.run(keep)
 
     def refuse_release(self, by: str, why: str) -> None:
-        """Another member has told it that it is too old: it ends once that is confirmed."""
+        """Note that another member has refused it as too old. It ends once that is confirmed."""
         assert self.replica is not None
         others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
         if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
@@ -75,7 +75,7 @@ class UpgradedMember(DirectoryMember):
             self.crash()
 
     def run_release(self, release: type[DirectoryReplica]) -> None:
-        """Somebody starts it with another release."""
+        """Start it with another release."""
         if self.replica is not None:
             self.crash()
         self.software = release
@@ -92,7 +92,7 @@ class UpgradedMember(DirectoryMember):
             self._judge_rise(self.replica)
 
     def _judge_rise(self, replica: RaftReplica) -> None:
-        """The first who applies the new level sees whom it is meant for."""
+        """At the first member that applies the new level, check which members the level is meant for."""
         members = [self.world.members[one.member_id] for one in _applied_members(replica)]
         if unknown := [one.member.member_id for one in members if not one.was_newer]:
             raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever reported to know")
@@ -102,13 +102,13 @@ class UpgradedMember(DirectoryMember):
             raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever reported to know")
 
     def _is_in(self) -> bool:
-        """Whether it is a member by what another one has applied, and not somebody who would like to be."""
+        """Whether another member has applied its addition, so that it is more than a process that wants to join."""
         replicas = [one.replica for one in self.world.alive() if one is not self]
         return any(self.member in _applied_members(one) for one in replicas if one)
 
 
 def _applied_members(replica: RaftReplica) -> Sequence[Member]:
-    """Who the members are at the last position that this replica has applied."""
+    """The members at the last index that this replica has applied."""
     return replica._log.configurations.at(replica._node.last_applied).members
 
 
@@ -116,7 +116,7 @@ class UpgradeWorld(DirectoryWorld):
     """A DirectoryWorld whose members change their release."""
 
     members: dict[str, UpgradedMember]  # type: ignore[assignment]
-    # A leader that is slow to raise the level leaves time for newcomers to come in between.
+    # A leader that raises the level slowly gives newcomers time to join before that.
     level_tick_seconds = TICK_SECONDS
     # Whether a member has applied the newer release's level.
     has_risen = False

@@ -1,8 +1,8 @@
-"""The whole directory through seeded bad weather: `python -m tests.robustness.directory.simulate --seeds 200`.
+"""The whole directory under random faults: `python -m tests.robustness.directory.simulate --seeds 200`.
 
-Production code: the replicated log, the state machine, leases, service, and the hosts' lease and channel store.
-Made up: time, network, disks, clocks that drift and wall clocks that are set. One seed is one run, the same every time:
-`--first SEED --seeds 1` replays a failure.
+Production code: the replicated log, the state machine, leases, the service, and the hosts' lease and channel store.
+Simulated: time, network, disks, clocks that drift, and wall clocks that are set. A seed determines the whole run:
+`--first SEED --seeds 1` repeats a failure.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Caller:
         return Update(seen.channel_id, seen.epoch, self._value)
 
     async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> object:
-        """What the history gets; None: unknown; a StampedeError: certainly not done."""
+        """The answer for the history; None: unknown; a StampedeError: the call certainly had no effect."""
         method, request = request_of(name, call, self._world.random_source)
         outcome = await self._persist(method, request)
         if isinstance(outcome, StampedeError) and outcome.reason in FINAL:
@@ -128,7 +128,7 @@ class Caller:
 
 
 class DirectoryStorm:
-    """Faults, callers and hosts over a world, until it ends."""
+    """Makes faults and calls, and runs hosts, until the world ends."""
 
     def __init__(self, world: DirectoryWorld) -> None:
         self.world, self.over = world, False
@@ -159,7 +159,7 @@ class DirectoryStorm:
                 self._repeat(rate, happen)
 
     def put(self, host_id: bytes, seen: Seen) -> None:
-        """A caller goes to the owner that it was told, and again later, with what it knew then."""
+        """Put at the owner that the caller knows, and later again with the same knowledge."""
         owner = next((host for host in self._hosts if host.identity.host_id == host_id), None)
         for _ in range(2):
             delay = self.world.trip()
@@ -191,9 +191,10 @@ class DirectoryStorm:
         frozen.frozen_until = self.world.now + self.world.random_source.uniform(0.2, 5.0)
 
     def _cut_leader_off(self) -> None:
-        """No other supernode reaches whoever leads. Nor does any host or peer; or some do, and reach nobody else.
+        """Cut the leader off from the other supernodes. Either hosts and peers cannot reach it either, or some reach
+        only it.
 
-        In the second case it may stand still, too, and go on as if no time had passed.
+        In the second case it may also freeze, and go on as if no time had passed.
         """
         random_source, world = self.world.random_source, self.world
         leaders = self._leaders()
@@ -215,10 +216,11 @@ class DirectoryStorm:
         world.after(seconds, heal)
 
     def _hang_leader(self) -> None:
-        """The disk of whoever leads hangs. It goes on to talk to callers, and takes itself for the leader for a while.
+        """Let the leader's disk hang. The leader goes on to answer callers, and counts itself as the leader for a
+        while.
 
-        Two hosts or peers reach nobody else meanwhile, so that its successor takes them for lost. If leases are long,
-        all reach its successor, and the hanging one takes them for lost.
+        Two hosts or peers reach only this leader meanwhile, so its successor counts them as lost. If leases are long,
+        all reach its successor, and the hanging leader counts them as lost.
         """
         random_source, world = self.world.random_source, self.world
         leaders, long = self._leaders(), world.lease_ttl_nanos == LONG_TTL_NANOS
@@ -231,15 +233,19 @@ class DirectoryStorm:
         world.after(seconds, lambda: world.unreachable.difference_update(ways))
 
     def _hang_before_a_renewal(self) -> None:
-        """The leader's disk hangs just before a host renews, so the leader has not heard from the host for a while."""
+        """Let the leader's disk hang just before a host renews, so that the leader has not heard from the host for a
+        while.
+        """
         host = self.world.random_source.choice(self._hosts)
         due_s = host.lease.renewal_in_nanos(host.clock.boottime_nanos()) / 1e9
         self.world.after(max(0.0, due_s - 0.05), self._hang_leader)
 
     def _delay_registration(self) -> None:
-        """A host or peer is killed while it registers, and started again. What it had sent comes once that one is in.
+        """Kill a host or peer while it registers, and start it again. Its former request arrives after the new
+        registration.
 
-        It is the first that it sent, or the one with the number that it took when it was told of its predecessor.
+        The former request is its first one, or the one with the number that it took after it learned of its
+        predecessor.
         """
         random_source, world = self.world.random_source, self.world
         one: Any = random_source.choice([*self._hosts, *self._peers])
@@ -276,10 +282,10 @@ class DirectoryStorm:
 
 
 def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryStorm:
-    """One seed: storm, calm, judgement. Raises PromiseBroken or NotLinearizable; the arguments plant faults."""
+    """Run one seed: faults, healing, checks. Raises PromiseBroken or NotLinearizable. The arguments plant faults."""
     random_source = random.Random(f"directory-{seed}")
     size, weather = random_source.choice([3, 3, 3, 5]), weather_of(random_source)
-    if seed % 5 in (1, 3):  # nothing but leaders that stand still (1), are cut off or hang: somebody succeeds them
+    if seed % 5 in (1, 3):  # only leaders that freeze (1), or are cut off or hang (3), so that others succeed them
         weather = Weather(delay_mean=weather.delay_mean)
     ttl_nanos, timing = (LONG_TTL_NANOS, SOON_SUCCEEDED) if seed % 5 == 1 else (LEASE_TTL_NANOS, TIMING)
     world = DirectoryWorld(seed, size=size, weather=weather, leases=leases, lease_ttl_nanos=ttl_nanos, timing=timing)
@@ -301,7 +307,7 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
 
 
 def digest_of(storm: DirectoryStorm) -> str:
-    """Stands for all that happened: runs that differ anywhere drew other random numbers from then on."""
+    """A hash of the whole run. Runs that differ anywhere drew other random numbers from then on."""
     random_state = storm.world.random_source.getstate()
     happened = (storm.recorder.operations, storm.ownership.puts, storm.name_ownership.grants, random_state)
     return hashlib.sha256(repr(happened).encode()).hexdigest()
@@ -315,7 +321,7 @@ def _revive(world: DirectoryWorld) -> None:
 
 
 def _calm(storm: DirectoryStorm) -> None:
-    """Heal everything; then every name must be readable at every supernode, and the reads belong to the history."""
+    """Heal everything. Then read every name at every supernode, as a part of the history."""
     world = storm.world
     world.weather = Weather()
     world.unblock(list(world.wires))
@@ -351,8 +357,8 @@ async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, wa
 
 
 def run_seeds(first: int, count: int) -> Simulated:
-    """Many seeds; the failed ones are named, with what went wrong on stderr."""
-    logging.disable(logging.WARNING)  # services complain of the weather, as they should
+    """Run many seeds, and print the failed ones with their errors on stderr."""
+    logging.disable(logging.WARNING)  # services warn of the injected faults
     failed, operations, acknowledged, puts, began = [], 0, 0, 0, time.monotonic()
     for seed in range(first, first + count):
         try:
@@ -369,7 +375,7 @@ def run_seeds(first: int, count: int) -> Simulated:
 
 
 def main() -> int:
-    """Run many seeds and name those that fail."""
+    """Run many seeds, and print those that fail."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)

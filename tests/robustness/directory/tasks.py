@@ -1,4 +1,4 @@
-"""The product's coroutines without an event loop: in the simulator's time, in an order that the seed decides."""
+"""Runs the product's coroutines without an event loop, in simulated time and in an order that the seed decides."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ Start = Callable[[Resume], None]
 
 @types.coroutine
 def wait(start: Start) -> Generator[Start, Any, Any]:
-    """Suspend the coroutine; `start` gets the function that resumes it, once, with the value that this returns."""
+    """Suspend the coroutine. `start` gets the function that resumes it once, with a value.
+
+    `wait` returns this value.
+    """
     return (yield start)
 
 
@@ -22,10 +25,10 @@ def drive(
     alive: Callable[[], bool] = lambda: True,
     gate: Callable[[Callable[[], None]], None] = lambda call: call(),
 ) -> None:
-    """Make the coroutine and run it to its end.
+    """Make the coroutine, and run it to its end.
 
-    Once `alive` is False it is not resumed any more: its process was killed. `gate` calls at once, or later if the
-    process is frozen.
+    Once `alive` is False, it is not resumed any more, because its process was killed. `gate` calls a function at once,
+    or later if the process is frozen.
     """
 
     coroutine: Coroutine[Start, Any, None] | None = None

@@ -1,4 +1,4 @@
-"""The directory through seeded bad weather, and planted faults that the same judgement must find."""
+"""The directory under random faults, and planted faults that the same checks must find."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.robustness.histories.channel_model import acknowledged_writes
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.support.supernode.list_machine import PromiseBroken
 
-# Only so that it ends some time: simulated time takes as long as the machine is busy.
+# Only to end a run that hangs: simulated time takes as long as the machine is busy.
 pytestmark = pytest.mark.timeout(600)
 
 SEEDS_IN_SUITE, BLOCKS = 16, 4
@@ -40,14 +40,14 @@ def test_histories_are_linearizable_and_nothing_has_two_owners_in_bad_weather(bl
         writes += acknowledged_writes(storm.recorder.operations)
         puts += storm.ownership.puts
         grants += storm.name_ownership.grants
-    # Simulated time passes alike on every machine, so these are the same numbers however busy it is.
+    # Simulated time is the same on every machine, so these numbers do not depend on the load.
     assert writes > 60, "the weather was so bad that nothing was tested"
     assert puts > 50, "the weather was so bad that no host served"
     assert grants > 30, "the weather was so bad that no peer was in"
 
 
 def test_a_seed_gives_the_same_run_in_every_process() -> None:
-    """Python orders a set of texts by PYTHONHASHSEED: one that two leaders were in decided which drew first."""
+    """Python orders a set of texts by PYTHONHASHSEED. Such a set once decided which of two leaders drew first."""
     first, second = (digests_of(*TWO_LEADERS_AT_ONCE, hash_seed=seed) for seed in (0, 5))
     assert len(first) == len(TWO_LEADERS_AT_ONCE)
     assert first == second
@@ -61,7 +61,7 @@ def digests_of(*seeds: int, hash_seed: int) -> list[str]:
 
 
 class ShortOfMemory(_Leases):
-    """A leader that means a shorter lease than the cluster was founded with, and than its hosts were told."""
+    """A leader that uses a shorter lease than that of the cluster, which its hosts know."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         await super()._take_over(status)
@@ -77,7 +77,7 @@ class ShortOfPeersMemory(_Leases):
 
 
 class NeverFenced(HostLease):
-    """A host that goes on until it is told that its lease has ended."""
+    """A host that serves until the directory tells it that its lease has ended."""
 
     def is_held(self, now: int) -> bool:
         return self._fence_nanos is not None
@@ -95,7 +95,7 @@ def found_within(seeds: int, **planted: Any) -> bool:
         try:
             simulate.run(seed, **planted)
         except (PromiseBroken, NotLinearizable, InvariantViolation):
-            return True  # the last: a supernode noticed it itself, and went no further
+            return True  # the last one: a supernode noticed the fault itself, and stopped
     return False
 
 

@@ -1,4 +1,4 @@
-"""Rolling upgrades of three and five simulated supernodes in bad weather."""
+"""Rolling upgrades of three and five simulated supernodes under random faults."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Rolling upgrades in seeded bad weather: `python -m tests.robustness.directory.upgrading --seeds 100`.
+"""Rolling upgrades under random faults: `python -m tests.robustness.directory.upgrading --seeds 100`.
 
-Three or five supernodes of today's release are replaced by those of a newer one (tests/support/newer_release.py), one
-by one and sometimes back again, while they are killed, split and hang, and newcomers of both releases join. A machine
-may be off while the others are upgraded, and comes back with the release that it had. All the time somebody proposes
-the newer release's command straight to the log, which no supernode would do: the log must keep it out until all know
-it. No two states may come to differ, no command above the level may be in the log, and no member may be left behind by
-a level that it never reported to know. In the end all run the newer release, and the command works.
+Three or five supernodes of today's release are replaced one by one by a newer release (tests/support/newer_release.py),
+and sometimes back again. Meanwhile they are killed, split and hang, and newcomers of both releases join. A machine may
+be off while the others are upgraded, and comes back with its former release. A test caller always proposes the newer
+release's command directly to the log, which no supernode would do. The log must refuse the command until all members
+know it. No two states may differ, no command above the level may be in the log, and no member may be left behind by a
+level that it never reported to know. In the end all members run the newer release, and the command works.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ HOST_ID = (1).to_bytes(16, "big")
 
 
 class Upgrade:
-    """Faults, upgrades and callers over a world, until it ends."""
+    """Makes faults, upgrades and calls in a world, until it ends."""
 
     def __init__(self, world: UpgradeWorld) -> None:
         self.world, self.over = world, False
-        # What became of the newer release's command.
+        # The outcomes of the newer release's command.
         self.capped = 0
         self._numbers = iter(range(1, 10**9))
-        # What those who asked to join were told.
+        # The answers to processes that asked to join.
         self._asked: list[list[ChangeOutcome]] = []
         self._newcomers: list[UpgradedMember] = []
         self._waiting = list(world.members.values())
@@ -96,7 +96,7 @@ class Upgrade:
         self.world.after(self.world.random_source.uniform(0.3, 4.0), lambda: self.world.unblock(pairs))
 
     def _switch_off(self) -> None:
-        """One machine is off for longer than it takes to upgrade most of the others."""
+        """Switch one machine off for longer than the upgrade of most others takes."""
         members = list(self.world.members.values())
         if not any(one.is_off for one in members):
             member = self.world.random_source.choice(members)
@@ -105,7 +105,7 @@ class Upgrade:
                 member.crash()
 
     def _upgrade(self) -> None:
-        """The next one whose machine is on."""
+        """Upgrade the next member whose machine is on."""
         ready = [one for one in self._waiting if not one.is_off]
         if ready:
             self._waiting.remove(ready[-1])
@@ -114,21 +114,24 @@ class Upgrade:
             self._volunteer()  # just before the level rises
 
     def _go_back(self) -> None:
-        """One is started with the older release again: that may be, until the level has risen; then it ends."""
+        """Start a member with the older release again. It may run until the level has risen; then it ends."""
         member = self.world.random_source.choice(list(self.world.members.values()))
         if member not in self._waiting and not member.is_off:
             member.run_release(DirectoryReplica)
             self._waiting.append(member)
 
     def _join(self) -> None:
-        """The last newcomer asks a leader to let it in, again and again."""
+        """Ask a leader again and again to let the last newcomer in."""
         leaders = [one for one in self.world.alive() if one.replica is not None and one.replica.status().is_leader]
         if leaders and self._newcomers:
             newcomer = self._newcomers[-1].member
             self._asked.append(self.world.change(self.world.random_source.choice(leaders), newcomer, is_removal=False))
 
     def _volunteer(self) -> None:
-        """One of either release would like to be a member; an older one is upgraded as the others are."""
+        """Start a process of either release that wants to join.
+
+        One of the older release is upgraded like the others.
+        """
         if len(self._newcomers) == NEWCOMERS_MAX:
             return
         seeds = next(iter(self.world.members.values())).settings.initial_members
@@ -140,7 +143,7 @@ class Upgrade:
             self._waiting.insert(0, newcomer)
 
     def answered(self, kind: type) -> int:
-        """How many who asked to join were answered so."""
+        """How many processes that asked to join got this answer."""
         return sum(isinstance(outcome, kind) for outcomes in self._asked for outcome in outcomes)
 
     def _register(self) -> None:
@@ -166,7 +169,7 @@ class Upgrade:
         self._propose(encode_command(Command(op_id=identity, time_unix_nano=0, operation=operation)))
 
     def cap(self) -> None:
-        """Somebody proposes the newer release's command, without a look at the level."""
+        """Propose the newer release's command without a check of the level."""
         for member in self.world.random_source.sample(self.world.alive(), len(self.world.alive())):
             directory = member.machine._directory
             for channel in directory.tables.channels.values():
@@ -195,7 +198,7 @@ def _revive(world: UpgradeWorld) -> None:
 
 
 def run(seed: int) -> Upgrade:
-    """One seed: storm, calm, judgement. Raises PromiseBroken."""
+    """Run one seed: faults, healing, checks. Raises PromiseBroken."""
     random_source = random.Random(f"upgrade-{seed}")
     world = UpgradeWorld(seed, size=random_source.choice([3, 3, 5]), weather=weather_of(random_source))
     world.level_tick_seconds = random_source.choice([TICK_SECONDS, 8.0])
@@ -215,7 +218,10 @@ def run(seed: int) -> Upgrade:
 
 
 def _calm(storm: Upgrade) -> None:
-    """Heal everything and upgrade everybody: the level rises by itself, the command works, and all states are one."""
+    """Heal everything and upgrade all members.
+
+    Then the level rises by itself, the command works, and all states agree.
+    """
     world = storm.world
     world.weather = Weather()
     world.unblock(list(world.wires))
@@ -247,7 +253,7 @@ def _calm(storm: Upgrade) -> None:
 
 
 def main() -> int:
-    """Run many seeds and name those that fail."""
+    """Run many seeds, and print those that fail."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)

@@ -29,12 +29,12 @@ from tests.robustness.replication.world import TIMING, World
 from tests.support.supernode.list_machine import PromiseBroken
 
 LEASE_TTL_NANOS = 2 * 10**9
-CLOCK_DRIFT_MAX = 0.02  # of each machine's clock against true time; ten times what NTP calls a broken clock
+CLOCK_DRIFT_MAX = 0.02  # the drift of each machine's clock against true time: ten times the drift that NTP accepts
 R = TypeVar("R", bound=Success)
 
 
 class Clock:
-    """A machine's clocks: one that drifts a little, and a wall clock that somebody sets now and then."""
+    """A machine's clocks: one that drifts a little, and a wall clock that is sometimes set."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -56,7 +56,7 @@ class Submission:
         self._member, self._world = member, member.world
 
     def check_state(self) -> None:
-        """A state that differs ends the run (SimMember)."""
+        """End the run if the state differs (SimMember)."""
 
     async def submit(
         self,
@@ -94,7 +94,7 @@ class Submission:
         raise errors.Unavailable("not within the time")
 
     def _later(self, resume: Resume) -> Resume:
-        """Through the event loop of the process, once the log's thread has come back from its disk."""
+        """Resume through the event loop of the process, once the log's thread is back from its disk."""
         later = self._world.later(resume)
         return lambda value: self._member.after_disk(lambda: later(value))
 
@@ -123,7 +123,7 @@ def _checked(result: Any, kind: type[R]) -> R:
 
 
 class _Log:
-    """What the lease keeper asks of the log."""
+    """The methods of the log that the lease keeper uses."""
 
     def __init__(self, member: DirectoryMember) -> None:
         self.member = member
@@ -131,13 +131,13 @@ class _Log:
     def status(self) -> ReplicationStatus:
         assert self.member.replica is not None
         status = self.member.replica.status()
-        if self.member.stuck_seconds > STUCK_SECONDS:  # as PySyncObjLog says it
+        if self.member.stuck_seconds > STUCK_SECONDS:  # as PySyncObjLog reports it
             return replace(status, leader_id=None, is_leader=False, tenure=0)
         return status
 
 
 class _Leases(LeaseKeeper):
-    """The production one; only the ends of several leases are awaited without an event loop."""
+    """The production lease keeper. Only the wait for the ends of several leases needs no event loop."""
 
     _log: _Log  # type: ignore[assignment]
 
@@ -149,7 +149,7 @@ class _Leases(LeaseKeeper):
 
     @staticmethod
     async def _give_way() -> None:
-        """Nobody waits for a turn: there is no event loop."""
+        """Do nothing: there is no event loop."""
 
     def _end_all(self, due: list[tuple[bytes, int, int]], resume: Resume) -> None:
         left = len(due)
@@ -171,7 +171,7 @@ Process = tuple[bytes, int]
 
 
 class WatchedDirectory(DirectoryReplica):
-    """The production one; says which processes a command has taken out of the directory."""
+    """The production replica. It reports the processes that a command has taken out of the directory."""
 
     def __init__(self, ended: Callable[[int, set[Process]], None]) -> None:
         super().__init__()
@@ -190,8 +190,7 @@ class WatchedDirectory(DirectoryReplica):
 
 
 class DirectoryMember(SimMember):
-    """One supernode: the member of the log, and the service on it. Whatever machine a member is given, it drives a
-    directory."""
+    """One supernode: the member of the log, and its services. Each member of this world drives a directory."""
 
     world: DirectoryWorld
     _directory: DirectoryReplica
@@ -229,7 +228,7 @@ class DirectoryMember(SimMember):
         self.run(lambda: self._tick(leases))
 
     def run(self, make: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Run it in this process: it ends with it, and stands still while it is frozen."""
+        """Run a coroutine in this process. It ends with the process, and waits while the process is frozen."""
         process = self.replica
         drive(make, alive=lambda: self.replica is process, gate=self._when_awake)
 
@@ -261,13 +260,13 @@ class DirectoryWorld(World):
         timing: RaftTiming = TIMING,
     ) -> None:
         self.leases, self.lease_ttl_nanos = leases, lease_ttl_nanos
-        # Who cannot reach which supernode at present.
+        # The callers that cannot reach a supernode at present.
         self.unreachable: set[tuple[object, str]] = set()
-        # Which supernode answered whom last.
+        # For each caller: the supernode that answered it last.
         self.last_answered: dict[object, DirectoryMember] = {}
-        # Hosts and peers by id: whether their process of that boot incarnation counts on its lease at this moment.
+        # Hosts and peers by id: whether the process of that boot incarnation counts on its lease at this moment.
         self.counts_on_lease: dict[bytes, Callable[[int], bool]] = {}
-        # Whose registrations the network holds: those with this registration epoch or a higher one; and the held ones.
+        # For each caller: the registration epoch from which on the network holds its registrations, and the held ones.
         self._held_from: dict[object, int] = {}
         self._held: dict[object, list[Callable[[], None]]] = {}
         self._applied_first = 0
@@ -281,13 +280,13 @@ class DirectoryWorld(World):
         await wait(lambda resume: self.after(seconds, lambda: resume(None)))
 
     def later(self, resume: Resume) -> Resume:
-        """`resume`, but through the event loop of the process, a moment later."""
+        """`resume`, through the event loop of the process, a moment later."""
         return lambda value: self.after(self.random_source.random() * 0.002, lambda: resume(value))
 
     def leases_ended(self, index: int, processes: set[Process]) -> None:
-        """The command at this position has taken these out of the directory. Raises PromiseBroken.
+        """Check the processes that the command at this index has taken out of the directory. Raises PromiseBroken.
 
-        Only the first member to apply it shows when it was committed.
+        Only the first member that applies the command shows when it was committed.
         """
         if index <= self._applied_first:
             return
@@ -301,7 +300,7 @@ class DirectoryWorld(World):
         self._held_from[caller] = from_epoch
 
     def held_registrations(self, caller: object) -> list[Callable[[], None]]:
-        """Hold no more of them; each of those held arrives when it is called."""
+        """Hold no further registrations. Returns the held ones; a call of one lets it arrive."""
         self._held_from.pop(caller, None)
         return self._held.pop(caller, [])
 
@@ -317,9 +316,9 @@ class DirectoryWorld(World):
         caller: object = None,
         age_s: float = 0.0,
     ) -> Any:
-        """One RPC over a bad network: the response, the StampedeError, or None if nothing was heard in time.
+        """Make one RPC over a bad network. Returns the response, the StampedeError, or None if no answer came in time.
 
-        `age_s`: since when the caller repeats it.
+        `age_s`: the time for which the caller has repeated the call.
         """
         way = (caller, member.member.member_id)
         return await wait(lambda resume: self._call(member, method, request, timeout, way, age_s, resume))
@@ -343,7 +342,7 @@ class DirectoryWorld(World):
         def arrive() -> None:
             if member.replica is not None:
                 service = next(one for one in member.services if hasattr(one, method))
-                # As in gRPC: the caller sends how long it waits, and the server counts from the arrival.
+                # As in gRPC: the caller sends its time limit, and the server counts from the arrival.
                 context = _Context(self, self.now + timeout, age_s)
                 member.run(lambda: _served(service, method, request, context, answer))
 
@@ -354,7 +353,7 @@ class DirectoryWorld(World):
                 self.after(delay, arrive)
 
     def trip(self) -> float | None:
-        """How long a message between a caller and a service is on its way; None: it is lost."""
+        """The time that a message between a caller and a service takes; None: it is lost."""
         if self.random_source.random() < self.weather.loss / 2:
             return None
         slow = self.random_source.random() < 0.04
@@ -362,7 +361,7 @@ class DirectoryWorld(World):
 
 
 class _Context:
-    """What a servicer asks of gRPC."""
+    """The methods of a gRPC context that servicers use."""
 
     def __init__(self, world: DirectoryWorld, deadline: float, age_s: float) -> None:
         self._world, self._deadline, self._age_s = world, deadline, age_s
@@ -381,7 +380,7 @@ class _Context:
 
 
 class _Aborted(Exception):
-    """The RPC ended with an error; carries what the caller would be sent."""
+    """The RPC ended with an error. This exception has the status for the caller."""
 
     def trailing_metadata(self) -> Any:
         return self.args[2]

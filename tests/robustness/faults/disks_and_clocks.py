@@ -1,4 +1,4 @@
-"""Disks that are full or damaged, clocks that step, file descriptors that run out."""
+"""Faults of machines: full or damaged disks, clocks that step, and file descriptors that run out."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ CLOCK_TOLERANCE_SECONDS = 5.0
 
 
 async def full_disk(scene: Scene) -> None:
-    """The disk of one supernode, a small tmpfs, has no byte left for a while."""
+    """Fill the disk of one supernode, a small tmpfs, for a while."""
     victim = next(one for one in scene.cluster.supernodes if one.has_small_disk)
     began = time.monotonic()
     ballast = victim.data_dir / "ballast"
-    with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):  # full, as wanted
+    with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):  # the disk is full now, as wanted
         while file.write(b"\0" * 4096):
             pass
     free = os.statvfs(victim.data_dir).f_bavail
     if free:
         raise FaultHadNoEffect(f"the disk of {victim.name} has {free} blocks left")
     recovery = await scene.recovery(began)
-    for _ in range(30):  # its write-ahead log has some room of its own; writes enough to need more
+    for _ in range(30):  # the write-ahead log still has some room, so write enough to need more
         if not victim.running:
             break
         await asyncio.gather(*(scene.probe.write(scene.cluster.supernodes[0]) for _ in range(50)))
@@ -45,7 +45,7 @@ async def full_disk(scene: Scene) -> None:
 
 
 async def _has_ended(one: Supernode, *, within_s: float) -> bool:
-    """Whether it ends within that time: a process that writes its last words needs a moment."""
+    """Whether the process ends within that time. It needs a moment for its last log lines."""
     try:
         async with asyncio.timeout(within_s):
             await one.ended()
@@ -55,7 +55,7 @@ async def _has_ended(one: Supernode, *, within_s: float) -> bool:
 
 
 async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
-    """Kill a supernode, damage a file of its store, start it: it must refuse, or serve nothing wrong."""
+    """Kill a supernode, damage a file of its store, and start it. It must refuse the store, or serve nothing wrong."""
     _, victim, _ = await scene.leader_and_other()
     began = time.monotonic()
     await victim.kill()
@@ -66,19 +66,19 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
 
 
 async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[[Path], str]) -> str:
-    """Damage a file and start the supernode with it; return what happened.
+    """Damage a file, and start the supernode with it. Returns what happened, as text.
 
     If the supernode refused the store, the store is as in `spare` afterwards.
     """
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
-    # In half of the cases the largest file, which holds the log; else any file, so that small ones are damaged, too.
+    # In half of the cases the largest file, which holds the log; else any file, so that small files are damaged, too.
     chosen = scene.rng.choice([max(files, key=lambda file: file.stat().st_size), scene.rng.choice(files)])
     what = harm(chosen)
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
         raise FaultHadNoEffect(f"{chosen.name} is as it was")
     started = await victim.start()
     note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_words()[:160]!r}")
-    await asyncio.sleep(2.0)  # if it serves wrong data, the callers see them in this time
+    await asyncio.sleep(2.0)  # if it serves wrong data, callers see them within this time
     if not started or not victim.running:
         await victim.end()
         for file in victim.data_dir.iterdir():
@@ -110,7 +110,7 @@ async def truncate(scene: Scene) -> None:
 
 
 async def step_clock(scene: Scene) -> None:
-    """Step the clock of the leader or of all services. Certificates, where there are any, stay valid."""
+    """Step the clock of the leader, or of all services. Certificates, if there are any, stay valid."""
     secured = scene.cluster.certificates is not None
     seconds = scene.rng.choice([-120.0, HOUR, 30 * DAY] if secured else [-HOUR, HOUR, -3650 * DAY, 3650 * DAY])
     leader = await scene.cluster.leader()
@@ -134,7 +134,7 @@ async def step_clock(scene: Scene) -> None:
 
 
 async def exhaust_descriptors(scene: Scene) -> None:
-    """Let a service open only three more files while many callers connect to it."""
+    """Let a service open only three more files, while many callers connect to it."""
     victim = scene.rng.choice(scene.cluster.processes())
     began = time.monotonic()
     limit = victim.limit_descriptors(3)
@@ -169,14 +169,14 @@ def _connect(one: PlacedProcess) -> socket.socket:
 
 
 def _answers(one: PlacedProcess) -> str:
-    """Whether a new connection is accepted and kept, that is, whether the service still listens."""
+    """Whether the service still listens: it accepts and keeps a new connection. Returns evidence as text."""
     with socket.create_connection((one.namespace.address, one.port), timeout=10) as connection:
         connection.settimeout(1.0)
         if one.tls is None:
             connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)))
         try:
             return "served" if connection.recv(9) else "closed at once"
-        except TimeoutError:  # a service with certificates waits for our hello
+        except TimeoutError:  # a service with certificates waits for the caller's hello
             return "served" if one.tls is not None else "not answered"
 
 

@@ -1,4 +1,4 @@
-"""Channel hosts killed, stopped and cut off: what they acknowledged under a lease that ended, nobody may believe."""
+"""Faults of channel hosts: killed, stopped and cut off. No caller may believe an answer given under an ended lease."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RETRY_SECONDS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Pinned:
-    """A channel of our own at one host, with an item in it."""
+    """A channel of this test at one host, with an item in it."""
 
     channel: aio.Channel
     host: Host
@@ -42,7 +42,7 @@ class Pinned:
 
 
 async def kill_host(scene: Scene) -> None:
-    """It stays away: its channels get a new owner when its lease has ended."""
+    """Kill a host. Its channels get a new owner when its lease has ended."""
     pinned = await _pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
@@ -54,7 +54,10 @@ async def kill_host(scene: Scene) -> None:
 
 
 async def restart_host(scene: Scene) -> None:
-    """It is back within its lease: its channels stay with it, empty, in a new incarnation."""
+    """Kill a host, and start it again within its lease.
+
+    Its channels stay at this host, empty, with a new incarnation.
+    """
     pinned = await _pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
@@ -67,7 +70,7 @@ async def restart_host(scene: Scene) -> None:
 
 
 async def kill_all_hosts(scene: Scene) -> None:
-    """All at once, started again at once."""
+    """Kill all hosts together, and start them again at once."""
     pinned = await _pin(scene)
     began = time.monotonic()
     for host in scene.cluster.hosts:
@@ -89,7 +92,7 @@ async def kill_all_hosts(scene: Scene) -> None:
 
 
 async def kill_frontend(scene: Scene) -> None:
-    """Clients that are bound go on without it, new channels included."""
+    """Kill the front-end. Bound clients go on without it, also with new channels."""
     frontend = scene.cluster.frontend
     assert frontend is not None
     began = time.monotonic()
@@ -102,7 +105,7 @@ async def kill_frontend(scene: Scene) -> None:
 
 
 async def kill_everything(scene: Scene) -> None:
-    """Supernodes, front-end and hosts at one moment, all started again at once, as after a power failure."""
+    """Kill supernodes, front-end and hosts together, and start them at once, as after a power failure."""
     pinned = await _pin(scene)
     began = time.monotonic()
     for one in scene.cluster.processes():
@@ -120,7 +123,7 @@ async def kill_everything(scene: Scene) -> None:
 
 
 async def freeze_host(scene: Scene) -> None:
-    """Stopped for longer than its lease. The puts that it finds in its inbox when it goes on, it must refuse."""
+    """Stop a host for longer than its lease. When it goes on, it must refuse the puts that wait in its inbox."""
     pinned = await _pin(scene)
     async with _direct(scene, pinned.host) as connection:
         if not await _accepted(connection, pinned):
@@ -144,7 +147,10 @@ async def freeze_host(scene: Scene) -> None:
 
 
 async def cut_off_host(scene: Scene) -> None:
-    """It reaches no supernode, and its callers reach it: it must fence itself before its channels go elsewhere."""
+    """Cut a host off from the supernodes, but not from callers.
+
+    It must fence itself before its channels get a new owner.
+    """
     pinned = await _pin(scene)
     namespaces = [one.namespace for one in scene.cluster.supernodes]
     pairs = [(pinned.host.namespace, namespace) for namespace in namespaces] + [
@@ -174,7 +180,7 @@ def _traffic(scene: Scene) -> Traffic:
 
 
 async def _pin(scene: Scene) -> Pinned:
-    """Raises StampedeError if the cluster has no such host."""
+    """Make a channel at one host, with an item. Raises StampedeError if the cluster has no such host."""
     traffic = _traffic(scene)
     host = scene.rng.choice(scene.cluster.hosts)
     channel = await traffic.open(f"robust-pinned/{time.monotonic_ns()}", host=host.name)
@@ -185,9 +191,9 @@ async def _pin(scene: Scene) -> Pinned:
 
 
 async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
-    """Put until one is acknowledged under another incarnation; returns how long after `since` that was.
+    """Put until a put is acknowledged under another incarnation.
 
-    Raises TimeoutError.
+    Returns the time since `since`. Raises TimeoutError.
     """
     traffic = _traffic(scene)
     async with asyncio.timeout(PATIENCE_SECONDS):
@@ -195,7 +201,7 @@ async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
             try:
                 item = await traffic.put(pinned.channel)
             except st.StampedeError:
-                pass  # there is no owner for the moment
+                pass  # the channel has no owner at the moment
             else:
                 if item.incarnation != pinned.incarnation:
                     return time.monotonic() - since
@@ -203,7 +209,7 @@ async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
 
 
 def _reopened(pinned: Pinned) -> str:
-    """Raises AssertionError if the channel goes on as if nothing had happened."""
+    """Check that a caller of the reopened channel learns of the loss. Raises AssertionError."""
     after = pinned.channel.info
     if after.epoch <= pinned.before.epoch or after.incarnation == pinned.incarnation:
         raise AssertionError(f"the channel is at epoch {after.epoch} in the same incarnation after its host was lost")
@@ -211,7 +217,7 @@ def _reopened(pinned: Pinned) -> str:
 
 
 async def _read(scene: Scene, pinned: Pinned) -> None:
-    """What is there now goes into the history: an item of the lost incarnation among it would be one of nobody."""
+    """Read the channel's items into the history. An item of the lost incarnation among them would have no put."""
     await _traffic(scene).read_all(pinned.channel)
 
 
@@ -226,7 +232,7 @@ def _direct(scene: Scene, host: Host) -> grpc.aio.Channel:
 
 
 async def _accepted(connection: grpc.aio.Channel, pinned: Pinned) -> bool:
-    """Whether the host takes a put under the epoch of `pinned.before`, by a caller that does not look again."""
+    """Whether the host takes a put under the epoch of `pinned.before`, as a caller with an old binding sends it."""
     request = pb.PutRequest(
         channel_id=pinned.before.channel_id, epoch=pinned.before.epoch, puts=[run_of(b"stale", number=1)]
     )
@@ -241,7 +247,7 @@ async def _accepted(connection: grpc.aio.Channel, pinned: Pinned) -> bool:
 
 
 async def _last_accepted(connection: grpc.aio.Channel, pinned: Pinned) -> float:
-    """Put under the old epoch until the host refuses; when the last one that it took was sent."""
+    """Put under the old epoch until the host refuses. Returns the time at which the last accepted put was sent."""
     last = sent = time.monotonic()
     deadline = sent + 2 * LEASE_TTL_SECONDS
     while await _accepted(connection, pinned):

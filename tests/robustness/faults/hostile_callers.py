@@ -36,7 +36,7 @@ ATTACKER = "attacker"
 LEASE_LOST = "the lease has ended"
 TOKEN_NANOS = 3600 * 10**9
 MIB = 2**20
-# An attack that uses up each quota, with a limit that it meets soon. Nothing is refused beyond `cpu-percent`.
+# For each quota: an attack that uses it up, with a low limit. Beyond `cpu-percent` calls wait, and none is refused.
 QUOTAS: dict[Quota, tuple[str, int]] = {
     Quota.STREAMS: ("many-streams", 100),
     Quota.SUBSCRIPTIONS: ("many-subscriptions", 100),
@@ -53,7 +53,7 @@ _numbers = itertools.count(1)
 
 @dataclass
 class Puts:
-    """The puts of a good client beside an attack: how long each took."""
+    """The puts of a good client beside an attack, and the time that each took."""
 
     took_ms: list[float] = field(default_factory=list)
 
@@ -71,7 +71,7 @@ class Puts:
 
 
 async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
-    """Let the attacker of that name work for a while; with `quota`, its limit is low, and something must be refused.
+    """Run the attack of that name for a while. With `quota`, set a low limit, at which something must be refused.
 
     Raises FaultHadNoEffect, StampedeError for a failed good put, and AssertionError if a host lost its lease.
     """
@@ -113,7 +113,7 @@ def _leases_lost(scene: Scene) -> int:
 
 @asynccontextmanager
 async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]:
-    """The attacker at work, on things whose names begin with `thing`."""
+    """Run the attacker during the block, on things whose names begin with `thing`."""
     ground = await asyncio.to_thread(_ground, scene)
     words = (sys.executable, "-m", "tests.benchmarks.attacks.attacker", name)
     process = await asyncio.create_subprocess_exec(
@@ -161,7 +161,7 @@ def _ground(scene: Scene) -> Ground:
 
 @asynccontextmanager
 async def _limited(scene: Scene, quota: Quota | None) -> AsyncIterator[None]:
-    """Sets a low limit of that quota for the attacker."""
+    """Set a low limit of that quota for the attacker during the block."""
     if quota is None:
         yield
         return
@@ -182,14 +182,14 @@ def _ask(scene: Scene, rpc: str, request: Any) -> None:
 
 
 def _used(scene: Scene) -> list[PartUse]:
-    """What the attacker uses at each part of the cluster, and what was refused."""
+    """The attacker's use and refusals at each part of the cluster."""
     assert scene.cluster.frontend is not None
     with reached(scene.cluster.frontend.address, None) as operator:
         return [part for who in (ATTACKER, f"@{scene.cluster.outside.address}") for part in operator.quota_uses(who)]
 
 
 def _refusals(earlier: list[PartUse], told: list[PartUse], quota: Quota) -> str:
-    """What showed that the attacker met its limit. Raises FaultHadNoEffect."""
+    """The evidence that the attacker met its limit. Raises FaultHadNoEffect if there is none."""
     before = {part: use.refused for part, use in _uses(earlier, quota)}
     for part, use in _uses(told, quota):
         refused = use.refused - before.get(part, 0)

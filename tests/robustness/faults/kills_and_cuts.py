@@ -47,7 +47,10 @@ async def kill_follower(scene: Scene) -> None:
 
 
 async def kill_all(scene: Scene) -> None:
-    """Kill all at once and start them again at once: the recovery includes their start, which is reported apart."""
+    """Kill all supernodes together, and start them at once.
+
+    The recovery includes their start, which is reported apart.
+    """
     began = time.monotonic()
     for one in scene.cluster.supernodes:
         one.signal(signal.SIGKILL)
@@ -110,7 +113,10 @@ Pairs = Sequence[tuple[NetworkNamespace, NetworkNamespace]]
 
 @asynccontextmanager
 async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
-    """Block the traffic from the first to the second of each pair; yields the evidence. Raises FaultHadNoEffect."""
+    """Cut the direction from the first to the second of each pair during the block.
+
+    Yields the evidence. Raises FaultHadNoEffect.
+    """
     network = scene.cluster.network
     try:
         for sender, receiver in pairs:
@@ -121,7 +127,10 @@ async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
 
 
 def _check_ways(scene: Scene, pairs: Pairs) -> str:
-    """Send a datagram each way between all supernodes and cut processes; check that exactly the uncut ways work."""
+    """Send a datagram in each direction between all supernodes and cut processes.
+
+    Check that exactly the uncut ways work.
+    """
     namespaces = {namespace for pair in pairs for namespace in pair} | {
         one.namespace for one in scene.cluster.supernodes
     }
@@ -185,7 +194,7 @@ async def unplug_leader(scene: Scene) -> None:
 
 
 async def past_compaction(scene: Scene) -> None:
-    """A follower is away for longer than the others keep their log: it needs a snapshot."""
+    """Stop a follower for longer than the others keep their log, so that it needs a snapshot."""
     leader, away, other = await scene.leader_and_other()
     began = time.monotonic()
     pairs = [(leader, away), (away, leader), (other, away), (away, other)]
@@ -212,7 +221,7 @@ async def past_compaction(scene: Scene) -> None:
 
 
 async def _grow(scene: Scene, one: Supernode, target: int, *, write: bool = True) -> None:
-    """Wait until `one` has applied up to `target`; `write` what is needed for that."""
+    """Wait until `one` has applied the log up to `target`. With `write`, write as many entries as that needs."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
         try:

@@ -1,4 +1,4 @@
-"""Supernodes that come and go while faults go on, by the commands of the runbook."""
+"""Supernodes join and leave during other faults, by the commands of the runbook."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAUSE_SECONDS = 0.5
 
 
 async def grow_and_shrink(scene: Scene) -> None:
-    """A fourth joins and a follower is removed, while something goes wrong with another."""
+    """Let a fourth supernode join and remove a follower, while another one has a fault."""
     began = time.monotonic()
     troubled = scene.rng.choice(scene.cluster.supernodes)
     async with _trouble(scene, troubled) as trouble:
@@ -37,7 +37,7 @@ async def grow_and_shrink(scene: Scene) -> None:
 
 
 async def remove_leader(scene: Scene) -> None:
-    """A fourth joins and the leader is removed: it hands over first."""
+    """Let a fourth supernode join, and remove the leader, which first hands over."""
     began = time.monotonic()
     newcomer = await _join(scene)
     leader = await scene.cluster.leader()
@@ -50,7 +50,9 @@ async def remove_leader(scene: Scene) -> None:
 
 
 async def replace_dead(scene: Scene) -> None:
-    """One dies with its disk; it is removed, and another joins under a new id, while something goes wrong meanwhile."""
+    """Replace a supernode that died with its disk: remove it, and let another join under a new id, during another
+    fault.
+    """
     _, dead, _ = await scene.leader_and_other()
     began = time.monotonic()
     await dead.kill()
@@ -66,7 +68,7 @@ async def replace_dead(scene: Scene) -> None:
 
 
 async def volunteer_leaves(scene: Scene) -> None:
-    """One that has joined is removed at once, before it has ever led, and another one later takes its place."""
+    """Remove a supernode right after it joined, before it ever led. Later another one takes its place."""
     began = time.monotonic()
     newcomer = await _join(scene)
     await _remove(scene, newcomer)
@@ -76,7 +78,7 @@ async def volunteer_leaves(scene: Scene) -> None:
 
 
 async def _join(scene: Scene) -> Supernode:
-    """A newcomer is prepared, started, and let in. Raises TimeoutError."""
+    """Prepare a newcomer, start it, and let it join. Raises TimeoutError."""
     newcomer = scene.cluster.newcomer()
     listen = ["--data-dir", str(newcomer.data_dir), "--listen", newcomer.address, "--id", newcomer.name]
     try:
@@ -92,7 +94,7 @@ async def _join(scene: Scene) -> Supernode:
 
 
 async def _remove(scene: Scene, one: Supernode) -> None:
-    """It is removed, and ends by itself when it hears of it. Raises FaultHadNoEffect if it goes on."""
+    """Remove a supernode, and wait until it ends by itself. Raises FaultHadNoEffect if it goes on."""
     await _command(scene, "remove", one.name)
     scene.cluster.supernodes.remove(one)
     try:
@@ -105,7 +107,7 @@ async def _remove(scene: Scene, one: Supernode) -> None:
 
 
 async def _command(scene: Scene, verb: str, *words: str) -> None:
-    """`stampede supernode VERB`, again until it succeeds: it is refused while no majority serves."""
+    """Run `stampede supernode VERB` until it succeeds. It is refused while no majority serves."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while True:
         members = ",".join(one.address for one in scene.cluster.supernodes)
@@ -118,7 +120,7 @@ async def _command(scene: Scene, verb: str, *words: str) -> None:
 
 
 async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -> str:
-    """All members name the newcomer, and none the leaver. Raises FaultHadNoEffect."""
+    """Wait until all members list the newcomer and not the removed one. Raises FaultHadNoEffect."""
     wanted = {one.name for one in scene.cluster.supernodes}
     assert newcomer is None or newcomer.name in wanted
     assert leaver.name not in wanted
@@ -138,7 +140,7 @@ async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -
 
 @asynccontextmanager
 async def _trouble(scene: Scene, victim: Supernode) -> AsyncIterator[str]:
-    """Kill, stop or cut off `victim` for a moment, soon after the block began; yields the text which says what."""
+    """Kill, stop or cut off `victim` for a moment, soon after the block began. Yields a text about it."""
     kinds: dict[str, Callable[[Scene, Supernode], Awaitable[None]]] = {
         "kill -9": _kill_for_a_moment,
         "SIGSTOP": _freeze_for_a_moment,

@@ -1,4 +1,6 @@
-"""What is no call of ours at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames and messages."""
+"""Bytes at every port that are no calls of the product: random bytes, pickles, HTTP/1, half TLS hellos, giant frames
+and messages.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ RANDOM_PAYLOADS, RANDOM_BYTES = 8, 3000
 HALF_HELLOS = 40
 GIANT_MESSAGE_BYTES = 64 * 2**20
 FRAME_BYTES_MAX = 2**24 - 1
-MEMORY_BYTES_MAX = 96 * 2**20  # the limit for one message is 20 MiB, and several may be under way
+MEMORY_BYTES_MAX = 96 * 2**20  # the limit of one message is 20 MiB, and several may be under way
 SERVICES = (
     channel_service_pb2,
     directory_service_pb2,
@@ -47,7 +49,7 @@ SERVICES = (
 
 
 class _Trap:
-    """Unpickled, it leaves a file behind."""
+    """When a program unpickles it, it makes a file."""
 
     def __init__(self, canary: Path) -> None:
         self._canary = canary
@@ -57,7 +59,7 @@ class _Trap:
 
 
 async def noise(scene: Scene) -> None:
-    """All of it at every port, in the clear and, where there are certificates, within TLS, too."""
+    """Send all kinds to every port, without TLS and, if there are certificates, also with TLS."""
     began = time.monotonic()
     canary = scene.folder / "canary"
     trap = pickle.dumps(_Trap(canary))
@@ -90,7 +92,7 @@ def _memory_from_now(one: PlacedProcess) -> int:
 
 
 def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
-    """Raises AssertionError."""
+    """Check that the services still run and unpickled nothing. Raises AssertionError."""
     if canary.exists():
         raise AssertionError("a pickle that came from the network was loaded")
     for one in victims:
@@ -99,13 +101,13 @@ def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
 
 
 def giant_frame() -> bytes:
-    """An HTTP/2 DATA frame of the greatest length that its header can name, most of it really sent."""
+    """An HTTP/2 DATA frame of the greatest length that its header can state. Most of its bytes are sent."""
     header = FRAME_BYTES_MAX.to_bytes(3, "big") + bytes((0, 0)) + (1).to_bytes(4, "big")
     return PREFACE + SETTINGS + header + b"\0" * (4 * 2**20)
 
 
 def giant_message() -> bytes:
-    """A frame that opens a stream with headers that go on and on (CONTINUATION frames without an end)."""
+    """A frame that opens a stream with endless headers (CONTINUATION frames)."""
 
     def frame(kind: int, payload: bytes) -> bytes:
         return len(payload).to_bytes(3, "big") + bytes((kind, 0)) + (1).to_bytes(4, "big") + payload
@@ -115,7 +117,7 @@ def giant_message() -> bytes:
 
 @contextlib.contextmanager
 def half_hellos(one: PlacedProcess) -> Iterator[None]:
-    """Hold connections that sent half of a TLS hello and nothing more. Raises FaultHadNoEffect if none was let in."""
+    """Keep connections open that sent half of a TLS hello. Raises FaultHadNoEffect if none was accepted."""
     outgoing = ssl.MemoryBIO()
     hello = ssl.create_default_context().wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="stampede")
     with contextlib.suppress(ssl.SSLWantReadError):
@@ -130,7 +132,10 @@ def half_hellos(one: PlacedProcess) -> Iterator[None]:
 
 
 def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles | None) -> int:
-    """Returns how many connections the service ended. Raises FaultHadNoEffect if it ended none."""
+    """Send each payload over a connection.
+
+    Returns how many connections the service ended. Raises FaultHadNoEffect if it ended none.
+    """
     contexts: list[ssl.SSLContext | None] = [None] if insider is None else [None, tls_context(insider)]
     ended = sum(_send(one, payload, context) for payload in payloads for context in contexts)
     if not ended:
@@ -139,7 +144,7 @@ def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles |
 
 
 def tls_context(files: TlsFiles) -> ssl.SSLContext:
-    """A caller's side of TLS with these files."""
+    """The TLS context of a caller with these files."""
     ca, certificate, key = map(str, files.paths())
     context = ssl.create_default_context(cafile=ca)
     context.load_cert_chain(certificate, key)
@@ -148,7 +153,7 @@ def tls_context(files: TlsFiles) -> ssl.SSLContext:
 
 
 def _send(one: PlacedProcess, payload: bytes, context: ssl.SSLContext | None) -> bool:
-    """Whether the service hung up within a moment."""
+    """Whether the service ended the connection soon."""
     plain = socket.create_connection((one.namespace.address, one.port), timeout=5)
     try:
         with plain, _wrapped(plain, one, context) as connection:
@@ -157,7 +162,7 @@ def _send(one: PlacedProcess, payload: bytes, context: ssl.SSLContext | None) ->
             while connection.recv(65536):
                 pass
     except TimeoutError:
-        return False  # it waits for the rest; hanging up is left to us
+        return False  # the service waits for the rest, and leaves the end to the caller
     except OSError:
         return True
     return True
@@ -168,7 +173,7 @@ def _wrapped(plain: socket.socket, one: PlacedProcess, context: ssl.SSLContext |
 
 
 async def _send_as_messages(one: PlacedProcess, payload: bytes, insider: TlsFiles | None) -> int:
-    """The payload as the message of every method there is; returns how many calls were refused."""
+    """Send the payload as the message of every RPC. Returns how many calls were refused."""
     options = [("grpc.max_send_message_length", 2 * GIANT_MESSAGE_BYTES)]
     methods = [
         f"/{service.full_name}/{method.name}"
@@ -177,13 +182,13 @@ async def _send_as_messages(one: PlacedProcess, payload: bytes, insider: TlsFile
         for method in service.methods
     ]
     if len(payload) == GIANT_MESSAGE_BYTES:
-        methods = methods[:: len(methods) // 3]  # one will do for each port, and more cost time
+        methods = methods[:: len(methods) // 3]  # a third of the methods is enough for each port; more would take long
     async with _unlimited(one, insider, options) as channel:
         return sum([await _refused(channel, method, payload) for method in methods])
 
 
 def _unlimited(one: PlacedProcess, insider: TlsFiles | None, options: Any) -> grpc.aio.Channel:
-    """A connection that sends what the product's own would not."""
+    """A connection that sends messages which the product's clients would not send."""
     if insider is None:
         return grpc.aio.insecure_channel(one.address, options=options)
     ca, certificate, key = (path.read_bytes() for path in insider.paths())
@@ -196,7 +201,7 @@ async def _refused(channel: Any, method: str, payload: bytes) -> bool:
         async for _ in call:
             pass
     except grpc.aio.AioRpcError:
-        return True  # any refusal will do; what counts is checked by the caller
+        return True  # any refusal will do; the caller checks the rest
     return False
 
 

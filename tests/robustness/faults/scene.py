@@ -1,4 +1,4 @@
-"""Where faults happen, and what is written down about them."""
+"""The cluster in which faults happen, and the record of each fault."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ class Outcome:
 
     @property
     def over_limit(self) -> bool:
-        """Whether it took longer than promised."""
+        """Whether the recovery took longer than promised."""
         return self.limit_s is not None and self.recovery_s is not None and self.recovery_s > self.limit_s
 
     @property
     def late(self) -> bool:
-        """Whether the promise was broken: over the limit, and not for want of processors alone."""
+        """Whether the promise was broken: over the limit, and not only because this machine was too busy."""
         return self.over_limit and (self.recovery_s or 0.0) - self.excused_s > (self.limit_s or 0.0)
 
     @property
     def excused_s(self) -> float:
-        """How much of the recovery was the start of processes, or a pause of the one that measures."""
+        """The part of the recovery in which processes started, or in which the measuring process did not run."""
         return max(self.start_s, self.stall_s)
 
 
 @dataclass
 class Scene:
-    """Where faults happen. `traffic` is None in a cluster without channel hosts."""
+    """The cluster in which faults happen. `traffic` is None in a cluster without channel hosts."""
 
     cluster: Cluster
     probe: Probe
@@ -69,7 +69,7 @@ class Scene:
     outcomes: list[Outcome] = field(default_factory=list)
 
     async def recovery(self, since: float) -> float:
-        """How long after `since` the directory served again. Raises TimeoutError."""
+        """The time from `since` until the directory served again. Raises TimeoutError."""
         return await self.probe.serves_after(since, seconds=PATIENCE_SECONDS)
 
     async def leader_and_other(self) -> tuple[Supernode, Supernode, Supernode]:

@@ -1,4 +1,4 @@
-"""Certificates that are renewed while they are used, and callers without the right one, in a cluster that has them."""
+"""Certificates that are renewed during use, and callers without the right one, in a cluster with certificates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KIND_REFUSED = "callers with a foreign, an expired and no certificate"
 
 
 async def rotate(scene: Scene) -> None:
-    """A new authority takes over, every certificate is issued anew, the former authority is forgotten."""
+    """Let a new authority take over: issue every certificate again, and then distrust the former authority."""
     certificates = _certificates(scene)
     victims = scene.cluster.processes()
     began = time.monotonic()
@@ -37,7 +37,10 @@ async def rotate(scene: Scene) -> None:
 
 
 async def _rotated(certificates: Certificates, victims: list[PlacedProcess], former: TlsFiles) -> None:
-    """Each step waits until every service has taken it. Raises FaultHadNoEffect."""
+    """Perform the steps of `rotate`.
+
+    After each step wait until every service uses its new files. Raises FaultHadNoEffect.
+    """
     certificates.take_over()
     newcomer = certificates.files(Role.CLIENT, f"newcomer-{time.monotonic_ns()}")
     await _each(victims, lambda one: accepts(one, newcomer), "trusts the new authority")
@@ -49,7 +52,7 @@ async def _rotated(certificates: Certificates, victims: list[PlacedProcess], for
 
 
 async def strangers(scene: Scene) -> None:
-    """Each is refused at every port, while the same call with the right certificate is let in."""
+    """Check that every port refuses each kind of stranger, and accepts the same call with the right certificate."""
     certificates = _certificates(scene)
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")
@@ -81,7 +84,7 @@ def _certificates(scene: Scene) -> Certificates:
 
 
 def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
-    """The same under names that no rotation touches."""
+    """Copies of the files under names that no rotation changes."""
     ca, certificate, key = (shutil.copy(path, folder) for path in files.paths())
     return TlsFiles(ca=ca, certificate=certificate, key=key)
 
@@ -97,7 +100,7 @@ async def _each(victims: list[PlacedProcess], holds: Callable[[PlacedProcess], b
 
 
 def accepts(one: PlacedProcess, files: TlsFiles | None, ca: Path | None = None) -> bool:
-    """Whether a service that is called now lets this caller in; without files: one that has no certificate at all."""
+    """Whether a service accepts a new connection of this caller. `files` None: the caller has no certificate."""
     if files is not None:
         context = tls_context(files)
     else:
@@ -105,7 +108,7 @@ def accepts(one: PlacedProcess, files: TlsFiles | None, ca: Path | None = None) 
         context.set_alpn_protocols(["h2"])
     try:
         with _connected(one, context) as connection:
-            return connection.recv(1) != b""  # with TLS 1.3 it says no after the handshake only
+            return connection.recv(1) != b""  # with TLS 1.3 a service refuses only after the handshake
     except (ssl.SSLError, ConnectionError):
         return False
 

@@ -1,8 +1,9 @@
-"""One name of the directory as a sequential object: claimed by whoever opens it first, a register while it is there.
+"""The model of one name of the directory: the first caller that opens the name creates the channel, which holds a
+value.
 
-The register's value is the policy's `max_items`, since every caller can set and see it; `version` counts the changes,
-so that an update that was done twice shows. The epoch may rise at any moment (a host's lease ends, a host restarts)
-and is therefore only held to never falling.
+The value is the policy's `max_items`, because every caller can set and see it. `version` counts the changes, so that an
+update that took effect twice shows. The epoch may rise at any moment, because leases end and hosts restart. So the
+model only demands that it never falls.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from tests.robustness.histories.operations import Operation, by_key
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """Get or create; states `value` only if it is not 0."""
+    """Get or create. States `value` only if it is not 0."""
 
     value: int
 
@@ -29,7 +30,7 @@ class Resolve:
 
 @dataclass(frozen=True, slots=True)
 class Update:
-    """Set the value of the channel with that id, if it is at that epoch."""
+    """Set the value of the channel with that id, if it has that epoch."""
 
     channel_id: bytes
     epoch: int
@@ -38,7 +39,7 @@ class Update:
 
 @dataclass(frozen=True, slots=True)
 class Delete:
-    """Forget the channel with that id."""
+    """Delete the channel with that id."""
 
     channel_id: bytes
 
@@ -56,14 +57,14 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """The answer was an error that the directory itself gave, for this reason."""
+    """The directory refused the call for this reason."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Deleted:
-    """It was forgotten."""
+    """The channel was deleted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,10 @@ class Absent:
 
 @dataclass(frozen=True, slots=True)
 class Present:
-    """The channel that has it. An id of None: made by a call whose answer nobody heard, and not seen since."""
+    """The channel with the name.
+
+    An id of None: the answer to its creation was lost, and no later answer has shown it.
+    """
 
     channel_id: bytes | None
     epoch: int
@@ -85,13 +89,16 @@ State: TypeAlias = Absent | Present
 
 
 class ChannelModel:
-    """`step` for one name. `created_ids`: what acknowledged creations gave; no unheard one can have made those."""
+    """The rules for one name.
+
+    `created_ids`: the ids of acknowledged creations. No creation with a lost answer has one of them.
+    """
 
     def __init__(self, created_ids: frozenset[bytes] = frozenset()) -> None:
         self._created_ids = created_ids
 
     def step(self, state: State, operation: Operation) -> State | None:
-        """The state after `operation`, or None where it cannot answer so."""
+        """The state after `operation`; None if the operation cannot give this answer in `state`."""
         answer = operation.answer
         match operation.call:
             case Open(value=value):
@@ -121,7 +128,7 @@ class ChannelModel:
                 return Present(answer.channel_id, 1, value, 1)
             return None
         if answer is None:
-            return None  # without effect: as well not done
+            return None  # without effect, so it may as well not have happened
         return self._observe(state, answer) if isinstance(answer, Seen) and not answer.created else None
 
     def _resolve(self, state: State, answer: object) -> State | None:
@@ -138,7 +145,7 @@ class ChannelModel:
         return known
 
     def _bind(self, state: Present, channel_id: bytes, epoch: int) -> Present | None:
-        """The state, now known to have this id and, since epochs rise at any moment, at least this epoch."""
+        """The state with this id and at least this epoch; None if the state contradicts them."""
         if state.channel_id is None and channel_id in self._created_ids:
             return None
         if state.channel_id not in (None, channel_id):
@@ -150,7 +157,7 @@ class ChannelModel:
         if answer == Refusal("CHANNEL_NOT_FOUND"):
             return self._without(state, call.channel_id)
         if answer == Refusal("WRONG_EPOCH"):
-            # Somebody raised it, before or at this very moment; callers only name epochs that they were shown.
+            # The epoch rose before, or at this moment. Callers name only epochs from answers.
             return replace(known, epoch=max(known.epoch, call.epoch + 1)) if known is not None else None
         if known is None or known.epoch != call.epoch:
             return None
@@ -168,12 +175,12 @@ class ChannelModel:
         return Absent() if known is not None else None
 
     def _without(self, state: State, channel_id: bytes) -> State | None:
-        """No channel with this id is there. One whose id nobody has seen is taken for another."""
+        """The state in which no channel has this id. A channel with an unknown id counts as another channel."""
         return None if isinstance(state, Present) and state.channel_id == channel_id else state
 
 
 def check_channel_histories(operations: Iterable[Operation]) -> int:
-    """Judge each name's history; returns how many names. Raises NotLinearizable or Undecided."""
+    """Check each name's history. Returns the number of names. Raises NotLinearizable or Undecided."""
     histories = by_key(operations)
     for history in histories.values():
         _check(history)
@@ -181,7 +188,7 @@ def check_channel_histories(operations: Iterable[Operation]) -> int:
 
 
 def violations(operations: Iterable[Operation]) -> tuple[int, list[str]]:
-    """How many names there are, and what is wrong with those whose history nothing explains. Raises nothing."""
+    """The number of names, and the errors of the histories that no order explains. Raises nothing."""
     histories = by_key(operations)
     wrong = []
     for history in histories.values():
@@ -203,7 +210,7 @@ def _says_nothing(operation: Operation) -> bool:
 
 
 def acknowledged_writes(operations: Iterable[Operation]) -> int:
-    """How many changes callers were told of: channels made, values set, channels forgotten."""
+    """The number of acknowledged changes: channels created, values set, channels deleted."""
     return sum(
         isinstance(one.answer, Deleted)
         or (isinstance(one.answer, Seen) and (one.answer.created or isinstance(one.call, Update)))

@@ -1,9 +1,9 @@
-"""Is there an order of the operations, within their times, in which a sequential object gives the same answers?
+"""Searches for an order of the operations, within their times, in which a sequential object gives the same answers.
 
 The search of Wing and Gong (1993), with Lowe's memory of visited configurations (2017), as in Porcupine and Knossos:
-always linearize some operation that no unfinished one precedes; undo where nothing fits; never visit a set of
-linearized operations with the same state twice. Written here because PyPI has no such checker (Porcupine is Go,
-Knossos Clojure); one page is less than a foreign toolchain in the test suite.
+choose an operation that no unfinished one precedes; go back if no order fits; never visit a set of linearized
+operations with the same state twice. It is written here because PyPI has no such checker (Porcupine is Go, Knossos
+Clojure), and one page is less than another toolchain in the test suite.
 """
 
 from __future__ import annotations
@@ -19,22 +19,24 @@ CONFIGURATIONS_MAX = 2_000_000
 
 
 class NotLinearizable(AssertionError):
-    """No order explains what the callers were told."""
+    """No order explains the answers."""
 
 
 class Undecided(AssertionError):
-    """The search was given up; counts as a failure, since nothing is proven."""
+    """The search was given up. This counts as a failure, because nothing is proven."""
 
 
 @dataclass(slots=True)
 class _Node:
-    """A call or a return in the doubly linked list of what is not linearized yet, in the order of time."""
+    """A call or a return, in the doubly linked list of the operations that are not linearized yet, in the order of
+    time.
+    """
 
     position: int  # of the operation
     is_call: bool
     before: _Node | None = None
     after: _Node | None = None
-    match: _Node | None = None  # the call's return; None for an ambiguous call, which never forces anything
+    match: _Node | None = None  # the call's return; None for an ambiguous call, which forces nothing
 
     def lift(self) -> None:
         """Take a call and its return out of the list."""
@@ -46,7 +48,7 @@ class _Node:
                     node.after.before = node.before
 
     def unlift(self) -> None:
-        """Put them back, the return first: the reverse of `lift`."""
+        """Put a call and its return back, in reverse order."""
         for node in (self.match, self):
             if node is not None:
                 assert node.before is not None
@@ -62,7 +64,8 @@ def check_linearizable(
     *,
     configurations_max: int = CONFIGURATIONS_MAX,
 ) -> None:
-    """`step` gives the state after an operation that answers as recorded, or None if it cannot come there.
+    """Check the history. `step` gives the state after an operation with the recorded answer, or None if that is
+    impossible.
 
     Raises NotLinearizable with the operation at which every order fails, or Undecided.
     """
@@ -96,7 +99,10 @@ def check_linearizable(
 
 
 def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashable]], most: int) -> bool:
-    """Whether the search comes there for the first time. Raises Undecided when it has been to too many places."""
+    """Whether the search reaches this configuration for the first time.
+
+    Raises Undecided after too many configurations.
+    """
     if configuration in visited:
         return False
     visited.add(configuration)
@@ -106,7 +112,10 @@ def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashabl
 
 
 def _linked(operations: Sequence[Operation]) -> _Node:
-    """The list's head. Of a call and a return at one moment the call comes first: they may have overlapped."""
+    """The list's head.
+
+    If a call and a return have the same time, the call comes first, because they may have overlapped.
+    """
     events: list[tuple[float, int, _Node]] = []
     for position, operation in enumerate(operations):
         call = _Node(position, True)

@@ -1,4 +1,4 @@
-"""What a caller did and what it was told, with times of one monotonic clock: the facts that a history consists of."""
+"""The records of a history: the calls of callers and their answers, with times of one monotonic clock."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One call. `returned` is infinite and `answer` None if its outcome is unknown: it may take effect at any time
-    after `invoked`, or never. Calls that were certainly not done are in no history: an effect of theirs that shows up
-    has no explanation then.
+    """One call.
+
+    `returned` is infinite and `answer` None if its outcome is unknown: it may take effect at any time after `invoked`,
+    or never. A call that certainly had no effect is in no history. If it nevertheless shows an effect, nothing explains
+    the effect.
     """
 
     key: str
@@ -24,23 +26,23 @@ class Operation:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether the caller does not know what came of it."""
+        """Whether the caller does not know the outcome."""
         return self.returned == math.inf
 
 
 @dataclass
 class Recorder:
-    """Takes operations down. `clock` is the one clock of all callers."""
+    """Records operations. `clock` is the one clock of all callers."""
 
     clock: Callable[[], float]
     operations: list[Operation] = field(default_factory=list)
 
     def done(self, key: str, call: object, invoked: float, answer: object) -> None:
-        """The caller was answered just now."""
+        """Record a call that was answered just now."""
         self.operations.append(Operation(key, call, invoked, self.clock(), answer))
 
     def ambiguous(self, key: str, call: object, invoked: float) -> None:
-        """The caller gave up, and what it asked for may or may not have been done."""
+        """Record a call that the caller gave up. It may have had its effect."""
         self.operations.append(Operation(key, call, invoked))
 
 

@@ -1,7 +1,7 @@
-"""One channel's items as a sequential object with one owner at a time, and what readers must have been shown.
+"""The model of one channel's items: a sequential object with one owner at a time.
 
-An owner takes items under one *incarnation*, with a seq that grows. Once anything was heard of a later incarnation,
-nothing may come from an earlier one: two incarnations that both accept are two owners.
+An owner takes items under one *incarnation*, with seqs that grow. After an answer of a later incarnation, an earlier
+one may not accept items: two incarnations that both accept are two owners.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from tests.robustness.histories.operations import Operation, by_key
 
 @dataclass(frozen=True, slots=True)
 class Put:
-    """One item, whose payload nobody else puts."""
+    """A put of an item with a payload that no other put has."""
 
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Newest:
-    """What is the newest item?"""
+    """A read of the newest item."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadAll:
-    """Which items are there? The retention lets none go while a history lasts."""
+    """A read of all items. Retention collects none during a history."""
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """The item was taken."""
+    """The host has stored the item."""
 
     incarnation: int
     seq: int
@@ -41,7 +41,7 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The newest item's seq, 0 if there was none."""
+    """The newest item's seq; 0 if there was none."""
 
     incarnation: int
     seq: int
@@ -57,21 +57,21 @@ class Listed:
 
 @dataclass(frozen=True, slots=True)
 class Owned:
-    """Who owns the channel, the newest seq that was heard of, and the incarnations that are over."""
+    """The owner's incarnation, the newest known seq, and the incarnations that are over."""
 
     incarnation: int = 0
     seq: int = 0
     past: frozenset[int] = frozenset()
 
     def under(self, incarnation: int) -> Owned | None:
-        """The state once `incarnation` was heard of, or None if that one is over."""
+        """The state after an answer of `incarnation`; None if that incarnation is over."""
         if incarnation == self.incarnation:
             return self
         return None if incarnation in self.past else Owned(incarnation, 0, self.past | {self.incarnation})
 
 
 def step(state: Owned, operation: Operation) -> Owned | None:
-    """The state after `operation`, or None where it cannot answer so."""
+    """The state after `operation`; None if the operation cannot give this answer in `state`."""
     answer = operation.answer
     if isinstance(answer, Accepted):
         owned = state.under(answer.incarnation)
@@ -80,7 +80,7 @@ def step(state: Owned, operation: Operation) -> Owned | None:
     if isinstance(answer, Found | Listed):
         owned = state.under(answer.incarnation)
         newest = answer.seq if isinstance(answer, Found) else max((seq for seq, _ in answer.items), default=0)
-        # More than was heard of: put by somebody who has not heard of it either.
+        # The seq is higher than the known one: other puts whose answers are unknown came before.
         fits = owned is not None and newest >= owned.seq
         return Owned(owned.incarnation, newest, owned.past) if owned is not None and fits else None
     raise AssertionError(f"no such answer: {answer}")
@@ -105,7 +105,7 @@ class Judged:
 
 
 def judge_items(operations: Iterable[Operation]) -> Judged:
-    """Judge each channel's history. Raises nothing: all violations are in the answer."""
+    """Check each channel's history. Raises nothing: the result has all violations."""
     histories = by_key(operations)
     lost = doubled = gone = acknowledged = 0
     violations: list[str] = []
@@ -135,7 +135,7 @@ def _acknowledged(history: Sequence[Operation]) -> dict[int, list[Operation]]:
 
 
 def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], set[bytes]]:
-    """Return the payloads that complete readings show to be lost, to be doubled, and to be put by nobody."""
+    """The payloads that complete reads show as lost, as doubled, and as never put."""
     acknowledged = _acknowledged(history)
     put = {one.call.payload for one in history if isinstance(one.call, Put)}
     lost: set[bytes] = set()

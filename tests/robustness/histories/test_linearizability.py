@@ -1,4 +1,4 @@
-"""The checker finds what is planted, and nothing where nothing is."""
+"""The checker finds the planted violations, and none in correct histories."""
 
 from __future__ import annotations
 
@@ -44,23 +44,23 @@ def seen(value: int, version: int, *, epoch: int = 1, channel_id: bytes = A) -> 
         [],
         [CREATED, op(Resolve(), 2, 3, seen(1, 1))],
         [op(Resolve(), 0, 1, NOT_FOUND), op(Open(1), 0, 1, Seen(A, 1, 1, 1, created=True))],
-        # Two creators at once: one made it, the other got the same.
+        # Two creators together: one created it, the other got the same channel.
         [op(Open(7), 0, 9, seen(1, 1)), op(Open(1), 1, 8, Seen(A, 1, 1, 1, created=True))],
-        # Concurrent with an update, one reader sees the old value and another one the new.
+        # During an update, one reader sees the old value and another one the new value.
         [
             CREATED,
             op(Update(A, 1, 2), 2, 9, seen(2, 2)),
             op(Resolve(), 3, 4, seen(1, 1)),
             op(Resolve(), 5, 6, seen(2, 2)),
         ],
-        # An update that nobody heard of takes effect much later, or never.
+        # An update with a lost answer takes effect much later, or never.
         [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(1, 1)), op(Resolve(), 5, 6, seen(2, 2))],
         [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(1, 1))],
-        # A creation that nobody heard of.
+        # A creation with a lost answer.
         [op(Open(1), 0, None), op(Resolve(), 2, 3, seen(1, 1, channel_id=B))],
         [CREATED, op(Delete(A), 2, 3, Deleted()), op(Resolve(), 4, 5, NOT_FOUND)],
         [CREATED, op(Delete(A), 2, 3, Deleted()), op(Open(2), 4, 5, Seen(B, 1, 2, 1, created=True))],
-        # The channel was placed anew in between.
+        # The channel got another owner in between.
         [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=2)), op(Update(A, 1, 3), 4, 5, Refusal("WRONG_EPOCH"))],
     ],
 )
@@ -74,23 +74,23 @@ def test_a_history_that_some_order_explains_is_accepted(history: list[Operation]
         # An acknowledged write is lost.
         [CREATED, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Resolve(), 4, 5, seen(1, 1))],
         [CREATED, op(Resolve(), 2, 3, NOT_FOUND)],
-        # Two creators both won.
+        # Two creators both created the channel.
         [CREATED, op(Open(2), 0, 1, Seen(B, 1, 2, 1, created=True))],
-        # A value goes back between two readers.
+        # A value changes back between two reads.
         [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(2, 2)), op(Resolve(), 5, 6, seen(1, 1))],
-        # Done twice: the version shows it.
+        # The update took effect twice: the version shows it.
         [CREATED, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Resolve(), 4, 5, seen(2, 3))],
-        # Done although its caller was told that it was not (and therefore is in no history).
+        # The call had an effect although its caller was told that it had none (so it is in no history).
         [CREATED, op(Resolve(), 2, 3, seen(9, 2))],
         # The epoch falls.
         [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=3)), op(Resolve(), 4, 5, seen(1, 1, epoch=2))],
-        # Updated under an epoch that had passed.
+        # An update under an epoch that had passed.
         [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=2)), op(Update(A, 1, 5), 4, 5, seen(5, 2, epoch=1))],
-        # Forgotten, and yet there.
+        # The channel was deleted, and is still there.
         [CREATED, op(Delete(A), 2, 3, Deleted()), op(Resolve(), 4, 5, seen(1, 1))],
         # An effect before its cause.
         [CREATED, op(Resolve(), 2, 3, seen(2, 2)), op(Update(A, 1, 2), 4, 5, seen(2, 2))],
-        # The id of a later creation cannot have come from an earlier, unheard one.
+        # The id of a later creation cannot come from an earlier one with a lost answer.
         [op(Open(1), 0, None), op(Resolve(), 1, 2, seen(1, 1)), op(Open(1), 3, 4, Seen(A, 1, 1, 1, created=True))],
     ],
 )
@@ -100,7 +100,7 @@ def test_a_planted_violation_is_found(history: list[Operation]) -> None:
 
 
 def run_of_one_object(rng: random.Random, *, callers: int = 5, length: int = 60) -> list[Operation]:
-    """A true history: every call takes effect at one moment between its times; some answers are not heard."""
+    """A correct history: every call takes effect at one moment between its times; some answers are lost."""
     model: list[tuple[float, float, float, object]] = []
     for caller in range(callers):
         now = rng.random()

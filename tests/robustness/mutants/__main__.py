@@ -1,6 +1,6 @@
-"""`python -m tests.robustness.mutants [NAME ...]`: plants each fault and shows who noticed it, and how soon.
+"""`python -m tests.robustness.mutants [NAME ...]`: plants each fault, and prints which test noticed it, and how soon.
 
-Two at a time; who is asked stops at the first thing that is noticed, and has a limit.
+Two faults at a time. A test or simulator stops at the first finding, and has a time limit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ AT_ONCE = 2
 
 
 def main() -> int:
-    """Exit code 1 if a fault goes unnoticed, or if code without a fault is found fault with."""
+    """Returns exit code 1 if a fault goes unnoticed, or if a test fails without a fault."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.mutants", description=__doc__)
     parser.add_argument("names", nargs="*", help="these only")
     names = parser.parse_args().names
@@ -42,7 +42,7 @@ def _shown(verdict: Verdict) -> Verdict:
 
 
 def _asked_without(who: str) -> tuple[str, bool, str, float]:
-    """What whoever noticed a fault says of the code as it is: nothing, or it would prove nothing."""
+    """Run a test or simulator without a fault. It must pass, or its findings would prove nothing."""
     began = time.monotonic()
     noticed, how = ask(who, package_path=None)
     return who, noticed or how.startswith(NOT_ASKED), how, time.monotonic() - began

@@ -1,6 +1,7 @@
 """Runs a simulator until a seed fails: `python -m tests.robustness.mutants.hunt log 100`.
 
-Exit code 0 and one line if a promise was broken, 1 if none was; any other exception rises: that is no finding.
+Exit code 0 and one line if a promise was broken, 1 if none was. Any other exception is raised, because it is no
+finding.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ SIMULATORS: dict[str, Callable[[int], object]] = {
     "directory": directory.run,
     "upgrading": upgrading.run,
 }
-# What the judges raise, and what the product raises that notices a fault itself and goes no further.
+# The errors of the checks, and the errors of the product that notices a fault itself and stops.
 BROKEN_PROMISES = (AssertionError, NotLinearizable, InvariantViolation)
 
 
 def main() -> int:
     """Run seeds from 0 on."""
     simulator, seeds = sys.argv[1:]
-    logging.disable(logging.WARNING)  # services complain of the weather, as they should
+    logging.disable(logging.WARNING)  # services warn of the injected faults
     for seed in range(int(seeds)):
         try:
             SIMULATORS[simulator](seed)

@@ -1,7 +1,7 @@
-"""Faults to plant in the code under test, each with who must notice it.
+"""Faults to plant in the code under test, each with the test or simulator that must notice it.
 
-A fault is a piece of text in the place of another, so that it reads like a diff and needs no line numbers. A piece that
-is not found exactly once has moved: mend it here.
+A fault replaces one piece of text by another, so that it reads like a diff and needs no line numbers. If a piece is not
+found exactly once, the code has changed: correct the piece here.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ class Mutant:
 
     name: str
     file: str
-    # Pairs of what is there, and what stands there instead.
+    # Pairs of the present text and its replacement.
     edits: tuple[tuple[str, str], ...]
     noticed_by: str
-    # Among the few that the suite plays.
+    # Whether it is one of the few that the suite plants.
     quick: bool = False
 
     def plant(self, text: str) -> str:
-        """The file with the fault. Raises LookupError if it does not fit any more."""
+        """The file with the fault. Raises LookupError if the code has changed."""
         for old, new in self.edits:
             if text.count(old) != 1:
                 raise LookupError(

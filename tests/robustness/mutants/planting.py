@@ -26,7 +26,7 @@ class Verdict:
 
     mutant: Mutant
     noticed: bool
-    # After how many seeds, and with which message; or why it was not noticed.
+    # The number of seeds and the message of the failure; or why the fault was not noticed.
     how: str
     seconds: float
 

@@ -7,7 +7,7 @@ import pytest
 from tests.robustness.mutants.planted import MUTANTS, Mutant
 from tests.robustness.mutants.planting import ROOT, judge
 
-# `judge` ends what takes more than 10 minutes.
+# `judge` ends each run after 10 minutes.
 pytestmark = pytest.mark.timeout(660)
 
 
