@@ -53,6 +53,7 @@ CASES: dict[str, Case] = {
     "new-channels": Case(neighbours.new_channels, "98 % CPU, 3.7 KB kept for each", "supernode"),
     "new-groups": Case(neighbours.new_groups, watched="supernode"),
     "new-queues": Case(neighbours.new_queues, watched="supernode"),
+    "new-peers": Case(neighbours.new_peers, watched="supernode"),
     "many-streams": Case(quotas.many_streams),
     "blocked-gets": Case(quotas.blocked_gets, "4.5 x without turns"),
     "busy-puts": Case(quotas.busy_puts, "9.6 x without turns"),

@@ -122,6 +122,26 @@ async def _make_groups(ground: Ground, numbers: itertools.count[int], channel_id
             await stub.DeleteGroup(delete, metadata=ground.metadata, timeout=10)
 
 
+async def new_peers(ground: Ground, under_way: Callable[[], None]) -> None:
+    """Peers with mailboxes are registered as fast as 16 callers can."""
+    under_way()
+    numbers = itertools.count()
+    await all_of(*(_register(ground, numbers) for _ in range(CREATORS)))
+
+
+async def _register(ground: Ground, numbers: itertools.count[int]) -> None:
+    register: Any = PeerServiceStub(ground.channel(ground.supernode)).RegisterPeer
+    for number in numbers:
+        request = peer_service_pb2.RegisterPeerRequest(
+            request_id=secrets.token_bytes(16),
+            peer_id=secrets.token_bytes(16),
+            name=f"{NAME}/{number}",
+            boot_incarnation=1,
+        )
+        with suppress(grpc.aio.AioRpcError):
+            await register(request, metadata=ground.metadata, timeout=10)
+
+
 async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
     """2000 watches of the directory and 2000 of its peers that nobody reads, while channels are made and deleted."""
     calls: list[Any] = []

@@ -44,6 +44,8 @@ QUOTAS: dict[Quota, tuple[str, int]] = {
     Quota.BYTES_IN_FLIGHT: ("waiting-puts", 4 * MIB),
     Quota.CHANNELS: ("new-channels", 20),
     Quota.QUEUES: ("new-queues", 20),
+    Quota.GROUPS: ("new-groups", 1),
+    Quota.PEERS: ("new-peers", 5),
     Quota.CHANGES_PER_SECOND: ("new-channels", 5),
     Quota.BYTES_HELD: ("held-bytes", 4 * MIB),
     Quota.CPU_PERCENT: ("busy-puts", 10),

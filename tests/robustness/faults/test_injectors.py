@@ -9,7 +9,9 @@ import pytest
 
 from stampede_rt_local.namespaces import unavailable_because
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.quotas.limits import Quota
 from tests.robustness.__main__ import write_page
+from tests.robustness.faults.hostile_callers import QUOTAS
 from tests.robustness.faults.noise import giant_frame
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
@@ -81,3 +83,7 @@ def test_the_report_of_a_new_run_replaces_the_former_report_on_a_page_and_keeps_
     page.write_text(f"# Robustness\n\nHow.\n\n{TITLE}1 minutes\n\n## Summary\n")
     write_page(page, f"{TITLE}2 minutes\n")
     assert page.read_text() == f"# Robustness\n\nHow.\n\n{TITLE}2 minutes\n"
+
+
+def test_the_campaign_of_hostile_clients_uses_up_each_quota() -> None:
+    assert set(QUOTAS) == set(Quota)

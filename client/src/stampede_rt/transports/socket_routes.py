@@ -45,9 +45,9 @@ class SocketRoute:
         """Keep what the gatekeeper has answered: at most TARGETS_MAX paths of the form that hosts make."""
         local = [one for one in endpoints if _OF_HOSTS.fullmatch(one.target)]
         sockets = tuple(islice((one for one in local if one.transport == pb.TRANSPORT_SOCKET), TARGETS_MAX))
-        self._targets = tuple(one.target for one in sockets)
         self.ticket = sockets[0].ticket[:TICKET_BYTES_MAX] if sockets else b""
         self.shares_memory = any(one.transport == pb.TRANSPORT_SHARED_MEMORY for one in local)
+        self._targets = tuple(one.target for one in sockets)  # last: other threads use the sockets from now on
 
     @property
     def may_lead(self) -> bool:

@@ -41,3 +41,22 @@ def test_a_client_tries_only_a_few_of_very_many_paths() -> None:
     assert learned(*(OF_A_HOST.replace("0123", f"{number:04x}") for number in range(1000))) == learned(
         *(OF_A_HOST.replace("0123", f"{number:04x}") for number in range(TARGETS_MAX))
     )
+
+
+class WatchedRoute(SocketRoute):
+    """Notes with which ticket another thread would open a stream, at each change."""
+
+    def __init__(self) -> None:
+        self.led_with: list[bytes] = []
+        super().__init__("h1:7590", Transport.BEST)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        super().__setattr__(name, value)
+        if vars(self).get("_targets"):
+            self.led_with.append(self.ticket)
+
+
+def test_no_thread_finds_the_sockets_before_the_ticket_that_belongs_to_them() -> None:
+    route = WatchedRoute()
+    route.learn([pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=OF_A_HOST, ticket=b"new")])
+    assert set(route.led_with) == {b"new"}
