@@ -214,3 +214,53 @@ def test_two_threads_of_a_recording_do_not_share_a_turn(rt: st.Connection, tmp_p
             thread.join()
     assert recorder.summary is not None
     assert [one.recorded for one in recorder.summary.channels] == [25] * 8
+
+
+def test_a_file_is_replayed_and_imported(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "a.mcap", [*entries("cam", range(1, 11)), gap("cam", 11, 12), *entries("cam", range(13, 15))]
+    )
+    status, out, told = run("replay", path, "--as", "played/", "--speed", "max", "--shift", "now")
+    assert (status, out.splitlines()[1].split()) == (0, ["played/cam", "12"])
+    assert "missing in the file: cam: 2 items, seq 11 to 12: COLLECTED: too slow" in out
+    assert "into played/cam" in told
+    status, out, _ = run(
+        "import", path, "--as", "kept/", "--channel", "c*", "--from", item(5).time, "--summary", "json"
+    )
+    assert (status, json.loads(out)["items"]) == (0, {"kept/cam": 8})
+    assert len(rt.channel("kept/cam", create=False).get(st.OLDEST, st.NEWEST)) == 8
+
+
+def test_an_import_that_a_channel_would_refuse_ends_with_one_sentence(
+    run: Command, rt: st.Connection, tmp_path: Path
+) -> None:
+    rt.channel("window/cam", max_age="5s")
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 11)))
+    status, _, told = run("import", path, "--as", "window/")
+    assert (status, told.count("\n")) == (2, 1)
+    assert "channel 'window/cam' would refuse items of the file: it keeps items for 5 s" in told
+    assert rt.channel("window/cam").stats().accepted == 0
+
+
+def test_ctrl_c_is_the_regular_end_of_a_loop(cluster: LocalCluster, rt: st.Connection, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 11)))
+    words = ["replay", "--url", cluster.address, str(path), "--as", "looped/", "--loop", "--shift", "now"]
+    with started([sys.executable, "-m", "stampede_rt.cli", *words], stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        process.stderr.readline()
+        channel = rt.channel("looped/cam", create=False)
+        wait_until(lambda: channel.stats().accepted > 20)
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert out.splitlines()[1].split() == ["looped/cam", str(channel.stats().accepted)]
+
+
+@pytest.mark.parametrize("words", [("--speed", "0"), ("--speed", "fast"), ("--loop",), ("--shift", "soon")])
+def test_a_replay_with_wrong_usage_puts_nothing(run: Command, tmp_path: Path, words: tuple[str, ...]) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 11)))
+    try:
+        status = run("replay", path, "--as", "wrong/", *words)[0]
+    except SystemExit as ended:
+        status = ended.code
+    assert status == 2

@@ -50,6 +50,8 @@ class Recorder(BackgroundStart, BoundToProcess):
         writer: FileWriter,
         since_nanos: int | None,
         for_s: float | None,
+        *,
+        whole: bool,
     ) -> None:
         self._session = session
         self._discovery = discovery
@@ -57,6 +59,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._sink = RecordingSink(writer)
         self._since_nanos = since_nanos
         self._for_s = for_s
+        self._whole = whole  # each channel from its oldest item on
         self._drain_s = DRAIN_S
         self._channels: dict[bytes, ChannelRecording] = {}
         self._matched: set[str] = set()
@@ -201,7 +204,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         else:
             state = self._session.state_of(info, Policy(), False)
             self._channels[info.channel_id] = ChannelRecording(
-                self._session, state, self._sink, self._since_nanos, later=later
+                self._session, state, self._sink, self._since_nanos, later=later or self._whole
             )
             return
         if len(self._absent) < CHANNELS_MAX:

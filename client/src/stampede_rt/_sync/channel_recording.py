@@ -23,8 +23,8 @@ from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
 class ChannelRecording:
     """Records one channel, in the background, from its making until `finish`.
 
-    `since_nanos`: how far before now it begins; None: now. `later`: the channel appeared while the recording ran,
-    and is recorded from its oldest item on.
+    `since_nanos`: how far before now it begins; None: now. `later`: from its oldest item on, as a channel
+    that appeared while the recording ran.
     """
 
     def __init__(
@@ -158,10 +158,7 @@ class ChannelRecording:
         accepted, advance = self._accepted()
         self._ending, stream = True, self._stream
         if stream is None or stream.opened_seq is None:
-            if stream is not None:
-                stream.close()
-            if not self.tallies:
-                self.problem = self.problem or f"channel {self.name!r}: its host could not be reached"
+            self._give_up(stream)
             return
         end_seq = self._end_seq = stream.read_to if accepted is None else accepted
         if stream.read_to >= end_seq or not self._done.wait(drain_s):
@@ -169,6 +166,12 @@ class ChannelRecording:
         self._done.wait(drain_s)
         if self._stream is stream:  # not lost meanwhile
             self._sink.seal(self.tallies[-1], end_seq, advance)
+
+    def _give_up(self, stream: RecordingStream | None) -> None:
+        if stream is not None:
+            stream.close()
+        if not self.tallies:
+            self.problem = self.problem or f"channel {self.name!r}: its host could not be reached"
 
     def _accepted(self) -> tuple[int | None, int | None]:
         """Return the last seq that the host has accepted, and the channel's advance; None if they cannot be known."""

@@ -23,8 +23,8 @@ MISUSED = 2  # the exit status of a command with wrong arguments
 OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk refuses the output
 
 VERB_MODULES = (
-    "discovery", "hosts", "data", "group", "queue", "mailbox", "proxy", "rates", "top", "lag", "record", "file",
-    "doctor", "acl", "quota", "token",
+    "discovery", "hosts", "data", "group", "queue", "mailbox", "proxy", "rates", "top", "lag", "record", "replay",
+    "file", "doctor", "acl", "quota", "token",
 )  # fmt: skip
 """The modules with the verbs of clients, in the order of the help."""
 

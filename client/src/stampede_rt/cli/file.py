@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import VerbParser, checked, parse_time
@@ -135,13 +135,14 @@ def _print_report(report: FileReport, form: str) -> None:
 def run_cut(arguments: argparse.Namespace) -> int:
     """Cut a file."""
     from stampede_rt.files.editing import cut
+    from stampede_rt.files.names import matches_any
 
     start = MIN_INSTANT if arguments.start is None else arguments.start
     end = MAX_INSTANT if arguments.end is None else arguments.end
     if start >= end:
         raise InvalidArgument("--from must be before --to")
     summary = cut(
-        arguments.path, arguments.file, start=start, end=end, chosen=chosen_by(arguments.channel),
+        arguments.path, arguments.file, start=start, end=end, chosen=matches_any(arguments.channel),
         overwrite=arguments.overwrite,
     )  # fmt: skip
     return _written(summary, arguments)
@@ -159,10 +160,3 @@ def _written(summary: RecordingSummary, arguments: argparse.Namespace) -> int:
     if not summary.channels:
         print(f"stampede: {escaped(os.fspath(arguments.file))} has no items", file=sys.stderr)
     return 0 if summary.complete else INCOMPLETE
-
-
-def chosen_by(globs: Sequence[str] | None) -> Callable[[str], bool]:
-    """Return a function that tells whether a name matches one of the globs; all names match None."""
-    from stampede_rt.files.names import matches
-
-    return lambda name: globs is None or any(matches(glob, name) for glob in globs)

@@ -34,7 +34,9 @@ def add_verbs(subparsers: Any) -> None:
     record = add_verb(subparsers, "record", "record channels to an MCAP file, until Ctrl-C", run_record, output=False)
     record.add_argument("channels", nargs="+", metavar="CHANNEL", help="a name, or a glob such as 'rig/*'")
     record.add_argument("-o", "--file", required=True, metavar="FILE", help="the file to write, such as crash.mcap")
-    record.add_argument("--since", metavar="DURATION", help='begin that far in the past, such as "30s"; default: now')
+    record.add_argument(
+        "--since", metavar="DURATION", help='begin that far in the past, such as "30s", or "oldest"; default: now'
+    )
     record.add_argument("--for", dest="for_", metavar="DURATION", help="end after that time; default: at Ctrl-C")
     record.add_argument(
         "--on", metavar="CHANNEL", help="write a file for each item of this channel; FILE gets the item's seq"
@@ -47,7 +49,8 @@ def add_verbs(subparsers: Any) -> None:
 def run_record(arguments: argparse.Namespace) -> int:
     """Record, and print the summary."""
     for name in ("since", "for_"):
-        duration_of(f"--{name.strip('_')}", getattr(arguments, name), least=0)
+        if getattr(arguments, name) != "oldest" or name != "since":
+            duration_of(f"--{name.strip('_')}", getattr(arguments, name), least=0)
     if arguments.on is not None and arguments.for_ is None:
         raise InvalidArgument("--on needs --for, the time after which each file ends, as in --for 10s")
     with connected(arguments) as rt:

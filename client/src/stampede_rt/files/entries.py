@@ -224,10 +224,16 @@ def _expanded(runs: Iterable[Mapping[str, Any]]) -> Iterator[ItemFacts]:
             return
         for index in range(count):
             try:
-                duration = run.get("duration") if durations is None else durations[index]
-                time = None if times is None else times[index]
+                duration = _at(durations, index, run.get("duration"))
+                time = _at(times, index, None)
             except (IndexError, TypeError):
                 return
-            if not all(one is None or type(one) is int for one in (duration, time)):
-                return
             yield ItemFacts(first_seq + index, duration, attributes, kind, time)
+
+
+def _at(column: Any, index: int, every: Any) -> int | None:
+    """Return a number of a column; `every` if there is no column. Raises TypeError for anything else."""
+    found = every if column is None else column[index]
+    if found is not None and type(found) is not int:
+        raise TypeError(f"{found!r} is no whole number")
+    return found

@@ -136,13 +136,14 @@ class FileReader:
                 if end is not None:
                     return
                 continue  # damaged, or a file without an index: look on for its end mark
-            found: Content | Damage | Attachment | Metadata | None
-            try:
-                found = self._read(frame)
-            except FileError as error:
-                found = Damage(frame.offset, frame.end, error.message)
-            if found is not None:
+            if (found := self._read_or_damage(frame)) is not None:
                 yield found
+
+    def _read_or_damage(self, frame: RecordFrame) -> Content | Damage | Attachment | Metadata | None:
+        try:
+            return self._read(frame)
+        except FileError as error:
+            return Damage(frame.offset, frame.end, error.message)
 
     def content_at(self, offset: int) -> Content:
         """Read the chunk at a byte, as the index names it. Raises FileError."""

@@ -128,3 +128,27 @@ class RecordingSummary:
     def missing(self) -> int:
         """The number of missing items of all channels, as far as it is known."""
         return sum(one.missing for one in self.channels)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplaySummary:
+    """What a replay or an import has put into channels.
+
+    - `items` counts the accepted items by channel, `refused` the items that the hosts have refused; `first_refusal` is
+      the error text of the first one.
+    - `gaps` has the first 1000 gaps of the file, at whose places the next item got the attribute `stampede.gap`.
+    - `advances` counts the advances, and `rounds` how many times the file was played to its end.
+    """
+
+    path: str
+    items: Mapping[str, int]
+    refused: int
+    first_refusal: str
+    gaps: Sequence[RecordingGap]
+    advances: int
+    rounds: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether the hosts have accepted everything."""
+        return not self.refused

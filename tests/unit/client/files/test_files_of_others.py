@@ -8,34 +8,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import foxglove
 import pytest
 from mcap.reader import make_reader
-from rosbags.rosbag2 import StoragePlugin, Writer, storage_mcap
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import StoragePlugin, storage_mcap
 
 from stampede_rt.files.editing import cut, recover, verify
 from stampede_rt.files.entries import FileEntry, item_entry
+from tests.support.files.foreign_files import foxglove_file, rosbag
 from tests.support.files.recordings import MS, START, entries, item, read, topic, write
-
-
-def foxglove_file(path: Path) -> Path:
-    with foxglove.open_mcap(str(path), context=(context := foxglove.Context())):
-        pose = foxglove.Channel("/pose", message_encoding="json", context=context)
-        for number in range(100):
-            pose.log({"x": number}, log_time=START + number * MS)
-    return path
-
-
-def rosbag(folder: Path, plugin: StoragePlugin) -> Path:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    text = store.types["std_msgs/msg/String"]
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        chatter = writer.add_connection("/chatter", text.__msgtype__, typestore=store)
-        for number in range(100):
-            data = store.serialize_cdr(text(data=f"n{number}"), text.__msgtype__)
-            writer.write(chatter, START + number * MS, data)
-    return folder
 
 
 @pytest.fixture(params=["foxglove", "rosbags"])

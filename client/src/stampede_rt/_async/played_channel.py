@@ -1,0 +1,122 @@
+"""A channel into which a replay or an import puts items."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt._async.channel import Channel
+from stampede_rt._async.producer import Producer
+from stampede_rt._async.session import Session
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
+from stampede_rt.files.entries import FileEntry
+from stampede_rt.files.schedule import Schedule
+from stampede_rt.values.model import Policy
+from stampede_rt.values.policy import parse_name, parse_policy
+from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.timeline import format_duration, format_instant
+
+GAP_ATTRIBUTE = "stampede.gap"
+MAX_FUTURE_DEFAULT_NANOS = 1_000_000_000
+PUT_TIMEOUT_S = 60.0
+
+
+class PlayedChannel:
+    """Puts items without waiting for each, in the order of the file. An advance waits for the items before it."""
+
+    def __init__(self, channel: Channel) -> None:
+        self.name = channel.name
+        self._channel = channel
+        self._producer: Producer = channel.producer()
+        self._gap: RecordingGap | None = None  # told with the next item
+        self.advances = self._refused_advances = 0
+        self.first_refusal = ""
+
+    @classmethod
+    async def open(cls, session: Session, name: str, policy: dict[str, Any]) -> PlayedChannel:
+        """Open the channel, or create it with `policy`. An existing one keeps its policy."""
+        try:
+            stated, create = Policy(), False
+            info = await session.open_channel(parse_name(name), stated, None, create)
+        except ChannelNotFound:
+            stated, create = parse_policy(**policy), True
+            info = await session.open_channel(name, stated, None, create)
+        return cls(Channel(session, session.state_of(info, stated, create)))
+
+    @property
+    def accepted(self) -> int:
+        """The number of accepted items."""
+        return self._producer.accepted
+
+    @property
+    def refused(self) -> int:
+        """The number of refused items and advances."""
+        return self._producer.rejections + self._refused_advances
+
+    async def check(self, first: int, last: int, schedule: Schedule) -> None:
+        """Raise InvalidArgument if the channel would refuse items between these times of the file."""
+        stats = await self._channel.stats()
+        begins, ends = schedule.shifted(first), schedule.shifted(last)
+        takes, policy = schedule.due_nanos(last), stats.policy
+        future = MAX_FUTURE_DEFAULT_NANOS if policy.max_future_nanos is None else policy.max_future_nanos
+        max_age = policy.max_age_nanos
+        if max_age is not None and begins < stats.host_time + schedule.due_nanos(first) - max_age:
+            why = f"it keeps items for {format_duration(max_age)}"
+        elif stats.advance is not None and begins < stats.advance:
+            why = f"its producers have promised nothing before {format_instant(stats.advance)}"
+        elif stats.frontier is not None and begins < stats.frontier:
+            why = f"it has collected items of before {format_instant(stats.frontier)}"
+        elif ends > stats.host_time + takes + future:
+            why = f"items may be at most {format_duration(future)} ahead of the host's clock"
+        else:
+            return
+        raise InvalidArgument(
+            f"channel {self.name!r} would refuse items of the file: {why}, and they would be of "
+            f"{format_instant(begins)} to {format_instant(ends)}; shift them to now, or choose another prefix"
+        )
+
+    async def put(self, entry: FileEntry, time: int) -> None:
+        """Put an item. The first one behind a gap gets the attribute `stampede.gap`. Raises Unavailable."""
+        attributes = dict(entry.attributes)
+        if self._gap is not None:
+            items = "?" if self._gap.items is None else self._gap.items
+            attributes[GAP_ATTRIBUTE], self._gap = f"{items} items {self._gap.reason}", None
+        await self._producer.put(
+            entry.data,
+            time=time,
+            duration=entry.duration,
+            attributes=attributes,
+            content_type=entry.content_type or None,
+            timeout=PUT_TIMEOUT_S,
+        )
+
+    def note_gap(self, gap: RecordingGap) -> None:
+        """Tell with the next item that items before it are missing."""
+        self._gap = gap
+
+    async def advance(self, time: int) -> None:
+        """Advance the channel, after all items before."""
+        await self.flush()
+        try:
+            await self._channel.advance(time)
+            self.advances += 1
+        except InvalidArgument:
+            raise
+        except StampedeError as error:
+            if error.retryable:
+                raise
+            self._refused_advances += 1
+            self.first_refusal = self.first_refusal or error.message
+
+    async def flush(self) -> None:
+        """Wait until the host has accepted or refused all items. Raises Unavailable."""
+        refused = self.refused
+        try:
+            await self._producer.flush(PUT_TIMEOUT_S)
+        except StampedeError as error:
+            if self.refused == refused and not self.first_refusal and error.retryable:
+                raise
+            self.first_refusal = self.first_refusal or error.message
+
+    async def aclose(self) -> None:
+        """Close the stream of puts."""
+        await self._producer.aclose()

@@ -1,0 +1,218 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Puts the items of a file into channels: at the pace at which they came, or as fast as possible."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from types import TracebackType
+
+from stampede_rt._sync.played_channel import PlayedChannel
+from stampede_rt._sync.session import Session
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.names import channel_name
+from stampede_rt.files.reading import Event
+from stampede_rt.files.schedule import Schedule, target_policy
+from stampede_rt.files.sources import FileSource, SourceTopic
+from stampede_rt.handles import BoundToProcess
+from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
+from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary
+
+EVENTS_AT_ONCE = 64  # that are read from the file in one step
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlayRequest:
+    """What to play, and how. `start` and `end` are times of the file, `end` exclusive. `speed` 0: without pauses."""
+
+    prefix: str
+    chosen: Callable[[str], bool]
+    speed: float
+    start: int
+    end: int
+    loop: bool
+    shift: int | str | None
+
+
+class Player(BackgroundStart, BoundToProcess):
+    """Plays a file into channels, from its making until its end or `stop` (see `Connection.replay_file`).
+
+    A context manager. `summary` is None until the replay has ended. `error` is the error that ended it early.
+    """
+
+    def __init__(self, session: Session, source: FileSource, request: PlayRequest) -> None:
+        self._session = session
+        self._source = source
+        self._request = request
+        self._channels: dict[str, PlayedChannel] = {}
+        self._gaps: list[RecordingGap] = []
+        self._rounds = 0
+        self._stop = Signal()
+        self._stopped = False
+        self._holds = Signal()  # is set once the channels are open and take the items, or once the replay has ended
+        self._ended = Signal()
+        self.active = True
+        self.summary: ReplaySummary | None = None
+        self.error: StampedeError | None = None
+        session.attach(self)
+        self._background = BackgroundTask(self._run, f"replay of {source.path}")
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("" if self.active else "ended")
+        return f"<Player of {self._source.path!r}{f', {state}' if state else ''}>"
+
+    def __enter__(self) -> Player:
+        self._begun()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._ended.wait(None)
+        if kind is None and self.error is not None:
+            raise self.error
+
+    @property
+    def channels(self) -> list[str]:
+        """The names of the channels that get items, sorted."""
+        return sorted(one.name for one in self._channels.values())
+
+    def stop(self) -> None:
+        """End the replay after the present item. Does not wait; see `wait`.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
+        it raises WrongEventLoop.
+        """
+        self._session.check_thread()
+        self._stopped = True
+        self._stop.set()
+
+    def wait(self, timeout: float | None = None) -> ReplaySummary | None:
+        """Wait until the replay has ended, and return its summary; None after `timeout` seconds.
+
+        None as `timeout` waits without a limit. Raises `error` if there is one.
+        """
+        self._session.check_process()
+        if not self._ended.wait(timeout):
+            return None
+        if self.error is not None:
+            raise self.error
+        return self.summary
+
+    def end(self) -> None:
+        """Stop, and wait a moment. The connection calls this when it closes."""
+        self.stop()
+        self._ended.wait(1.0)
+
+    def _begun(self) -> None:
+        self._holds.wait(None)
+        if self.error is not None:
+            raise self.error
+
+    def _run(self) -> None:
+        try:
+            self._play_all()
+        except StampedeError as error:
+            self.error = error
+        except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
+            self.error = StampedeError(f"the replay failed with a defect: {type(defect).__name__}: {defect}")
+            self.error.__cause__ = defect
+        finally:
+            self._source.close()
+            self.active = False
+            self._holds.set()
+            self._ended.set()
+            self._session.detach(self)
+
+    def _play_all(self) -> None:
+        topics = [one for one in in_thread(self._source.topics) if self._request.chosen(one.name)]
+        if not topics:
+            raise InvalidArgument(f"the file {self._source.path!r} has no topic that was chosen")
+        schedule = self._plan(topics, time.time_ns())
+        self._open(topics, schedule)
+        self._holds.set()
+        try:
+            while not self._stopped:
+                self._play_round(schedule)
+                self._rounds += not self._stopped
+                if not self._request.loop:
+                    break
+                schedule = self._plan(topics, time.time_ns())
+            self._flush()
+        finally:
+            for one in self._channels.values():
+                one.close()
+        self.summary = self._summarize()
+
+    def _plan(self, topics: Sequence[SourceTopic], now: int) -> Schedule:
+        start = max(self._request.start, min(one.start for one in topics))
+        end = min(self._request.end - 1, max(one.end for one in topics))
+        return Schedule.plan(start, max(start, end), self._request.speed, self._request.shift, now)
+
+    def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
+        """Open all channels, and check that none of them would refuse the items. Raises InvalidArgument."""
+        taken: dict[str, str] = {}
+        for topic in topics:
+            name = channel_name(topic.name, self._request.prefix)
+            if taken.setdefault(name, topic.name) != topic.name:
+                raise InvalidArgument(
+                    f"the topics {taken[name]!r} and {topic.name!r} would both become channel {name!r}; choose one"
+                )
+            policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
+            self._channels[topic.name] = PlayedChannel.open(self._session, name, policy)
+        for topic in topics:
+            first = in_thread(partial(self._first_time, topic))
+            self._channels[topic.name].check(first, topic.end, schedule)
+
+    def _first_time(self, topic: SourceTopic) -> int:
+        request = self._request
+        for _, event in self._source.events(lambda name: name == topic.name, request.start, request.end):
+            if isinstance(event, FileEntry):
+                return event.time
+        return topic.start
+
+    def _play_round(self, schedule: Schedule) -> None:
+        request, began = self._request, time.monotonic_ns()
+        events = self._source.events(lambda name: name in self._channels, request.start, request.end)
+        while part := in_thread(partial(_some, events)):
+            for due, event in part:
+                wait = (schedule.due_nanos(due) - (time.monotonic_ns() - began)) / 1e9
+                if (wait > 0 and self._stop.wait(wait)) or self._stopped:
+                    return
+                self._take(event, schedule)
+        self._stop.wait(max(0.0, (schedule.due_nanos(schedule.end) - (time.monotonic_ns() - began)) / 1e9))
+
+    def _take(self, event: Event, schedule: Schedule) -> None:
+        if isinstance(event, FileEntry):
+            self._channels[event.topic.name].put(event, schedule.shifted(event.time))
+        elif isinstance(event, FileAdvance):
+            self._channels[event.channel].advance(schedule.shifted(event.time))
+        else:
+            self._channels[event.channel].note_gap(event)
+            if len(self._gaps) < GAPS_KEPT_MAX:
+                self._gaps.append(event)
+
+    def _flush(self) -> None:
+        for one in self._channels.values():
+            one.flush()
+
+    def _summarize(self) -> ReplaySummary:
+        channels = self._channels.values()
+        return ReplaySummary(
+            path=self._source.path,
+            items={one.name: one.accepted for one in channels},
+            refused=sum(one.refused for one in channels),
+            first_refusal=next((one.first_refusal for one in channels if one.first_refusal), ""),
+            gaps=tuple(self._gaps),
+            advances=sum(one.advances for one in channels),
+            rounds=self._rounds,
+        )
+
+
+def _some(events: Iterator[tuple[int, Event]]) -> list[tuple[int, Event]]:
+    return list(islice(events, EVENTS_AT_ONCE))

@@ -1,0 +1,122 @@
+"""`stampede replay` and `stampede import`: they put the items of files into channels."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt.cli.arguments import add_verb, checked, connected, parse_time
+from stampede_rt.cli.interrupts import interruption
+from stampede_rt.cli.output import joined, print_rows
+from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text
+from stampede_rt.escaping import escaped
+from stampede_rt.values.recording import ReplaySummary
+
+if TYPE_CHECKING:
+    from stampede_rt._sync.player import Player
+
+STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verbs of this module."""
+    replay = add_verb(subparsers, "replay", "play an MCAP file into channels", run_replay, output=False)
+    replay.add_argument("path", metavar="FILE", help="an MCAP file")
+    replay.add_argument(
+        "--as", dest="prefix", default="replay/", metavar="PREFIX", help='before the names; default "replay/"'
+    )
+    replay.add_argument(
+        "--speed", type=_speed, default=1.0, metavar="N", help='such as 2 or 0.5; "max" is without pauses; default 1'
+    )
+    replay.add_argument("--loop", action="store_true", help="again and again, until Ctrl-C; needs --shift now")
+    importing = add_verb(subparsers, "import", "put the items of a file into channels", run_import, output=False)
+    importing.add_argument("path", metavar="FILE", help="MCAP, rosbag2 (its folder, or a file in it), or XDF")
+    importing.add_argument("--as", dest="prefix", default="", metavar="PREFIX", help="before the names; default none")
+    for verb in (replay, importing):
+        verb.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
+        verb.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
+        verb.add_argument(
+            "--channel", action="append", metavar="GLOB", help="a name, or a glob such as 'rig/*'; may be repeated"
+        )
+        verb.add_argument(
+            "--shift", metavar="SHIFT", help='"now", or a duration such as -1h, for all times; default: as recorded'
+        )
+        verb.add_argument("--summary", choices=("table", "json"), default="table", help="how to print the summary")
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return 0.0
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed <= 1e6:
+        raise argparse.ArgumentTypeError(f'{text!r} is no speed; write a number such as 2 or 0.5, or "max"')
+    return speed
+
+
+def run_replay(arguments: argparse.Namespace) -> int:
+    """Play a file, and print what was put."""
+    with connected(arguments) as rt:
+        player = rt.replay_file(
+            arguments.path,
+            arguments.prefix,
+            channels=arguments.channel or "*",
+            speed=arguments.speed,
+            start=arguments.start,
+            end=arguments.end,
+            loop=arguments.loop,
+            shift=arguments.shift,
+        )
+        return _played(player, arguments)
+
+
+def run_import(arguments: argparse.Namespace) -> int:
+    """Import a file, and print what was put."""
+    with connected(arguments) as rt:
+        player = rt.import_file(
+            arguments.path,
+            arguments.prefix,
+            channels=arguments.channel or "*",
+            start=arguments.start,
+            end=arguments.end,
+            shift=arguments.shift,
+        )
+        return _played(player, arguments)
+
+
+def _played(player: Player, arguments: argparse.Namespace) -> int:
+    interruption.ends(player.stop, STOP_S)
+    names = player.channels
+    shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
+    print(f"stampede: putting {escaped(arguments.path)} into {shown}", file=sys.stderr)
+    summary = player.wait()
+    assert summary is not None, "the replay has no limit of time here"
+    _print(summary, arguments.summary)
+    return 0 if summary.complete else INCOMPLETE
+
+
+def _print(summary: ReplaySummary, form: str) -> None:
+    if form == "json":
+        value = {
+            "file": summary.path,
+            "items": dict(summary.items),
+            "refused": summary.refused,
+            "first_refusal": summary.first_refusal,
+            "advances": summary.advances,
+            "rounds": summary.rounds,
+            "gaps": [gap.to_json() for gap in summary.gaps],
+        }
+        print(json.dumps(value, indent=2))
+        return
+    rows = [{"channel": name, "items": items} for name, items in sorted(summary.items.items())]
+    print_rows(rows, "table", none="no channels")
+    for gap in summary.gaps[:GAPS_SHOWN]:
+        print(f"missing in the file: {gap_text(gap)}")
+    if len(summary.gaps) > GAPS_SHOWN:
+        print(f"missing in the file: {len(summary.gaps) - GAPS_SHOWN} more gaps")
+    if summary.first_refusal:
+        print(f"refused: {summary.refused} items and advances; the first: {escaped(summary.first_refusal)}")

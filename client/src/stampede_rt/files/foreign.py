@@ -1,0 +1,202 @@
+"""Files of other programs as sources of items: rosbag2 through `rosbags`, and XDF through `pyxdf`."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import logging
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from stampede_rt.errors import FileError
+from stampede_rt.files.entries import FileEntry, Topic
+from stampede_rt.files.framing import MAGIC
+from stampede_rt.files.reading import Event
+from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic
+
+CDR = "application/x-ros-cdr"
+XDF_BYTES_MAX = 1024**3
+"""The largest XDF file. `pyxdf` reads a file as a whole."""
+COMPLAINTS_MAX = 8
+_XDF_MAGIC = b"XDF:"
+_SQLITE_MAGIC = b"SQLite format 3\x00"
+
+
+def source_of(path: str | os.PathLike[str]) -> FileSource:
+    """Open a file as a source, by its content. Raises FileError."""
+    found = Path(path)
+    if found.is_dir():
+        return RosbagSource(found)
+    try:
+        with found.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise FileError(f"the file {os.fspath(path)!r} cannot be read: {error.strerror}") from error
+    if head.startswith(MAGIC):
+        return McapSource(found)
+    if head == _SQLITE_MAGIC:
+        return RosbagSource(found)
+    if head.startswith(_XDF_MAGIC):
+        return XdfSource(found)
+    raise FileError(
+        f"the file {os.fspath(path)!r} is neither MCAP, nor rosbag2, nor XDF; unpack a packed file (.xdfz, .zstd) first"
+    )
+
+
+def _missing(library: str) -> FileError:
+    return FileError(f"this file needs the library {library}; run: pip install 'stampede-rt[imports]'")
+
+
+def _unreadable(path: Path, error: BaseException) -> FileError:
+    return FileError(f"the file {os.fspath(path)!r} cannot be read: {type(error).__name__}: {error}")
+
+
+class RosbagSource:
+    """A rosbag2, without ROS. Its messages stay in CDR; the attribute `schema` has the message type."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the bag. Raises FileError."""
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError as error:
+            raise _missing("rosbags") from error
+        self.path = os.fspath(path)
+        try:
+            self._reader = Reader(path)
+            self._reader.open()
+        except Exception as error:
+            raise _unreadable(path, error) from error
+        self._topics: dict[str, Topic] = {}
+
+    def close(self) -> None:
+        """Close the bag."""
+        if self._reader.is_open:
+            self._reader.close()
+
+    def topics(self) -> Sequence[SourceTopic]:
+        """The topics that have messages, by name. Their times are those of the bag."""
+        names = sorted({one.topic for one in self._reader.connections if one.msgcount})
+        start, end = self._reader.start_time, max(self._reader.end_time - 1, self._reader.start_time)
+        return [SourceTopic(name=name, policy={}, start=start, end=end) for name in names]
+
+    def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
+        """Yield the messages in the order of the bag. Raises FileError."""
+        connections = [one for one in self._reader.connections if chosen(one.topic)]
+        due = start
+        try:
+            for connection, time, data in self._reader.messages(connections) if connections else ():
+                if start <= time < end:
+                    due = max(due, time)
+                    yield due, self._entry(connection, time, bytes(data))
+        except Exception as error:
+            raise _unreadable(Path(self.path), error) from error
+
+    def _entry(self, connection: Any, time: int, data: bytes) -> FileEntry:
+        topic = self._topics.setdefault(connection.topic, Topic(connection.topic, "cdr"))
+        return FileEntry(topic, time, time, 0, data, None, time, None, {"schema": connection.msgtype}, CDR)
+
+
+class XdfSource:
+    """An XDF file (LabRecorder). Each sample is an item: a JSON list with the value of each of the stream's channels.
+
+    Times are those of the recording computer's clock, as `pyxdf` corrects them: seconds since its start, not since the
+    epoch. Values that JSON has no number for become null.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the file. Raises FileError."""
+        try:
+            import pyxdf
+        except ImportError as error:
+            raise _missing("pyxdf") from error
+        self.path = os.fspath(path)
+        if path.stat().st_size > XDF_BYTES_MAX:
+            raise FileError(f"the file {self.path!r} is larger than 1 GiB, and XDF is read as a whole; split it first")
+        self._streams = self._load(pyxdf.load_xdf)
+
+    def _load(self, load: Callable[[str], Any]) -> dict[str, Any]:
+        with _Complaints("pyxdf") as complaints:
+            try:
+                streams, _ = load(self.path)
+                found = dict(zip(_names_of(streams), streams, strict=True))
+            except Exception as error:
+                raise _unreadable(Path(self.path), error) from error
+        if complaints.texts:
+            raise FileError(f"the file {self.path!r} is damaged: {complaints.texts[0]}")
+        return found
+
+    def close(self) -> None:
+        """Forget the file."""
+        self._streams = {}
+
+    def topics(self) -> Sequence[SourceTopic]:
+        """The streams that have samples, by name."""
+        found = []
+        for name, stream in sorted(self._streams.items()):
+            stamps = stream["time_stamps"]
+            if len(stamps):
+                start, end = _nanos(min(stamps)), _nanos(max(stamps))
+                found.append(SourceTopic(name=name, policy={}, start=start, end=end))
+        return found
+
+    def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
+        """Yield the samples of all chosen streams, merged by time."""
+        many = [_samples(name, stream, start, end) for name, stream in sorted(self._streams.items()) if chosen(name)]
+        yield from heapq.merge(*many, key=lambda one: one[0])
+
+
+class _Complaints(logging.Handler):
+    """Gathers what a library logs as an error while it skips damaged parts. The log itself gets nothing."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(logging.ERROR)
+        self._logger = logging.getLogger(name)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep the first texts."""
+        if len(self.texts) < COMPLAINTS_MAX:
+            self.texts.append(record.getMessage())
+
+    def __enter__(self) -> _Complaints:
+        self._logger.addHandler(self)
+        self._propagated, self._logger.propagate = self._logger.propagate, False
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._logger.removeHandler(self)
+        self._logger.propagate = self._propagated
+
+
+def _names_of(streams: Sequence[Any]) -> list[str]:
+    """Return a name for each stream. Streams of one name get their number."""
+    names: list[str] = []
+    for stream in streams:
+        name = str(stream["info"]["name"][0] or "unnamed")
+        names.append(name if name not in names else f"{name}-{stream['info']['stream_id']}")
+    return names
+
+
+def _nanos(seconds: float) -> int:
+    return round(float(seconds) * 1e9)
+
+
+def _samples(name: str, stream: Any, start: int, end: int) -> Iterator[tuple[int, Event]]:
+    topic, due = Topic(name, "json"), start
+    kind = str(stream["info"]["type"][0] or "")
+    attributes = {"type": kind} if kind else {}
+    value_of: Callable[[Any], Any] = _number if hasattr(stream["time_series"], "dtype") else str
+    for seconds, sample in zip(stream["time_stamps"], stream["time_series"], strict=False):
+        time = _nanos(seconds)
+        if start <= time < end:
+            due = max(due, time)
+            data = json.dumps([value_of(one) for one in sample], ensure_ascii=False).encode()
+            yield due, FileEntry(topic, time, time, 0, data, None, time, None, attributes, "application/json")
+
+
+def _number(value: Any) -> int | float | None:
+    plain = value.item()
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain

@@ -1,0 +1,99 @@
+"""When each item of a file is put, and with which time. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.model import OVERLAP_NANOS_MAX
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, parse_duration
+
+SHIFT_NOW = "now"
+SPEED_MAX = 1e6
+MARGIN_NANOS = 10_000_000_000  # what a new channel keeps in excess of the replay's own delay
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """A file's time from `start` to `end` is played at `speed` from the instant `began` on, with `shift` added.
+
+    `speed` 0 means as fast as possible.
+    """
+
+    start: int
+    end: int
+    speed: float
+    began: int
+    shift: int
+
+    @classmethod
+    def plan(cls, start: int, end: int, speed: float, shift: int | str | None, now: int) -> Schedule:
+        """Return the schedule. With `shift` "now" no item is ever ahead of the clock, and the last one is not behind.
+
+        At a speed above 1 the first item therefore is in the past, by the time that the replay gains.
+        """
+        if shift is None:
+            return cls(start, end, speed, now, 0)
+        if shift != SHIFT_NOW:
+            return cls(start, end, speed, now, int(shift))
+        length = end - start
+        takes = 0 if speed == 0 else round(length / speed)
+        return cls(start, end, speed, now, now - start - max(0, length - takes))
+
+    def due_nanos(self, time: int) -> int:
+        """Return how long after the beginning an item of that time is put."""
+        return 0 if self.speed == 0 else round(max(0, time - self.start) / self.speed)
+
+    @property
+    def lag_nanos(self) -> int:
+        """The greatest time by which a shifted item is behind the clock when it is put."""
+        length = self.end - self.start
+        takes = 0 if self.speed == 0 else round(length / self.speed)
+        return abs(length - takes)
+
+    def shifted(self, time: int) -> int:
+        """Return the time with which an item is put."""
+        return min(max(time + self.shift, MIN_INSTANT), MAX_INSTANT)
+
+
+def parse_shift(shift: object) -> int | str | None:
+    """Return a shift in nanoseconds, "now", or None for times as recorded. Raises InvalidArgument."""
+    if shift is None or shift == SHIFT_NOW:
+        return None if shift is None else SHIFT_NOW
+    return parse_duration(shift, "shift")  # type: ignore[arg-type]  # it checks
+
+
+def parse_speed(speed: object) -> float:
+    """Return a speed; 0 means as fast as possible. Raises InvalidArgument."""
+    if isinstance(speed, bool) or not isinstance(speed, int | float) or not 0 <= speed <= SPEED_MAX:
+        raise InvalidArgument(f"speed is {speed!r}; write a number such as 2.0, or 0 for as fast as possible")
+    return float(speed)
+
+
+def target_policy(recorded: Mapping[str, Any], shifted: bool, lag_nanos: int) -> dict[str, Any]:
+    """Return the policy of a channel that a replay creates, as arguments of `Connection.channel`.
+
+    It is the recorded one, without what belongs to consumers. Without a shift it has no max_age, which would refuse
+    the items; with one it keeps them longer by the lag.
+    """
+    policy: dict[str, Any] = {name: _count(recorded.get(name)) for name in ("max_bytes", "max_items")}
+    max_age, overlap = _count(recorded.get("max_age_nanos")), _count(recorded.get("overlap_nanos"))
+    if shifted and max_age is not None:
+        policy["max_age"] = f"{min(max_age + lag_nanos + (MARGIN_NANOS if lag_nanos else 0), MAX_INSTANT)} ns"
+    elif policy["max_bytes"] is None:
+        policy["max_bytes"] = 256 * 1024 * 1024
+    if overlap is not None and overlap <= OVERLAP_NANOS_MAX:
+        policy["overlap"] = f"{overlap} ns"
+    return policy | _content_type(recorded.get("content_type"))
+
+
+def _content_type(kind: object) -> dict[str, str]:
+    known = isinstance(kind, str) and kind.isascii() and 0 < len(kind) <= 255
+    return {"content_type": kind} if known and isinstance(kind, str) else {}
+
+
+def _count(value: object) -> int | None:
+    """Return a policy's number, if it is one that a policy may have. Files come from other programs."""
+    return value if type(value) is int and 0 < value < 2**62 else None

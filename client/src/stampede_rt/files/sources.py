@@ -1,0 +1,173 @@
+"""Sources of items for replay and import: files of several kinds, read in the order in which the items are put."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import os
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from stampede_rt.errors import FileError
+from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
+from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+
+CACHE_BYTES = 64 * 1024 * 1024  # of decoded chunks
+Chosen = Callable[[str], bool]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SourceTopic:
+    """A topic of a source: its name, the policy of its channel if the source knows it, and its first and last time."""
+
+    name: str
+    policy: Mapping[str, Any]
+    start: int
+    end: int
+
+
+class FileSource(Protocol):
+    """A file from which items are put. `events` yields in the order of `due`: a time that never falls."""
+
+    path: str
+
+    def topics(self) -> Sequence[SourceTopic]:
+        """The topics that have messages, by name."""
+        ...
+
+    def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
+        """Yield the items with a time from `start` on and before `end`, and the gaps and advances between them."""
+        ...
+
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
+
+class McapSource:
+    """An MCAP file with an index. Keeps one chunk of each topic in memory, and CACHE_BYTES of decoded chunks."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file. Raises FileError, also if the file has no index."""
+        self._reader = FileReader(path)
+        self.path = self._reader.path
+        index = self._reader.index
+        if index is None or not index.chunks:
+            self._reader.__exit__()
+            raise _unplayable(self.path, index)
+        self._chunks = sorted(index.chunks, key=lambda one: one.chunk_start_offset)
+        self._index = index
+        self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
+        self._cached_bytes = 0
+        self._loose: dict[str, deque[tuple[int, Event]]] = {}  # gaps and advances of chunks without an item of theirs
+        self._seen: set[int] = set()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.__exit__()
+
+    def topics(self) -> Sequence[SourceTopic]:
+        """The topics that have messages, by name. Their times are those of the chunks that have them."""
+        found: dict[str, SourceTopic] = {}
+        for number, topic in self._index.topics.items():
+            chunks = [one for one in self._chunks if number in one.message_index_offsets]
+            if topic.name == FACTS_TOPIC or not chunks:
+                continue
+            before = found.get(topic.name)
+            found[topic.name] = SourceTopic(
+                name=topic.name,
+                policy=_policy(dict(topic.metadata).get(POLICY_KEY, "{}")),
+                start=min(*(one.message_start_time for one in chunks), before.start if before else MAX_INSTANT),
+                end=max(*(one.message_end_time for one in chunks), before.end if before else MIN_INSTANT),
+            )
+        return sorted(found.values(), key=lambda one: one.name)
+
+    def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
+        """Yield the events of all chosen topics, merged by time. Each topic keeps the order of the file."""
+        names = [topic.name for topic in self.topics() if chosen(topic.name)]
+        streams = [self._of(name, number, start, end) for number, name in enumerate(names)]
+        for due, _, event in heapq.merge(*streams, key=lambda one: one[:2]):
+            yield due, event
+
+    def _of(self, name: str, number: int, start: int, end: int) -> Iterator[tuple[int, int, Event]]:
+        """Yield the events of one topic with the greatest time so far."""
+        due, ids = start, {key for key, topic in self._index.topics.items() if topic.name == name}
+        for place, chunk in enumerate(self._chunks):
+            has = not ids.isdisjoint(chunk.message_index_offsets)
+            if has and chunk.message_end_time < start and chunk.message_end_time > 0:
+                continue
+            for event in self._taken(name, place) if has else ():
+                if not isinstance(event, FileEntry):
+                    yield due, number, event
+                elif start <= event.time < end:
+                    due = max(due, event.time)
+                    yield due, number, event
+            if not has and set(chunk.message_index_offsets) <= self._facts_ids:
+                self._decoded(place)
+        for event in self._loose_before(name, len(self._chunks)):
+            yield due, number, event
+
+    @property
+    def _facts_ids(self) -> set[int]:
+        return {number for number, topic in self._index.topics.items() if topic.name == FACTS_TOPIC}
+
+    def _taken(self, name: str, place: int) -> Iterator[Event]:
+        own = self._decoded(place).get(name, ())
+        yield from self._loose_before(name, place)
+        yield from own
+
+    def _loose_before(self, name: str, place: int) -> Iterator[Event]:
+        waiting = self._loose.get(name)
+        while waiting and waiting[0][0] < place:
+            yield waiting.popleft()[1]
+
+    def _note_loose(self, place: int, found: Mapping[str, list[Event]]) -> None:
+        self._seen.add(place)
+        for name, events in found.items():
+            if not any(isinstance(event, FileEntry) for event in events):
+                self._loose.setdefault(name, deque()).extend((place, event) for event in events)
+
+    def _decoded(self, place: int) -> dict[str, list[Event]]:
+        """Return the events of a chunk by topic."""
+        found = self._cache.get(place)
+        if found is not None:
+            self._cache.move_to_end(place)
+            return found
+        chunk = self._chunks[place]
+        found = _by_topic(self._reader.content_at(chunk.chunk_start_offset))
+        if place not in self._seen:
+            self._note_loose(place, found)
+        self._cache[place] = found
+        self._cached_bytes += chunk.uncompressed_size
+        while self._cached_bytes > CACHE_BYTES and len(self._cache) > 1:
+            old, _ = self._cache.popitem(last=False)
+            self._cached_bytes -= self._chunks[old].uncompressed_size
+        return found
+
+
+def _unplayable(path: str, index: FileIndex | None) -> FileError:
+    if index is not None and index.statistics is not None and not index.statistics.message_count:
+        return FileError(f"the file {path!r} cannot be played: it has no items")
+    return FileError(
+        f"the file {path!r} cannot be played: it has no index of chunks; `stampede file recover` or "
+        "`stampede file merge` writes a file with one"
+    )
+
+
+def _by_topic(content: Content) -> dict[str, list[Event]]:
+    found: dict[str, list[Event]] = {}
+    for event in content.events():
+        name = event.topic.name if isinstance(event, FileEntry) else event.channel
+        found.setdefault(name, []).append(event)
+    return found
+
+
+def _policy(text: str) -> Mapping[str, Any]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

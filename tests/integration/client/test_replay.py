@@ -1,0 +1,189 @@
+"""Replays and imports into live channels."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.files.entries import FileAdvance, Topic, item_entry
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
+from tests.support.waiting import wait_until
+
+cluster = cluster_fixture(hosts=2, supernodes=1)
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A file with a late item, durations, attributes, a gap and an advance."""
+    events = [item_entry(topic(), item(seq, b"%d" % seq, duration=seq, n=str(seq))) for seq in range(1, 11)]
+    events += [item_entry(topic(), item(11, b"late", time=START + 4 * MS, content_type="text/plain"))]
+    after = [*entries("cam", range(15, 21)), FileAdvance("cam", INCARNATION, START + 20 * MS, 20)]
+    return write(tmp_path / "drive.mcap", [*events, gap("cam", 12, 14), *after, *entries("imu", range(1, 11))])
+
+
+def test_items_advances_and_gaps_survive(rt: st.Connection, drive: Path) -> None:
+    summary = rt.replay_file(drive, "one/", speed=0, shift="now").wait()
+    assert summary is not None
+    assert summary.items == {"one/cam": 17, "one/imu": 10}
+    assert (summary.complete, summary.advances, summary.gaps) == (True, 1, (gap("cam", 12, 14),))
+    channel = rt.channel("one/cam", create=False)
+    found = sorted(channel.get(st.OLDEST, st.NOW), key=lambda one: one.seq)
+    shift = found[0].time - (START + MS)
+    expected = [seq for seq in range(1, 21) if seq not in (11, 12, 13, 14)]
+    assert [one.time - shift for one in found if one.payload != b"late"] == [START + seq * MS for seq in expected]
+    assert [(one.duration, one.attributes) for one in found[:10]] == [(seq, {"n": str(seq)}) for seq in range(1, 11)]
+    assert (found[10].time - shift, found[10].payload, found[10].content_type) == (
+        START + 4 * MS,
+        b"late",
+        "text/plain",
+    )
+    assert [one.attributes for one in found[10:13]] == [{}, {"stampede.gap": "3 items COLLECTED"}, {}]
+    advance = channel.stats().advance
+    assert advance is not None
+    assert advance - shift == START + 20 * MS
+
+
+async def test_the_asyncio_client_replays_the_same(cluster: LocalCluster, drive: Path) -> None:
+    async with aio.connect(cluster.address) as rt, rt.replay_file(drive, "two/", speed=10.0, shift="now") as player:
+        summary = await player.wait()
+        assert summary is not None
+        assert summary.items == {"two/cam": 17, "two/imu": 10}
+        assert len(await (await rt.channel("two/cam", create=False)).get(st.OLDEST, st.NOW)) == 17
+
+
+def matches_of(rt: st.Connection, left: st.Channel, right: st.Channel, name: str) -> list[object]:
+    """Gathers the matches of a group in the background."""
+    found: list[object] = []
+    stream = rt.group(name, [left, right]).match(per=left, tolerance="10ms", partial=True)
+    stream.__enter__()
+
+    def gather() -> None:
+        with suppress(st.Unavailable):  # the end of the test closes the connection
+            for one in stream:
+                found.append((one[left].payload, one[right].payload if right in one else None))
+
+    threading.Thread(target=gather, daemon=True).start()
+    return found
+
+
+def test_a_group_matches_the_same_items_in_the_original_and_in_the_replay(rt: st.Connection, tmp_path: Path) -> None:
+    left, right = (rt.channel(f"stereo/{side}", max_age="60s") for side in ("left", "right"))
+    original = matches_of(rt, left, right, "stereo")
+    base, path = st.now() - 3_000 * MS, tmp_path / "a.mcap"
+    with rt.record("stereo/*", path, since="60s"):
+        for number in range(60):
+            left.put(b"%d" % number, time=base + number * 33 * MS)
+            if number % 9:
+                right.put(b"%d" % number, time=base + number * 33 * MS + number % 13 * MS)
+        for channel in (left, right):
+            channel.advance(base + 2_500 * MS)
+    wait_until(lambda: len(original) == 60)
+    again = [rt.channel(f"replay/stereo/{side}", max_age="60s") for side in ("left", "right")]
+    replayed = matches_of(rt, again[0], again[1], "replayed")
+    summary = rt.replay_file(path, shift="now", speed=20.0).wait()
+    assert summary is not None
+    assert summary.complete
+    wait_until(lambda: len(replayed) == 60)
+    assert replayed == original
+
+
+def test_a_channel_that_would_refuse_the_items_is_named_before_the_first_one(rt: st.Connection, drive: Path) -> None:
+    rt.channel("short/cam", max_age="10s")
+    with pytest.raises(st.InvalidArgument, match="'short/cam' would refuse items of the file: it keeps items for 10 s"):
+        rt.replay_file(drive, "short/")
+    rt.channel("ahead/imu", max_items=100).advance(st.now())
+    with pytest.raises(st.InvalidArgument, match=r"'ahead/imu' would refuse .* have promised nothing before"):
+        rt.import_file(drive, "ahead/")
+    with pytest.raises(st.InvalidArgument, match=r"would refuse .* ahead of the host's clock"):
+        rt.import_file(drive, "future/", shift="36500d")
+    for name in ("short/cam", "short/imu", "ahead/cam", "ahead/imu", "future/cam"):
+        assert rt.channel(name).stats().accepted == 0
+
+
+def test_refused_items_are_counted_and_the_first_refusal_is_told(rt: st.Connection, tmp_path: Path) -> None:
+    advance = FileAdvance("cam", INCARNATION, START + 8 * MS, 5)
+    path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 6)), advance, *entries("cam", range(6, 11))])
+    summary = rt.import_file(path, "refused/").wait()
+    assert summary is not None
+    assert (summary.items, summary.refused, summary.complete) == ({"refused/cam": 8}, 2, False)
+    assert "advance" in summary.first_refusal
+
+
+def test_a_part_of_a_file_is_played(rt: st.Connection, drive: Path) -> None:
+    summary = rt.replay_file(
+        drive, "part/", channels="im*", speed=0, start=START + 3 * MS, end=START + 6 * MS, shift="-1h"
+    ).wait()
+    assert summary is not None
+    assert summary.items == {"part/imu": 3}
+    found = rt.channel("part/imu", create=False).get(st.OLDEST, st.NEWEST)
+    assert [one.time for one in found] == [START + n * MS - 3_600_000 * MS for n in (3, 4, 5)]
+    with pytest.raises(st.InvalidArgument, match="no topic that was chosen"):
+        rt.replay_file(drive, channels="other")
+
+
+def test_a_loop_plays_until_it_is_stopped_and_its_times_rise(rt: st.Connection, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 6)))
+    with rt.replay_file(path, "loop/", loop=True, shift="now") as player:
+        channel = rt.channel("loop/cam", create=False)
+        wait_until(lambda: channel.stats().accepted >= 12)
+    assert player.summary is not None
+    assert player.summary.rounds >= 2
+    assert player.summary.complete
+    found = channel.get(st.OLDEST, st.NEWEST)
+    assert [one.seq for one in found] == sorted(one.seq for one in found)
+    with pytest.raises(st.InvalidArgument, match="a loop needs"):
+        rt.replay_file(path, loop=True, shift="now", speed=2.0)
+
+
+def test_two_topics_that_would_become_one_channel_are_refused(rt: st.Connection, tmp_path: Path) -> None:
+    both = [item_entry(Topic(name, "json", INCARNATION), item(1)) for name in ("a b", "a\tb")]
+    with pytest.raises(st.InvalidArgument, match="would both become channel 'same/a_b'"):
+        rt.import_file(write(tmp_path / "a.mcap", both), "same/")
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "xdf"])
+def test_files_of_other_programs_become_channels(rt: st.Connection, tmp_path: Path, kind: str) -> None:
+    if kind == "foxglove":
+        path, name, count = foxglove_file(tmp_path / "a.mcap"), "pose", 100
+    elif kind == "xdf":
+        path, name, count = xdf_file(tmp_path / "a.xdf", [(1.0, (1.5,)), (2.0, (2.5,))], []), "EEG", 2
+    else:
+        plugin = StoragePlugin.SQLITE3 if kind == "sqlite3" else StoragePlugin.MCAP
+        path, name, count = rosbag(tmp_path / "bag", plugin), "chatter", 100
+    summary = rt.import_file(path, f"{kind}/").wait()
+    assert summary is not None
+    assert (summary.items, summary.complete) == ({f"{kind}/{name}": count}, True)
+    found = rt.channel(f"{kind}/{name}", create=False, codec="json").get(st.OLDEST, st.NEWEST)
+    assert len(found) == count
+    if kind in ("foxglove", "xdf"):
+        assert found[1].value == ({"x": 1} if kind == "foxglove" else [2.5])
+
+
+def test_what_was_imported_is_recorded_and_comes_back_the_same(rt: st.Connection, drive: Path, tmp_path: Path) -> None:
+    rt.import_file(drive, "again/").wait()
+    channel, path = rt.channel("again/imu", create=False), tmp_path / "b.mcap"
+    with rt.record("again/imu", path, since="oldest"):
+        pass
+    rt.import_file(path, "back/").wait()
+    first, second = (
+        [(one.time, one.duration, one.payload, one.attributes) for one in rt.channel(name).get(st.OLDEST, st.NEWEST)]
+        for name in (channel.name, "back/again/imu")
+    )
+    assert first == second
+    assert len(first) == 10

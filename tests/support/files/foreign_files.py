@@ -1,0 +1,62 @@
+"""Files of other programs."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import foxglove
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from tests.support.files.recordings import MS, START
+
+
+def foxglove_file(path: Path) -> Path:
+    """100 JSON messages of foxglove-sdk."""
+    with foxglove.open_mcap(str(path), context=(context := foxglove.Context())):
+        pose = foxglove.Channel("/pose", message_encoding="json", context=context)
+        for number in range(100):
+            pose.log({"x": number}, log_time=START + number * MS)
+    return path
+
+
+def rosbag(folder: Path, plugin: StoragePlugin) -> Path:
+    """100 messages of `rosbags`."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = store.types["std_msgs/msg/String"]
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        chatter = writer.add_connection("/chatter", text.__msgtype__, typestore=store)
+        for number in range(100):
+            data = store.serialize_cdr(text(data=f"n{number}"), text.__msgtype__)
+            writer.write(chatter, START + number * MS, data)
+    return folder
+
+
+def xdf_file(
+    path: Path, samples: Sequence[tuple[float, Sequence[float]]], markers: Sequence[tuple[float, str]]
+) -> Path:
+    """An XDF file with a stream of numbers and one of markers. No package of the registries writes XDF."""
+    streams = {
+        1: ("EEG", "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
+        2: ("Marks", "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),
+    }
+    content = b"XDF:" + _chunk(1, b'<?xml version="1.0"?><info><version>1.0</version></info>')
+    for number, (name, kind, rows) in streams.items():
+        count = len(samples[0][1]) if kind == "double64" else 1
+        head = f"<info><name>{name}</name><type>{name.lower()}</type><channel_count>{count}</channel_count>"
+        head += f"<nominal_srate>0</nominal_srate><channel_format>{kind}</channel_format></info>"
+        content += _chunk(2, struct.pack("<I", number) + b'<?xml version="1.0"?>' + head.encode())
+        body = b"".join(b"\x08" + struct.pack("<d", stamp) + data for stamp, data in rows)
+        content += _chunk(3, struct.pack("<I", number) + b"\x04" + struct.pack("<I", len(rows)) + body)
+    path.write_bytes(content)
+    return path
+
+
+def _varlen(data: bytes) -> bytes:
+    return b"\x04" + struct.pack("<I", len(data))
+
+
+def _chunk(tag: int, content: bytes) -> bytes:
+    return b"\x04" + struct.pack("<IH", len(content) + 2, tag) + content

@@ -1,0 +1,70 @@
+"""When a replay puts each item, and with which time."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.files.names import channel_name, matches_any
+from stampede_rt.files.schedule import Schedule, parse_shift, parse_speed, target_policy
+
+SECOND = 1_000_000_000
+NOW = 1_700_000_000 * SECOND
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 1, 2, 7.5, 0])
+def test_a_shifted_item_is_never_ahead_of_the_clock_and_never_further_behind_than_the_lag(speed: float) -> None:
+    plan = Schedule.plan(0, 60 * SECOND, speed, "now", NOW)
+    for time in range(0, 61 * SECOND, SECOND):
+        behind = NOW + plan.due_nanos(time) - plan.shifted(time)
+        assert 0 <= behind <= plan.lag_nanos
+
+
+def test_distances_between_items_stay() -> None:
+    plan = Schedule.plan(5, 60 * SECOND, 3, "now", NOW)
+    assert plan.shifted(20) - plan.shifted(7) == 13
+
+
+def test_without_a_shift_times_stay_and_a_duration_moves_them() -> None:
+    assert Schedule.plan(0, 1, 1, None, NOW).shifted(7) == 7
+    assert Schedule.plan(0, 1, 1, parse_shift("-1s"), NOW).shifted(7) == 7 - SECOND
+    assert Schedule.plan(0, 1, 1, parse_shift("292y") if False else 2**63 - 1, NOW).shifted(7) == 2**63 - 1
+
+
+@pytest.mark.parametrize("speed", [-1, True, "2", float("nan"), float("inf"), 1e9])
+def test_what_is_no_speed_is_refused(speed: object) -> None:
+    with pytest.raises(InvalidArgument):
+        parse_speed(speed)
+
+
+def test_a_new_channel_has_the_recorded_policy_and_keeps_late_times() -> None:
+    recorded = {"max_age_nanos": 10 * SECOND, "max_items": 7, "consumers": 3, "on_full": "block", "content_type": "a/b"}
+    assert target_policy(recorded, False, 0) == {
+        "max_items": 7, "max_bytes": 256 * 1024 * 1024, "content_type": "a/b",
+    }  # fmt: skip
+    assert target_policy(recorded, True, SECOND)["max_age"] == f"{21 * SECOND} ns"
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [{"max_items": -1}, {"max_items": "7"}, {"max_items": True}, {"content_type": "é"}, {"overlap_nanos": 2**70}],
+)
+def test_a_policy_that_no_channel_can_have_is_left_out(hostile: dict[str, object]) -> None:
+    found = target_policy(hostile, True, 0)
+    assert {key: value for key, value in found.items() if value is not None} == {"max_bytes": 256 * 1024 * 1024}
+
+
+@pytest.mark.parametrize(
+    ("topic", "name"),
+    [("/imu/data", "imu/data"), ("a b\x1b", "a_b_"), ("//", "unnamed"), ("x" * 200, "x" * 128), ("日本", "unnamed")],
+)
+def test_a_topic_becomes_a_name_that_a_channel_may_have(topic: str, name: str) -> None:
+    assert channel_name(topic) == name
+    assert len(channel_name(topic, "replay/")) <= 128
+
+
+def test_stars_and_question_marks_match_and_nothing_else_does() -> None:
+    chosen = matches_any(["rig/*", "ca?", "[x]"])
+    assert [name for name in ("rig/a/b", "cam", "came", "x", "[x]", "rig") if chosen(name)] == ["rig/a/b", "cam", "[x]"]
+    assert matches_any(None)("anything")
+    assert not matches_any(["*a*a*a*a*a*a*b"])("a" * 60)

@@ -1,0 +1,116 @@
+"""The order in which a file is played."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from stampede_rt.errors import FileError
+from stampede_rt.files import sources
+from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
+from stampede_rt.files.foreign import source_of
+from stampede_rt.files.sources import McapSource
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
+
+
+def played(path: Path, start: int = MIN_INSTANT, end: int = MAX_INSTANT) -> list[object]:
+    source = source_of(path)
+    try:
+        events = [event for _, event in source.events(lambda _: True, start, end)]
+    finally:
+        source.close()
+    return [(one.topic.name, one.seq) if isinstance(one, FileEntry) else one for one in events]
+
+
+def test_channels_that_were_recorded_one_after_the_other_are_played_side_by_side(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 101)), *entries("imu", range(1, 101))])
+    expected = [(name, seq) for seq in range(1, 101) for name in ("cam", "imu")]
+    assert played(path) == expected
+    assert played(path, START + 10 * MS, START + 12 * MS) == [("cam", 10), ("imu", 10), ("cam", 11), ("imu", 11)]
+
+
+def test_a_late_item_keeps_its_place_behind_the_items_before_it(tmp_path: Path) -> None:
+    events = [*entries("cam", range(1, 31)), item_entry(topic(), item(31, time=START)), *entries("cam", range(32, 40))]
+    assert played(write(tmp_path / "a.mcap", events)) == [("cam", seq) for seq in range(1, 40)]
+
+
+def test_gaps_and_advances_keep_their_places_also_in_chunks_of_other_channels(tmp_path: Path) -> None:
+    advance = FileAdvance("cam", INCARNATION, START + 11 * MS, 10)
+    events = [*entries("cam", range(1, 11)), advance, *entries("imu", range(1, 10)), gap("cam", 11, 12)]
+    events += [*entries("cam", range(13, 20)), FileAdvance("cam", INCARNATION, START + 90 * MS, 19)]
+    found = played(write(tmp_path / "a.mcap", events, chunk_items=10))
+    cam = [one for one in found if not (isinstance(one, tuple) and one[0] == "imu")]
+    assert cam == [
+        *(("cam", seq) for seq in range(1, 11)), advance, gap("cam", 11, 12), *(("cam", seq) for seq in range(13, 20)),
+        events[-1],
+    ]  # fmt: skip
+
+
+def test_few_chunks_are_in_memory_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "CACHE_BYTES", 5_000)
+    path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 1001)), *entries("imu", range(1, 1001))])
+    source, most = McapSource(path), 0
+    for _ in source.events(lambda _: True, MIN_INSTANT, MAX_INSTANT):
+        most = max(most, len(source._cache))
+    source.close()
+    assert most < 12
+
+
+@pytest.mark.parametrize("finish", [True, False])
+def test_a_file_that_cannot_be_played_says_why(tmp_path: Path, finish: bool) -> None:
+    path = write(tmp_path / "a.mcap", [] if finish else entries("cam", [1]), finish=finish)
+    with pytest.raises(FileError, match="it has no items" if finish else "stampede file recover"):
+        McapSource(path)
+
+
+def test_a_file_of_foxglove_is_a_source(tmp_path: Path) -> None:
+    assert played(foxglove_file(tmp_path / "a.mcap")) == [("/pose", None)] * 100
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_a_rosbag_is_a_source_by_its_folder_and_by_its_file(tmp_path: Path, plugin: StoragePlugin) -> None:
+    folder = rosbag(tmp_path / "bag", plugin)
+    source = source_of(folder)
+    (found,) = source.topics()
+    events = [event for _, event in source.events(lambda _: True, START + 5 * MS, START + 7 * MS)]
+    source.close()
+    assert (found.name, found.start, found.end) == ("/chatter", START, START + 99 * MS)
+    assert [(e.time, e.attributes, e.content_type) for e in events if isinstance(e, FileEntry)] == [
+        (START + number * MS, {"schema": "std_msgs/msg/String"}, "application/x-ros-cdr") for number in (5, 6)
+    ]
+    assert len(played(next(one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")))) == 100
+
+
+def test_xdf_samples_and_markers_are_a_source(tmp_path: Path) -> None:
+    path = xdf_file(tmp_path / "a.xdf", [(1.0, (1.5, float("nan"))), (1.5, (2.0, 3.0))], [(1.25, "blink\x1b")])
+    source = source_of(path)
+    events = [event for _, event in source.events(lambda _: True, MIN_INSTANT, MAX_INSTANT)]
+    source.close()
+    assert [(e.topic.name, e.time, e.data, e.attributes) for e in events if isinstance(e, FileEntry)] == [
+        ("EEG", 1_000_000_000, b"[1.5, null]", {"type": "eeg"}),
+        ("Marks", 1_250_000_000, b'["blink\\u001b"]', {"type": "marks"}),
+        ("EEG", 1_500_000_000, b"[2.0, 3.0]", {"type": "eeg"}),
+    ]
+
+
+@pytest.mark.parametrize("name", ["a.db3", "a.xdf", "bag"])
+def test_a_damaged_foreign_file_is_an_error_that_names_it(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if name == "bag":
+        path.mkdir()
+        (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: x")
+    else:
+        path.write_bytes({"a.db3": b"SQLite format 3\x00", "a.xdf": b"XDF:"}[name] + b"\xff" * 500)
+    with pytest.raises(FileError, match=name):
+        source_of(path)
+
+
+def test_what_is_no_known_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"hello")
+    with pytest.raises(FileError, match="neither MCAP, nor rosbag2, nor XDF"):
+        source_of(path)
