@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from stampede_rt._async.proxies import Proxies
+from stampede_rt._async.moves import Moves
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports.concurrency_async import begin_if_blocking
 from stampede_rt.values.policy import duration_of
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 OLDEST_ITEM = "oldest"  # of `since`
 
 
-class Files(Proxies):
+class Files(Moves):
     """Records channels, and replays and imports files. Needs `stampede-rt[files]`."""
 
     def record(

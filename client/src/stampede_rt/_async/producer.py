@@ -208,8 +208,11 @@ class Producer(BoundToProcess):
             await self.aclose()
             self._failure = self._backoff = None
             raise failure
-        await sleep(min(delay_s, left_s))
         self._session.cache.forget(self._state.info.channel_id)
+        if failure.reason == "MOVED":  # the new host takes the items at once
+            self._session.cache.follow(self._state.info.channel_id, failure.metadata)
+        else:
+            await sleep(min(delay_s, left_s))
         await self._open(min(left_s, CALL_TIMEOUT_S))
 
     async def _open(self, timeout_s: float = CALL_TIMEOUT_S) -> None:

@@ -139,7 +139,7 @@ class QueueLocator:
         state.info = await open_queue(self._session, state.name, state.stated, None, create, left_s(deadline_s))
         state.cluster_id = supernodes.cluster_id
 
-    def forget(self) -> None:
+    def forget(self, error: StampedeError | None = None) -> None:
         """Forget the binding."""
         self._turn += 1
         self._session.cache.forget(self._state.info.queue_id)

@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items, Reason
 from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
-from stampede_rt.values.timeline import fixed
+from stampede_rt.values.timeline import ResolvedInterval, fixed
 from stampede_rt.wire.reads import (
     interval_to_message,
     match_to_message,
@@ -52,9 +52,14 @@ async def _read_once(session: Session, state: ChannelState, query: ReadQuery, vi
     began_s = monotonic_s()
 
     async def read_at(binding: Binding, timeout_s: float) -> Items:
+        nonlocal query
         exchange = session.endpoints.to(binding.target).gets()
         wait = Wait(wait_s).after(monotonic_s() - began_s)
-        items = _answer(state, query, await exchange.get(_request(binding, query, wait, view), timeout_s))
+        try:
+            items = _answer(state, query, await exchange.get(_request(binding, query, wait, view), timeout_s))
+        except StampedeError as error:
+            query = replace(query, interval=fixed(query.interval, _interval_of(error)))
+            raise
         if view is not None:
             view.saw(items.cut)
         return items
@@ -90,6 +95,12 @@ def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | Non
         max_staleness_nanos=query.max_staleness_nanos,
         least_seq=query.least_seq,
     )
+
+
+def _interval_of(error: StampedeError) -> ResolvedInterval | None:
+    """Return the interval as a host had resolved it before the channel moved away; None if the error has none."""
+    start, end = error.metadata.get("start_unix_nano"), error.metadata.get("end_unix_nano")
+    return None if start is None or end is None else ResolvedInterval(int(start), int(end))
 
 
 def _answer(state: ChannelState, query: ReadQuery, responses: list[channel_pb.GetResponse]) -> Items:

@@ -28,8 +28,8 @@ class Locator(Protocol):
         """
         ...
 
-    def forget(self) -> None:
-        """Forget a binding that turned out to be stale."""
+    def forget(self, error: StampedeError | None = None) -> None:
+        """Forget a binding that turned out to be stale. `error` may name the new host."""
         ...
 
     def check(self) -> None:
@@ -57,6 +57,7 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     locator.check()
     deadline_s = time.monotonic() + timeout_s
     backoff = Backoff(deadline_s)
+    followed = False  # whether an error has sent the operation to another host, where it goes on at once
     failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
@@ -71,7 +72,10 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
                 raise
             if isinstance(error, Overloaded) and error.is_over_open_streams:
                 backoff.end_within(OPEN_STREAMS_S, time.monotonic())
-            locator.forget()
+            locator.forget(error)
+            if error.reason == "MOVED" and not followed:
+                followed = True
+                continue
             failure = failure if slow and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:

@@ -209,8 +209,11 @@ class Producer(BoundToProcess):
             self.close()
             self._failure = self._backoff = None
             raise failure
-        sleep(min(delay_s, left_s))
         self._session.cache.forget(self._state.info.channel_id)
+        if failure.reason == "MOVED":  # the new host takes the items at once
+            self._session.cache.follow(self._state.info.channel_id, failure.metadata)
+        else:
+            sleep(min(delay_s, left_s))
         self._open(min(left_s, CALL_TIMEOUT_S))
 
     def _open(self, timeout_s: float = CALL_TIMEOUT_S) -> None:

@@ -319,9 +319,10 @@ class ChannelLocator:
         """Return the channel's binding, from the cache or from the cluster."""
         return self.session.bind(self.state, deadline_s)
 
-    def forget(self) -> None:
-        """Forget the binding."""
+    def forget(self, error: StampedeError | None = None) -> None:
+        """Forget the binding. If `error` names the new owner, learn that owner."""
         self.session.cache.forget(self.state.info.channel_id)
+        self.session.cache.follow(self.state.info.channel_id, {} if error is None else error.metadata)
 
     def check(self) -> None:
         """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""

@@ -294,6 +294,7 @@ class Subscription(BoundToProcess):
                 return
             self._reconnecting.broke()
             self._session.cache.forget(self._state.info.channel_id)
+            self._session.cache.follow(self._state.info.channel_id, error.metadata)
 
     def _resume(self) -> None:
         """Prepare the next stream. It continues after the last item, without a gap and without a repetition."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 CACHE_ENTRIES_MAX = 100_000  # owners, and also bindings
@@ -79,6 +79,16 @@ class BindingCache:
         owner = self._owners.pop(subject_id, None)
         if owner is not None:
             self._gatekeepers.pop(owner.host_id, None)
+
+    def follow(self, subject_id: bytes, moved: Mapping[str, str]) -> None:
+        """Learn the new owner of a channel from the metadata of MOVED. Does nothing if it names none."""
+        if "target" in moved and "epoch" in moved:
+            owner = Owner(
+                host_id=bytes.fromhex(moved["host_id"]),
+                epoch=int(moved["epoch"]),
+                spec_version=int(moved["spec_version"]),
+            )
+            self.learn_owner(subject_id, owner, (moved["target"],))
 
     def forget_all(self) -> None:
         """Drop everything."""

@@ -10,6 +10,7 @@ from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
 from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
+from stampede_rt.v1.migration_service_pb2_grpc import MigrationServiceStub
 from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
@@ -49,3 +50,4 @@ class Stubs:
         self.channels = ChannelServiceStub(channel)
         self.groups = GroupServiceStub(channel)
         self.queues = QueueServiceStub(channel)
+        self.moves = MigrationServiceStub(channel)

@@ -28,7 +28,7 @@ if _version_not_supported:
 class MigrationServiceStub(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel):
@@ -47,7 +47,7 @@ class MigrationServiceStub(object):
 class MigrationServiceServicer(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     def MoveHere(self, request, context):
@@ -80,7 +80,7 @@ def add_MigrationServiceServicer_to_server(servicer, server):
 class MigrationService(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     @staticmethod

@@ -29,7 +29,7 @@ GRPC_VERSION: str
 class MigrationServiceStub:
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     @_typing.overload
@@ -48,7 +48,7 @@ class MigrationServiceStub:
 class MigrationServiceAsyncStub(MigrationServiceStub):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -63,7 +63,7 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
 class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory. A host that does not serve moves yet answers UNIMPLEMENTED.
+    the rest, and commits the move in the directory.
     """
 
     @_abc_1.abstractmethod

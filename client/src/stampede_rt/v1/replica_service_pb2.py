@@ -29,43 +29,45 @@ from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n$stampede_rt/v1/replica_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a$stampede_rt/v1/channel_service.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x1cstampede_rt/v1/subject.proto\"\x85\x01\n\x0b\x46\x65\x65\x64Request\x12&\n\x04open\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.FeedOpen\x12\x14\n\x0c\x63redit_bytes\x18\x02 \x01(\x04\x12\x12\n\nsent_nanos\x18\x03 \x01(\x06\x12\x15\n\rsubscriptions\x18\x04 \x01(\r\x12\r\n\x05ready\x18\x05 \x01(\x08\"\x8d\x01\n\x08\x46\x65\x65\x64Open\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\x0e\n\x06target\x18\x04 \x01(\t\x12(\n\x05place\x18\x05 \x01(\x0b\x32\x19.stampede_rt.v1.FeedPlace\x12\x13\n\x0bowner_facts\x18\x06 \x01(\x08\"\x9b\x01\n\tFeedPlace\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12\x14\n\x0c\x66loor_resets\x18\x03 \x01(\x04\x12\"\n\x15owner_until_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12\x13\n\x0bowner_epoch\x18\x05 \x01(\x04\x42\x18\n\x16_owner_until_unix_nano\"\x90\x01\n\x0c\x46\x65\x65\x64Response\x12*\n\x06opened\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.FeedOpened\x12(\n\x05state\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.FeedState\x12*\n\x04runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\"_\n\nFeedOpened\x12\x13\n\x0b\x62\x65gins_anew\x18\x01 \x01(\x08\x12\"\n\x15lost_before_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x18\n\x16_lost_before_unix_nano\".\n\x07\x46\x65\x65\x64Key\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x0b\n\x03seq\x18\x02 \x01(\x04\"\x90\x03\n\tFeedState\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12(\n\x07\x63leared\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.FeedKey\x12\x32\n\ncollection\x18\x04 \x01(\x0b\x32\x1e.stampede_rt.v1.FeedCollection\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x12.\n\x07\x63hannel\x18\x06 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x13\n\x0bheard_nanos\x18\x07 \x01(\x06\x12\x17\n\x0fstaleness_nanos\x18\x08 \x01(\x03\x12\x17\n\x0fsource_next_seq\x18\t \x01(\x04\x12(\n\x06\x66loors\x18\n \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12)\n\x05owner\x18\x0b \x01(\x0b\x32\x1a.stampede_rt.v1.OwnerFactsB\x14\n\x12_advance_unix_nano\"\xe0\x01\n\nOwnerFacts\x12.\n\tproducers\x18\x01 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12/\n\tconsumers\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.FedConsumers\x12\x31\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.ChannelCounters\x12\x0c\n\x04late\x18\x04 \x01(\x04\x12\x1c\n\x0funtil_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x42\x12\n\x10_until_unix_nano\"W\n\x0b\x46\x65\x64Producer\x12\x13\n\x0bproducer_id\x18\x01 \x01(\x06\x12\r\n\x05owner\x18\x02 \x01(\t\x12$\n\x04runs\x18\x03 \x03(\x0b\x32\x16.stampede_rt.v1.FedRun\"\xba\x01\n\x06\x46\x65\x64Run\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x14\n\x0cjudged_items\x18\x03 \x01(\r\x12)\n\x05parts\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.FedRunPart\x12\x30\n\nrejections\x18\x05 \x03(\x0b\x32\x1c.stampede_rt.v1.PutRejection\x12\x18\n\x10judged_ago_nanos\x18\x06 \x01(\x03\"s\n\nFedRunPart\x12\r\n\x05index\x18\x01 \x01(\r\x12\x11\n\tfirst_seq\x18\x02 \x01(\x04\x12\r\n\x05items\x18\x03 \x01(\r\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x42\x14\n\x12_stamped_unix_nano\"Y\n\x0c\x46\x65\x64\x43onsumers\x12\x0e\n\x06\x62\x65gins\x18\x01 \x01(\x08\x12+\n\x06places\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.FedConsumer\x12\x0c\n\x04\x65nds\x18\x03 \x01(\x08\"\x8e\x01\n\x0b\x46\x65\x64\x43onsumer\x12\x13\n\x0b\x63onsumer_id\x18\x01 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\x12\x1a\n\x12\x63onsumed_below_seq\x18\x03 \x01(\x04\x12*\n\x08\x63onsumed\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12\r\n\x05owner\x18\x05 \x01(\t\"\xba\x03\n\x0e\x46\x65\x65\x64\x43ollection\x12&\n\x05\x66loor\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.FeedKey\x12\x14\n\x0c\x66loor_resets\x18\x02 \x01(\x04\x12-\n\nlast_cause\x18\x03 \x01(\x0e\x32\x19.stampede_rt.v1.FeedCause\x12\'\n\x1anewest_collected_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12$\n\x17\x63ollected_end_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12/\n\x0c\x63ollected_by\x18\x06 \x01(\x0e\x32\x19.stampede_rt.v1.FeedCause\x12&\n\x19newest_consumed_unix_nano\x18\x07 \x01(\x10H\x02\x88\x01\x01\x12!\n\x14\x63\x61me_up_to_unix_nano\x18\x08 \x01(\x10H\x03\x88\x01\x01\x42\x1d\n\x1b_newest_collected_unix_nanoB\x1a\n\x18_collected_end_unix_nanoB\x1c\n\x1a_newest_consumed_unix_nanoB\x17\n\x15_came_up_to_unix_nano*\x83\x01\n\tFeedCause\x12\x1a\n\x16\x46\x45\x45\x44_CAUSE_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x46\x45\x45\x44_CAUSE_AGE\x10\x01\x12\x14\n\x10\x46\x45\x45\x44_CAUSE_COUNT\x10\x02\x12\x14\n\x10\x46\x45\x45\x44_CAUSE_BYTES\x10\x03\x12\x1a\n\x16\x46\x45\x45\x44_CAUSE_CONSUMPTION\x10\x04\x32W\n\x0eReplicaService\x12\x45\n\x04\x46\x65\x65\x64\x12\x1b.stampede_rt.v1.FeedRequest\x1a\x1c.stampede_rt.v1.FeedResponse(\x01\x30\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n$stampede_rt/v1/replica_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a$stampede_rt/v1/channel_service.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xbe\x01\n\x0b\x46\x65\x65\x64Request\x12&\n\x04open\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.FeedOpen\x12\x14\n\x0c\x63redit_bytes\x18\x02 \x01(\x04\x12\x12\n\nsent_nanos\x18\x03 \x01(\x06\x12\x15\n\rsubscriptions\x18\x04 \x01(\r\x12\r\n\x05ready\x18\x05 \x01(\x08\x12\x0c\n\x04hold\x18\x06 \x01(\x08\x12\x17\n\x0f\x63ommitted_epoch\x18\x07 \x01(\x04\x12\x10\n\x08released\x18\x08 \x01(\x08\"\x9e\x01\n\x08\x46\x65\x65\x64Open\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\x0e\n\x06target\x18\x04 \x01(\t\x12(\n\x05place\x18\x05 \x01(\x0b\x32\x19.stampede_rt.v1.FeedPlace\x12\x13\n\x0bowner_facts\x18\x06 \x01(\x08\x12\x0f\n\x07move_id\x18\x07 \x01(\x0c\"\x9b\x01\n\tFeedPlace\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12\x14\n\x0c\x66loor_resets\x18\x03 \x01(\x04\x12\"\n\x15owner_until_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12\x13\n\x0bowner_epoch\x18\x05 \x01(\x04\x42\x18\n\x16_owner_until_unix_nano\"\x90\x01\n\x0c\x46\x65\x65\x64Response\x12*\n\x06opened\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.FeedOpened\x12(\n\x05state\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.FeedState\x12*\n\x04runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\"_\n\nFeedOpened\x12\x13\n\x0b\x62\x65gins_anew\x18\x01 \x01(\x08\x12\"\n\x15lost_before_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x18\n\x16_lost_before_unix_nano\".\n\x07\x46\x65\x65\x64Key\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x0b\n\x03seq\x18\x02 \x01(\x04\"\xbe\x03\n\tFeedState\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12(\n\x07\x63leared\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.FeedKey\x12\x32\n\ncollection\x18\x04 \x01(\x0b\x32\x1e.stampede_rt.v1.FeedCollection\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x12.\n\x07\x63hannel\x18\x06 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x13\n\x0bheard_nanos\x18\x07 \x01(\x06\x12\x17\n\x0fstaleness_nanos\x18\x08 \x01(\x03\x12\x17\n\x0fsource_next_seq\x18\t \x01(\x04\x12(\n\x06\x66loors\x18\n \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12)\n\x05owner\x18\x0b \x01(\x0b\x32\x1a.stampede_rt.v1.OwnerFacts\x12,\n\x07handoff\x18\x0c \x01(\x0b\x32\x1b.stampede_rt.v1.FeedHandoffB\x14\n\x12_advance_unix_nano\"*\n\x0b\x46\x65\x65\x64Handoff\x12\x1b\n\x13host_time_unix_nano\x18\x01 \x01(\x10\"\xe0\x01\n\nOwnerFacts\x12.\n\tproducers\x18\x01 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12/\n\tconsumers\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.FedConsumers\x12\x31\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.ChannelCounters\x12\x0c\n\x04late\x18\x04 \x01(\x04\x12\x1c\n\x0funtil_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x42\x12\n\x10_until_unix_nano\"W\n\x0b\x46\x65\x64Producer\x12\x13\n\x0bproducer_id\x18\x01 \x01(\x06\x12\r\n\x05owner\x18\x02 \x01(\t\x12$\n\x04runs\x18\x03 \x03(\x0b\x32\x16.stampede_rt.v1.FedRun\"\xba\x01\n\x06\x46\x65\x64Run\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x14\n\x0cjudged_items\x18\x03 \x01(\r\x12)\n\x05parts\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.FedRunPart\x12\x30\n\nrejections\x18\x05 \x03(\x0b\x32\x1c.stampede_rt.v1.PutRejection\x12\x18\n\x10judged_ago_nanos\x18\x06 \x01(\x03\"s\n\nFedRunPart\x12\r\n\x05index\x18\x01 \x01(\r\x12\x11\n\tfirst_seq\x18\x02 \x01(\x04\x12\r\n\x05items\x18\x03 \x01(\r\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x42\x14\n\x12_stamped_unix_nano\"Y\n\x0c\x46\x65\x64\x43onsumers\x12\x0e\n\x06\x62\x65gins\x18\x01 \x01(\x08\x12+\n\x06places\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.FedConsumer\x12\x0c\n\x04\x65nds\x18\x03 \x01(\x08\"\x8e\x01\n\x0b\x46\x65\x64\x43onsumer\x12\x13\n\x0b\x63onsumer_id\x18\x01 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\x12\x1a\n\x12\x63onsumed_below_seq\x18\x03 \x01(\x04\x12*\n\x08\x63onsumed\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12\r\n\x05owner\x18\x05 \x01(\t\"\xba\x03\n\x0e\x46\x65\x65\x64\x43ollection\x12&\n\x05\x66loor\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.FeedKey\x12\x14\n\x0c\x66loor_resets\x18\x02 \x01(\x04\x12-\n\nlast_cause\x18\x03 \x01(\x0e\x32\x19.stampede_rt.v1.FeedCause\x12\'\n\x1anewest_collected_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12$\n\x17\x63ollected_end_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12/\n\x0c\x63ollected_by\x18\x06 \x01(\x0e\x32\x19.stampede_rt.v1.FeedCause\x12&\n\x19newest_consumed_unix_nano\x18\x07 \x01(\x10H\x02\x88\x01\x01\x12!\n\x14\x63\x61me_up_to_unix_nano\x18\x08 \x01(\x10H\x03\x88\x01\x01\x42\x1d\n\x1b_newest_collected_unix_nanoB\x1a\n\x18_collected_end_unix_nanoB\x1c\n\x1a_newest_consumed_unix_nanoB\x17\n\x15_came_up_to_unix_nano*\x83\x01\n\tFeedCause\x12\x1a\n\x16\x46\x45\x45\x44_CAUSE_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x46\x45\x45\x44_CAUSE_AGE\x10\x01\x12\x14\n\x10\x46\x45\x45\x44_CAUSE_COUNT\x10\x02\x12\x14\n\x10\x46\x45\x45\x44_CAUSE_BYTES\x10\x03\x12\x1a\n\x16\x46\x45\x45\x44_CAUSE_CONSUMPTION\x10\x04\x32W\n\x0eReplicaService\x12\x45\n\x04\x46\x65\x65\x64\x12\x1b.stampede_rt.v1.FeedRequest\x1a\x1c.stampede_rt.v1.FeedResponse(\x01\x30\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.replica_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_FEEDCAUSE']._serialized_start=2646
-  _globals['_FEEDCAUSE']._serialized_end=2777
+  _globals['_FEEDCAUSE']._serialized_start=2810
+  _globals['_FEEDCAUSE']._serialized_end=2941
   _globals['_FEEDREQUEST']._serialized_start=210
-  _globals['_FEEDREQUEST']._serialized_end=343
-  _globals['_FEEDOPEN']._serialized_start=346
-  _globals['_FEEDOPEN']._serialized_end=487
-  _globals['_FEEDPLACE']._serialized_start=490
-  _globals['_FEEDPLACE']._serialized_end=645
-  _globals['_FEEDRESPONSE']._serialized_start=648
-  _globals['_FEEDRESPONSE']._serialized_end=792
-  _globals['_FEEDOPENED']._serialized_start=794
-  _globals['_FEEDOPENED']._serialized_end=889
-  _globals['_FEEDKEY']._serialized_start=891
-  _globals['_FEEDKEY']._serialized_end=937
-  _globals['_FEEDSTATE']._serialized_start=940
-  _globals['_FEEDSTATE']._serialized_end=1340
-  _globals['_OWNERFACTS']._serialized_start=1343
-  _globals['_OWNERFACTS']._serialized_end=1567
-  _globals['_FEDPRODUCER']._serialized_start=1569
-  _globals['_FEDPRODUCER']._serialized_end=1656
-  _globals['_FEDRUN']._serialized_start=1659
-  _globals['_FEDRUN']._serialized_end=1845
-  _globals['_FEDRUNPART']._serialized_start=1847
-  _globals['_FEDRUNPART']._serialized_end=1962
-  _globals['_FEDCONSUMERS']._serialized_start=1964
-  _globals['_FEDCONSUMERS']._serialized_end=2053
-  _globals['_FEDCONSUMER']._serialized_start=2056
-  _globals['_FEDCONSUMER']._serialized_end=2198
-  _globals['_FEEDCOLLECTION']._serialized_start=2201
-  _globals['_FEEDCOLLECTION']._serialized_end=2643
-  _globals['_REPLICASERVICE']._serialized_start=2779
-  _globals['_REPLICASERVICE']._serialized_end=2866
+  _globals['_FEEDREQUEST']._serialized_end=400
+  _globals['_FEEDOPEN']._serialized_start=403
+  _globals['_FEEDOPEN']._serialized_end=561
+  _globals['_FEEDPLACE']._serialized_start=564
+  _globals['_FEEDPLACE']._serialized_end=719
+  _globals['_FEEDRESPONSE']._serialized_start=722
+  _globals['_FEEDRESPONSE']._serialized_end=866
+  _globals['_FEEDOPENED']._serialized_start=868
+  _globals['_FEEDOPENED']._serialized_end=963
+  _globals['_FEEDKEY']._serialized_start=965
+  _globals['_FEEDKEY']._serialized_end=1011
+  _globals['_FEEDSTATE']._serialized_start=1014
+  _globals['_FEEDSTATE']._serialized_end=1460
+  _globals['_FEEDHANDOFF']._serialized_start=1462
+  _globals['_FEEDHANDOFF']._serialized_end=1504
+  _globals['_OWNERFACTS']._serialized_start=1507
+  _globals['_OWNERFACTS']._serialized_end=1731
+  _globals['_FEDPRODUCER']._serialized_start=1733
+  _globals['_FEDPRODUCER']._serialized_end=1820
+  _globals['_FEDRUN']._serialized_start=1823
+  _globals['_FEDRUN']._serialized_end=2009
+  _globals['_FEDRUNPART']._serialized_start=2011
+  _globals['_FEDRUNPART']._serialized_end=2126
+  _globals['_FEDCONSUMERS']._serialized_start=2128
+  _globals['_FEDCONSUMERS']._serialized_end=2217
+  _globals['_FEDCONSUMER']._serialized_start=2220
+  _globals['_FEDCONSUMER']._serialized_end=2362
+  _globals['_FEEDCOLLECTION']._serialized_start=2365
+  _globals['_FEEDCOLLECTION']._serialized_end=2807
+  _globals['_REPLICASERVICE']._serialized_start=2943
+  _globals['_REPLICASERVICE']._serialized_end=3030
 # @@protoc_insertion_point(module_scope)

@@ -26,34 +26,42 @@ FEED_CAUSE_BYTES: FeedCause
 FEED_CAUSE_CONSUMPTION: FeedCause
 
 class FeedRequest(_message.Message):
-    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready")
+    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     SENT_NANOS_FIELD_NUMBER: _ClassVar[int]
     SUBSCRIPTIONS_FIELD_NUMBER: _ClassVar[int]
     READY_FIELD_NUMBER: _ClassVar[int]
+    HOLD_FIELD_NUMBER: _ClassVar[int]
+    COMMITTED_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    RELEASED_FIELD_NUMBER: _ClassVar[int]
     open: FeedOpen
     credit_bytes: int
     sent_nanos: int
     subscriptions: int
     ready: bool
-    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ...) -> None: ...
+    hold: bool
+    committed_epoch: int
+    released: bool
+    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TARGET_FIELD_NUMBER: _ClassVar[int]
     PLACE_FIELD_NUMBER: _ClassVar[int]
     OWNER_FACTS_FIELD_NUMBER: _ClassVar[int]
+    MOVE_ID_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
     target: str
     place: FeedPlace
     owner_facts: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ...) -> None: ...
+    move_id: bytes
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
@@ -96,7 +104,7 @@ class FeedKey(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class FeedState(_message.Message):
-    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner")
+    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner", "handoff")
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     CLEARED_FIELD_NUMBER: _ClassVar[int]
@@ -108,6 +116,7 @@ class FeedState(_message.Message):
     SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     FLOORS_FIELD_NUMBER: _ClassVar[int]
     OWNER_FIELD_NUMBER: _ClassVar[int]
+    HANDOFF_FIELD_NUMBER: _ClassVar[int]
     first_seq: int
     next_seq: int
     cleared: FeedKey
@@ -119,7 +128,14 @@ class FeedState(_message.Message):
     source_next_seq: int
     floors: _containers.RepeatedCompositeFieldContainer[_group_pb2.CutFloor]
     owner: OwnerFacts
-    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ...) -> None: ...
+    handoff: FeedHandoff
+    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ...) -> None: ...
+
+class FeedHandoff(_message.Message):
+    __slots__ = ("host_time_unix_nano",)
+    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    host_time_unix_nano: int
+    def __init__(self, host_time_unix_nano: _Optional[int] = ...) -> None: ...
 
 class OwnerFacts(_message.Message):
     __slots__ = ("producers", "consumers", "counters", "late", "until_unix_nano")

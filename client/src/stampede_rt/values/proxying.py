@@ -1,4 +1,4 @@
-"""Proxies of channels, as programs see them. Pure."""
+"""Proxies and moves of channels, as programs see them. Pure."""
 
 from __future__ import annotations
 
@@ -27,6 +27,21 @@ class ProxyInfo:
     waiting: int | None = None
     subscriptions: int | None = None
     reconnects: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MoveInfo:
+    """A channel that has moved to `host`.
+
+    `held`: the items that moved with it, `held_bytes` their payload bytes. `blackout_nanos`: the time for which puts
+    waited; 0 if the channel was there already.
+    """
+
+    channel: str
+    host: str
+    held: int
+    held_bytes: int
+    blackout_nanos: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, migration_service_pb2_grpc
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
 from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
@@ -29,7 +29,11 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroups
@@ -110,6 +114,7 @@ class ChannelHost:
         self._access = AccessWatch(self._supernodes, access)
         self._gatekeeper = GatekeeperServicer(self.store, identity, access, tickets)
         self.copies = CopyKeeper(identity, self.store, ReplicaDirectory(self._supernodes), dial, copy_bytes_per_second)
+        self._make_moves(copy_bytes_per_second)
         self._streams = OpenStreams()
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
@@ -131,6 +136,15 @@ class ChannelHost:
             home=self._home,
             measure_load=LoadMeter(lambda: self.store.memory.used_bytes, self.store.memory.bytes_max).measure,
         )
+
+    def _make_moves(self, bytes_per_second: int) -> None:
+        """Make the parts for moves of channels, which use the parts for copies and groups."""
+        self._move_directory = MoveDirectory(self._supernodes, self.identity)
+        self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory)
+        self.moves_here = IncomingMoves(
+            self.identity, self.store, self._move_directory, self.copies, self._dial, bytes_per_second
+        )
+        self.store.copies.on_inherited = self.groups.exchange.inherit_floors
 
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
@@ -161,7 +175,10 @@ class ChannelHost:
         ).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
-        ReplicaServicer(self.store, self._streams, self.groups.floors_of).add_to(server)
+        ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away).add_to(server)
+        migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(
+            MigrationServicer(self.moves_here, self._move_directory), server
+        )
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
         """Register the host under the address `target`, and keep the lease from then on.
@@ -202,8 +219,8 @@ class ChannelHost:
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
-        await self.groups.aclose()
-        await self.copies.aclose()
+        for part in (self.groups, self.copies, self.moves_here, self.moves_away):
+            await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self._supernodes.aclose()
 

@@ -10,6 +10,7 @@ import stampede_rt as st
 from stampede_rt._async import attempts
 from stampede_rt._async.attempts import TRY_S_MIN, attempt
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.errors import error_for
 from stampede_rt.pacing.retry import OPEN_STREAMS_S
 
 BINDING = Binding(subject_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
@@ -39,7 +40,7 @@ class Place:
     async def find(self, deadline_s: float) -> Binding:
         return BINDING
 
-    def forget(self) -> None:
+    def forget(self, error: st.StampedeError | None = None) -> None:
         self.forgotten += 1
 
     def check(self) -> None:
@@ -137,3 +138,13 @@ async def test_a_quota_of_open_streams_is_tried_again_for_a_moment_alone(quota: 
 
 async def test_a_quota_that_time_frees_is_tried_again_as_long_as_the_caller_waits(clock: Clock) -> None:
     assert (await tries("changes-per-second", clock))[1] == pytest.approx(10)
+
+
+async def test_an_operation_whose_channel_has_moved_goes_on_at_the_new_host_at_once_and_then_with_pauses(
+    clock: Clock,
+) -> None:
+    place, moved = Place(), error_for("MOVED", "the channel has moved", {})
+    assert await attempt(place, Operation(moved), 10.0) == "done"
+    assert (clock.now_s, place.forgotten) == (100.0, 1)
+    assert await attempt(place, Operation(moved, moved), 10.0) == "done"
+    assert clock.now_s > 100.0

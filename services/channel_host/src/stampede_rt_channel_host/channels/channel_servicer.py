@@ -83,6 +83,7 @@ class ChannelServicer:
     @errors_as_status
     async def advance(self, request: pb.AdvanceRequest, context: Context) -> pb.AdvanceResponse:
         """ChannelService.Advance."""
+        await undecided(self._store, request.channel_id, request.epoch)
         hosted = self._store.find(request.channel_id, request.epoch)
         check_access(AccessVerb.ADVANCE, AccessKind.CHANNEL, hosted.record.name)
         return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
@@ -90,6 +91,7 @@ class ChannelServicer:
     @errors_as_status
     async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
+        await undecided(self._store, request.channel_id, request.epoch)
         hosted = self._store.find(request.channel_id, request.epoch)
         check = partial(check_access, AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
         with self._store.consumers.using(request.channel_id, request.consumer_id, "consumer", check):
@@ -107,3 +109,10 @@ class ChannelServicer:
         check_known(AccessKind.CHANNEL, hosted.record.name)
         status = await self._store.scheduler.do(channel_status(hosted, self._store.now))
         return pb.GetChannelStatusResponse(status=status)
+
+
+async def undecided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:
+    """Wait while the channel moves and its changes are held. Raises the errors of `find`, and Overloaded after 5 s."""
+    hosted = store.find(channel_id, epoch)
+    if hosted.moving is not None:
+        await hosted.moving.decided(hosted.record.name)

@@ -25,6 +25,12 @@ class Freshness(NamedTuple):
     least_seq: int | None = None
 
 
+class Inheritance(NamedTuple):
+    """The copy has everything of its source, which changes nothing more. `host_time`: the channel's clock there."""
+
+    host_time: int
+
+
 class CopyState:
     """The state of a copy, which its feed keeps up to date.
 
@@ -44,6 +50,7 @@ class CopyState:
         self.heard_nanos: int | None = None
         self.caught_up = False
         self.reconnects = 0
+        self.may_inherit: Inheritance | None = None  # set if the host may become the owner, with this copy's items
         self.floors: dict[bytes, CutFloor] = {}  # by group: the cut up to which the copy may show the group
         self._changed = asyncio.Event()
 
@@ -103,6 +110,11 @@ class CopyState:
         """Wait until the copy can serve readers. Raises StaleBinding (MOVED) after `seconds_max`."""
         await self._wait(lambda: self.is_ready, seconds_max)
         self.check(name, 0, Freshness())
+
+    async def caught_up_once(self) -> None:
+        """Wait until the copy has had all items of its source."""
+        while not self.caught_up:
+            await self._changed.wait()
 
     async def _wait(self, condition: Callable[[], bool], seconds_max: float) -> None:
         try:

@@ -95,12 +95,19 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         transports = (pb.TRANSPORT_SHARED_MEMORY, pb.TRANSPORT_SOCKET) if is_supported() else (pb.TRANSPORT_SOCKET,)
         return [pb.DataEndpoint(transport=one, target=self.local_target, ticket=ticket) for one in transports]
 
+    async def _wait_for_move(self, channel_id: bytes) -> None:
+        """Wait while the channel moves and its changes are held. Raises Overloaded after 5 s."""
+        hosted = self._store.known(channel_id)
+        if hosted is not None and hosted.moving is not None:
+            await hosted.moving.decided(hosted.record.name)
+
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802
         """Delete the channel in the directory, then at this host. Its readers' streams end with CHANNEL_NOT_FOUND."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         since_s = _first_sent_s(context)
+        await self._wait_for_move(request.channel_id)
         await self._store.drop(request.channel_id, request.epoch, request.request_id, since_s)
         return pb.DropChannelResponse()
 
@@ -111,6 +118,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         """Change the policy in the directory, then at this host. When the call returns, the new policy is in force."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
+        await self._wait_for_move(request.channel_id)
         hosted = await self._store.configure(
             request.channel_id, request.epoch, policy_change(request.spec), request.request_id, _first_sent_s(context)
         )

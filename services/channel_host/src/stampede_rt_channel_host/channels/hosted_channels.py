@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.moving import Moving
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
@@ -55,6 +56,10 @@ class HostedChannel:
 
     ring: ChannelRing | None = None
     """The newest part of the channel in shared memory, while a process of this machine reads it."""
+    moving: Moving | None = None
+    """The move of the channel away from this host, or to it, while one is under way."""
+    is_inherited = False
+    """Whether the owner at this host goes on with the items of this copy."""
     largest_run_bytes = 0
     """The length of the largest run that was too large for a ring."""
 
@@ -68,9 +73,9 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
         deliveries: SharedDeliveries | None = None,
-        copy: NewCopy | None = None,
+        begun: NewCopy | ChannelCore | None = None,
     ) -> None:
-        """Set up the channel of `record`. With `copy` it is a copy of that channel.
+        """Set up the channel of `record`. `begun`: it is a copy of that channel, or goes on with the items of a copy.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
@@ -80,9 +85,9 @@ class HostedChannel:
         self.record = record
         self.epoch: int = record.epoch
         self.registration = 0  # the number of the host's last registration when the store took `record` over
-        self.copy: CopyState | None = None if copy is None else copy.state
+        self.copy: CopyState | None = begun.state if isinstance(begun, NewCopy) else None
         self.fed: FedCopies | None = None  # the copies that this host feeds; most channels have none
-        self.channel = _new_core(record, now(), copy)
+        self.channel = _new_core(record, now(), begun)
         self._gets: WaitingGets | None = None
         self._begin, self._limits = begin, limits
         self._charge = memory.charge_for(record.created_by)
@@ -121,6 +126,8 @@ class HostedChannel:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
             self.close_ring()
+        if self.moving is not None and record.epoch > self.record.epoch:  # a move to elsewhere has failed
+            self.end_move()
         if record.spec_version != self.record.spec_version:
             now = self._now()
             self.channel.configure(record.policy, now)
@@ -195,7 +202,8 @@ class HostedChannel:
         self._on_touched = _ignore
         yield from self.ending(error)
         yield  # afterwards the interrupted calls do not use the channel any more
-        yield from self.channel.emptying()
+        if not self.is_inherited:
+            yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
         """Free a bounded number of outdated items. Returns True if others are left, for which to call again soon."""
@@ -213,6 +221,22 @@ class HostedChannel:
         due = (self.channel.next_deadline(now), self.puts.next_expiry())
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
+
+    def begin_move(self) -> Moving:
+        """Note that a move of the channel is under way."""
+        self.moving = Moving(self.puts)
+        return self.moving
+
+    def end_move(self) -> None:
+        """The move is over, and this host owns the channel: perform what waits. Idempotent."""
+        moving, self.moving = self.moving, None
+        if moving is not None:
+            moving.end()
+
+    @property
+    def is_heir(self) -> bool:
+        """Whether another host owns the channel, and this host keeps the items in case that host is lost at once."""
+        return self.moving is not None and self.moving.elsewhere is not None
 
     def close_ring(self) -> None:
         """Stop repeating the channel in shared memory. The readers ask the host again. Idempotent."""
@@ -255,8 +279,10 @@ def _ignore(hosted: HostedChannel) -> None:
     """The callback of a channel that has left the host."""
 
 
-def _new_core(record: RecordedChannel, now: int, copy: NewCopy | None) -> ChannelCore:
+def _new_core(record: RecordedChannel, now: int, copy: NewCopy | ChannelCore | None) -> ChannelCore:
     """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
+    if isinstance(copy, ChannelCore):
+        return copy
     incarnation, name = record.incarnation, record.name
     if copy is None:
         lost_before = now if record.epoch > 1 else None

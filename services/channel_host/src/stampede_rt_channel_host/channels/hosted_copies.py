@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
+from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 
@@ -19,13 +21,15 @@ class HostedCopies:
     """
 
     def __init__(
-        self, channels: Mapping[bytes, HostedChannel], add: Callable[[RecordedChannel, NewCopy], HostedChannel],
+        self, channels: Mapping[bytes, HostedChannel],
+        add: Callable[[RecordedChannel, NewCopy | ChannelCore], HostedChannel],
         forget: Callable[[bytes, StampedeError], None],
     ) -> None:  # fmt: skip
         self._channels = channels
         self._add = add
         self._forget = forget
         self.on_bound: Callable[[RecordedChannel], Awaitable[None]] = _refuse
+        self.on_inherited: Callable[[Sequence[CutFloor]], None] = _ignore_floors  # with the cuts that the copy knew
 
     def of(self, channel_id: bytes) -> HostedChannel | None:
         """The copy of the channel; None if there is none."""
@@ -55,6 +59,25 @@ class HostedCopies:
         begun.state.on_dropped = on_dropped
         return self._add(record, begun)
 
+    def inherit(self, copy: HostedChannel, record: RecordedChannel) -> HostedChannel | None:
+        """Make the owner of a copy, as `record` of the directory says. None if the copy cannot become the owner.
+
+        Drops the copy; its readers get MOVED, and come back to the owner. The owner holds puts until the move is over.
+        """
+        heir = copy.copy.may_inherit if copy.copy is not None else None
+        fits = record.incarnation == copy.record.incarnation and record.epoch == copy.record.epoch + 1
+        if copy.copy is None or heir is None or not fits or not isinstance(copy.channel, FedChannel):
+            self._forget(record.channel_id, gone(record.name))
+            return None
+        channel, retries = copy.channel.as_owner(heir.host_time)
+        copy.is_inherited = True
+        self._forget(record.channel_id, gone(record.name))
+        owner = self._add(record, channel)
+        owner.puts.retries = retries
+        owner.begin_move().hold()
+        self.on_inherited([*copy.copy.floors.values()])
+        return owner
+
     def drop(self, channel_id: bytes, error: StampedeError) -> None:
         """Drop the copy of the channel, if there is one. Its readers get `error`."""
         if self.of(channel_id) is not None:
@@ -69,6 +92,15 @@ def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError
     except StampedeError as error:
         return error
     return None
+
+
+def elsewhere(hosted: HostedChannel | None) -> StampedeError | None:
+    """The error that sends callers to the new owner of a channel that has just moved from here; else None."""
+    return hosted.moving.elsewhere if hosted is not None and hosted.moving is not None else None
+
+
+def _ignore_floors(floors: Sequence[CutFloor]) -> None:
+    """Does nothing: the host knows no groups."""
 
 
 def _nothing() -> None:

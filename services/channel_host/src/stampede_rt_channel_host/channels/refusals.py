@@ -37,6 +37,28 @@ def moved(name: str, host_id: bytes) -> StampedeError:
     )
 
 
+def moved_to(name: str, host_id: bytes, target: str, epoch: int, spec_version: int) -> StampedeError:
+    """The error that sends the callers of a channel to its new owner, with all that they need to bind it there."""
+    return error_for(
+        "MOVED",
+        f"channel {name} has moved to the host at {target}; continue there",
+        {
+            "channel": name,
+            "host_id": host_id.hex(),
+            "target": target,
+            "epoch": str(epoch),
+            "spec_version": str(spec_version),
+        },
+    )
+
+
+def move_conflict(name: str) -> StampedeError:
+    """The error for a move of a channel of which another move is under way."""
+    return error_for(
+        "MOVE_CONFLICT", f"another move of channel {name} is under way; wait until it is over", {"channel": name}
+    )
+
+
 def copy_cannot(name: str, why: str) -> StampedeError:
     """The error of a copy that cannot serve a request. The owner can."""
     return error_for("MOVED", f"the copy of channel {name} at this host {why}; ask the owner", {"channel": name})

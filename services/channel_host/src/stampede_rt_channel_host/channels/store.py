@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import fields, replace
 from itertools import islice
 from typing import Any
 
 from sortedcontainers import SortedList
 
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
-from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
-from stampede_rt_channel_host.channels.copy_state import Freshness, gone
+from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
-from stampede_rt_channel_host.channels.hosted_copies import HostedCopies
+from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
@@ -36,7 +34,8 @@ from stampede_rt_channel_host.channels.totals import ChannelTotals
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
-from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched_keys, one_after_another, rest_of
+from stampede_rt_channel_host.core.channel import ChannelCore, Pieces, batched_keys, one_after_another, rest_of
+from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from stampede_rt_runtime.access.control import check_access, current_account, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -87,7 +86,7 @@ class ChannelStore:
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
         self.memory = memory
-        self.copies = HostedCopies(self._channels, self._add, self._forget)
+        self.copies = HostedCopies(self._channels, self._add, self.forget)
         self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
         self.consumers = IdOwners()
@@ -103,8 +102,8 @@ class ChannelStore:
         """
         self._check_lease()
         hosted = self._channels.get(channel_id)
-        if hosted is None or not hosted.epoch or hosted.copy is not None:
-            raise refusals.not_here(self._identity.name, channel_id)
+        if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_heir:
+            raise elsewhere(hosted) or refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
         return hosted
@@ -127,6 +126,10 @@ class ChannelStore:
             return self.find(channel_id, hosted.epoch if hosted else 0)
         self._check_lease()
         return hosted
+
+    def known(self, channel_id: bytes) -> HostedChannel | None:
+        """The channel or copy, if it is here, whether it may be served or not."""
+        return self._channels.get(channel_id)
 
     async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
         """The channel under `epoch`. Asks the directory first if this host does not know the channel, or knows another
@@ -160,7 +163,7 @@ class ChannelStore:
                 extra={"event": "channel_already_deleted", "channel": hosted.record.name},
             )
         self._deletions.note(request_id, own_name())
-        self._forget(channel_id, refusals.deleted(hosted.record.name))
+        self.forget(channel_id, refusals.deleted(hosted.record.name))
 
     async def configure(
         self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float
@@ -174,12 +177,14 @@ class ChannelStore:
         hosted = self.find(channel_id, epoch)  # not a copy
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
-        _check_policy(hosted.record.policy, change.stated)  # so that the directory takes no policy impossible here
+        check_policy_change(
+            hosted.record.policy, change.stated
+        )  # so that the directory takes no policy impossible here
         registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
         if registrations != self._registrations:
             return await self.bind(channel_id, record.epoch, record.spec_version)
-        return self._adopt(record)
+        return self.adopt(record)
 
     def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
         """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
@@ -199,7 +204,7 @@ class ChannelStore:
             left: list[Pieces[None]] = []
             for _, channel_id in names:
                 hosted = self._channels.get(channel_id)
-                if hosted is not None and hosted.copy is not None and channel_id not in listed:
+                if hosted is not None and (hosted.copy or hosted.is_heir) and channel_id not in listed:
                     continue  # the directory lists only the channels that this host owns
                 if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
                     self._compare(hosted, listed.get(channel_id), left, is_complete=is_complete)
@@ -216,7 +221,7 @@ class ChannelStore:
         instead.
         """
         if record is not None:
-            self._adopt(record)
+            self.adopt(record)
         elif is_complete:
             logger.warning("channel went elsewhere", extra={"event": "channel_moved", "channel": hosted.record.name})
             error = refusals.not_here(self._identity.name, hosted.record.channel_id)
@@ -285,22 +290,22 @@ class ChannelStore:
             )
         except ChannelNotFound:
             if held is not None:
-                self._forget(channel_id, refusals.deleted(held.record.name))
+                self.forget(channel_id, refusals.deleted(held.record.name))
             raise
         if self._identity.host_id in record.copy_host_ids:
             return await self.copies.on_bound(record)
         if record.host_id != self._identity.host_id:
             error = refusals.moved(record.name, record.host_id)
-            self._forget(channel_id, error)
-            raise error
-        self._adopt(record)
+            if held is None or not held.is_heir:
+                self.forget(channel_id, error)
+            raise elsewhere(held) or error
+        self.adopt(record)
 
-    def _adopt(self, record: RecordedChannel) -> HostedChannel:
+    def adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
-        if held is not None and held.copy is not None:  # this host has become the owner, and has lost the items
-            self._forget(record.channel_id, gone(record.name))
-            held = None
+        if held is not None and held.copy is not None:  # this host has become the owner
+            held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self._registrations
@@ -309,10 +314,10 @@ class ChannelStore:
         if held is not None:
             if record.epoch < held.record.epoch:
                 return held
-            self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
+            self.forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         return self._add(record)
 
-    def _add(self, record: RecordedChannel, begun: NewCopy | None = None) -> HostedChannel:
+    def _add(self, record: RecordedChannel, begun: NewCopy | ChannelCore | None = None) -> HostedChannel:
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._creation_shares.check(record.created_by)
@@ -333,7 +338,8 @@ class ChannelStore:
         self._creation_shares.note(record.created_by, +1)
         return hosted
 
-    def _forget(self, channel_id: bytes, error: StampedeError) -> None:
+    def forget(self, channel_id: bytes, error: StampedeError) -> None:
+        """Drop the channel, if it is here. Its callers get `error`."""
         self.scheduler.begin(one_after_another(self._drop(channel_id, error)))
 
     def _drop(self, channel_id: bytes, error: StampedeError) -> list[Pieces[None]]:
@@ -346,9 +352,3 @@ class ChannelStore:
         self._creation_shares.note(hosted.record.created_by, -1)
         self.sweep.forget(hosted)
         return rest_of(hosted.leaving(error))
-
-
-def _check_policy(held: Policy, change: Policy) -> None:
-    """Raises InvalidArgument if the channel could not have the policy `held` with the values that `change` states."""
-    values = {field.name: getattr(change, field.name) for field in fields(change)}
-    ChannelLimits.of(replace(held, **{name: value for name, value in values.items() if value is not None}))

@@ -23,6 +23,7 @@ from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.copies.messages import place_of, state_to
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
@@ -37,8 +38,9 @@ class FeedStream:
     """Feeds one copy. Observes its channel, on the event loop."""
 
     def __init__(
-        self, store: ChannelStore, context: Context, stream: OpenStream, floors_of: Callable[[bytes], list[CutFloor]]
-    ) -> None:
+        self, store: ChannelStore, context: Context, stream: OpenStream, floors_of: Callable[[bytes], list[CutFloor]],
+        moves: OutgoingMoves,
+    ) -> None:  # fmt: skip
         """`floors_of` returns the cuts of the groups of a channel that this host owns."""
         self._store = store
         self._floors_of = floors_of
@@ -52,14 +54,18 @@ class FeedStream:
         self._sent_heard_nanos = -1
         self._sent_record = b""
         self._lag = LagWatch()
+        self._moves = moves
+        self._move: OutgoingMove | None = None
+        self._has_handed_off = False
 
     def wake(self) -> None:
         """Note that the channel has changed."""
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """Note that the host does not serve the channel any more."""
-        self._stream.end(error)
+        """Note that the host serves the channel no more. A move goes on: the destination still has to release it."""
+        if self._move is None or not self._move.is_committed:
+            self._stream.end(error)
 
     async def run(self, request: pb.FeedRequest) -> None:
         """Feed the copy until the stream ends. `request` is the first request of the stream.
@@ -81,7 +87,10 @@ class FeedStream:
         window = hosted.puts.retries if opening.owner_facts else None
         feed = ChannelFeed(hosted.channel, place, self._store.now(), window)
         copy = FedCopy(opening.host_id, opening.target, lambda: hosted.channel.next_seq - feed.next_seq)
-        hosted.fed.add(copy)
+        if opening.move_id:
+            self._move = self._moves.begin(hosted, opening.host_id, opening.target)
+        else:
+            hosted.fed.add(copy)
         hosted.group_observers[self] = None
         self._take(request, hosted, copy)
         reading = self._stream.spawn(self._read(hosted, copy))
@@ -92,6 +101,8 @@ class FeedStream:
             feed.close()
             hosted.group_observers.pop(self, None)
             hosted.fed.discard(copy)
+            if self._move is not None:
+                self._move.feed_ended()
 
     async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
         async for raw in requests_of(self._context.read):
@@ -105,14 +116,29 @@ class FeedStream:
         self._heard_nanos = request.sent_nanos
         self._credit.grant(request.credit_bytes)
         copy.report(request.subscriptions, ready=request.ready)
+        if self._move is not None:
+            self._step(request, self._move)
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
         self._news.set()
 
-    async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+    def _step(self, request: pb.FeedRequest, move: OutgoingMove) -> None:
+        """Take the next step of a move."""
+        if request.hold:
+            move.hold()
+        if request.committed_epoch:
+            move.committed(request.committed_epoch)
+        if request.released:
+            move.released()
+            self._credit.end()  # ends the feed
+
+    async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         lost_before = hosted.channel.lost_before
         opened = pb.FeedOpened(begins_anew=feed.begins_anew, lost_before_unix_nano=lost_before)
         await self._write(self._response(hosted, self._bare(feed), opened))
+
+    async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+        await self._greet(hosted, feed)
         while not self._credit.is_final:
             if self._work.must_wait:
                 await self._work.turn()
@@ -121,10 +147,22 @@ class FeedStream:
             self._check_lag(hosted, feed)
             if part is not None:
                 await self._send(hosted, part)
+            elif self._owes_handoff(hosted, feed):
+                await self._hand_off(hosted, feed)
             elif self._owes_sign(hosted):
                 await self._write(self._response(hosted, self._bare(feed)))
             else:
                 await self._news.wait()
+
+    def _owes_handoff(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
+        """Whether the changes are held, and the copy has everything."""
+        if self._move is None or not self._move.is_held or self._has_handed_off or feed.owner is None:
+            return False
+        return feed.next_seq == hosted.channel.next_seq and feed.owner.is_complete(self._store.now())
+
+    async def _hand_off(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+        self._has_handed_off = True
+        await self._write(self._response(hosted, self._bare(feed), handoff=self._store.now()))
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         """End a feed that a host waits for, if it would never be level. A proxy shows its readers its age instead."""
@@ -151,7 +189,9 @@ class FeedStream:
     def _owes_sign(self, hosted: HostedChannel) -> bool:
         return self._heard_nanos != self._sent_heard_nanos or hosted.record.message != self._sent_record
 
-    def _response(self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None) -> bytes:
+    def _response(
+        self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None, handoff: int | None = None
+    ) -> bytes:
         """The encoded message, without the part's items."""
         state = state_to(part, self._store.now())
         state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
@@ -164,6 +204,8 @@ class FeedStream:
         if hosted.record.message != self._sent_record:
             self._sent_record = hosted.record.message
             state.channel.CopyFrom(channel_message(hosted.record))
+        if handoff is not None:
+            state.handoff.host_time_unix_nano = handoff
         return pb.FeedResponse(opened=opened, state=state).SerializeToString()
 
     def _new_floors(self, hosted: HostedChannel) -> list[CutFloor]:

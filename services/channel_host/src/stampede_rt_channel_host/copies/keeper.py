@@ -74,6 +74,13 @@ class CopyKeeper:
             logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
         await copy.state.ready(record.name, READY_SECONDS_MAX)
 
+    def pause(self, channel_id: bytes) -> None:
+        """Drop the copy of a channel that moves here. Its readers go to the owner, and the next bind begins it anew."""
+        self._stop(channel_id, "the channel moves here")
+        copy = self._store.copies.of(channel_id)
+        if copy is not None:
+            self._store.copies.drop(channel_id, gone(copy.record.name))
+
     async def report_forever(self) -> NoReturn:
         """Report the loads of copies and of the channels with copies every REPORT_SECONDS."""
         while True:  # paced by the sleep

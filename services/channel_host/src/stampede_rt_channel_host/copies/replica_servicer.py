@@ -12,6 +12,7 @@ from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.rpc import Context
 
@@ -21,11 +22,15 @@ SERVICE = "stampede_rt.v1.ReplicaService"
 class ReplicaServicer:
     """Serves ReplicaService. `streams` ends all open streams when the host ends."""
 
-    def __init__(self, store: ChannelStore, streams: OpenStreams, floors_of: Callable[[bytes], list[CutFloor]]) -> None:
+    def __init__(
+        self, store: ChannelStore, streams: OpenStreams, floors_of: Callable[[bytes], list[CutFloor]],
+        moves: OutgoingMoves,
+    ) -> None:  # fmt: skip
         """`floors_of`: see `FeedStream`."""
         self._store = store
         self._floors_of = floors_of
         self._streams = streams
+        self._moves = moves
 
     def add_to(self, server: grpc.aio.Server) -> None:
         """Add the method of ReplicaService to `server`. Its handler reads and writes encoded messages."""
@@ -39,4 +44,4 @@ class ReplicaServicer:
         """ReplicaService.Feed: between hosts only."""
         async with self._streams.serve(context) as stream:
             request: pb.FeedRequest = opening_of(await context.read(), pb.FeedRequest, "FeedRequest")
-            await FeedStream(self._store, context, stream, self._floors_of).run(request)
+            await FeedStream(self._store, context, stream, self._floors_of, self._moves).run(request)

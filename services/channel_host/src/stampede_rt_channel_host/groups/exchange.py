@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import HostNotFound
 from stampede_rt.v1 import group_pb2
@@ -88,6 +88,11 @@ class TimesExchange:
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors
+
+    def inherit_floors(self, floors: Sequence[CutFloor]) -> None:
+        """Take over the cuts of groups of which a member has moved here. The groups get them with their new owners."""
+        for floor in floors:
+            self._keep_floor(self._identity.host_id, floor)
 
     # The methods that links call.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, error_for
 from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
 from stampede_rt_channel_host.core.channel import (
     Needs,
@@ -60,6 +60,18 @@ class WaitingGet:
         """End the get with its outcome."""
         self.cancel()
         self._on_outcome(outcome)
+
+
+def with_interval(error: StampedeError, pending: Pending) -> StampedeError:
+    """The error for a get that waits. If the channel has moved, the error has the interval as this host resolved it.
+
+    So the next owner does not resolve the meta-times of the get a second time.
+    """
+    found = pending.interval
+    if error.reason != "MOVED" or found is None:
+        return error
+    bounds = {"start_unix_nano": str(found.start), "end_unix_nano": str(found.end)}
+    return error_for(error.reason, error.message, {**error.metadata, **bounds})
 
 
 def instant_key(get: WaitingGet) -> Key:

@@ -14,7 +14,13 @@ from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.channels.gets.get_release import GetRelease, Polled, Source
-from stampede_rt_channel_host.channels.gets.waiting_get import NEED_KEYS, Outcome, WaitingGet, instant_key
+from stampede_rt_channel_host.channels.gets.waiting_get import (
+    NEED_KEYS,
+    Outcome,
+    WaitingGet,
+    instant_key,
+    with_interval,
+)
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
@@ -134,7 +140,7 @@ class WaitingGets:
             for _ in range(min(GETS_PER_PIECE, len(gets))):
                 get = gets.popleft()
                 if get in self._waiting:  # if not, it was released since the last piece
-                    get.finish(error)
+                    get.finish(with_interval(error, get.pending))
             if gets:
                 yield
 

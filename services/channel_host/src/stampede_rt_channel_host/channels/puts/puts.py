@@ -54,6 +54,23 @@ class ChannelPuts:
         self._waiting_bytes = 0
         self._waiting_runs: list[IncomingRun] = []  # not a deque: an empty one takes 600 bytes
         self._timer: asyncio.TimerHandle | None = None
+        self._overdue: list[IncomingRun] | None = None  # while the puts are held: runs whose waiting time is over
+
+    def hold(self) -> None:
+        """Let all puts wait until `release`, because the channel moves. The retry window gets what was judged."""
+        self._overdue = []
+        now = self._now()
+        for run in self._waiting_runs:
+            self._remember(run, now)
+
+    def release(self) -> None:
+        """Accept puts again. Does nothing if they are not held."""
+        if self._overdue is None:
+            return
+        overdue, self._overdue = self._overdue, None
+        self.changed(self._now())
+        for run in overdue:
+            self.give_up(run)
 
     def __len__(self) -> int:
         """The number of waiting runs."""
@@ -90,25 +107,30 @@ class ChannelPuts:
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         if self._ending is not None:  # the run may repeat a run that still waits
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
-        if self._recognise(run, now) or (not self._waiting_runs and self._claim_and_offer(run, now)):
+        is_held = self._overdue is not None
+        has_to_wait = is_held or bool(self._waiting_runs)
+        if self._recognise(run, now) or (not has_to_wait and self._claim_and_offer(run, now)):
             assert run.ack is not None, "a run that does not wait has an ack"
             return run.ack
-        if run.wait_nanos is not None and run.wait_nanos <= 0:
+        if run.wait_nanos is not None and run.wait_nanos <= 0 and not is_held:
             return self._refuse_rest(run, now)
         if len(self._waiting_runs) >= WAITING_PUTS_MAX:
             raise Overloaded(
                 f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put again later"
             )
-        if self._waiting_runs:
+        if has_to_wait:
             self._memory.claim(run.charged_bytes)
+        self._wait(run)
+        return None
+
+    def _wait(self, run: IncomingRun) -> None:
         self._waiting_runs.append(run)
         self._waiting_bytes += run.charged_bytes
-        return None
 
     @property
     def may_wait(self) -> bool:
         """Whether the next run may have to wait for room."""
-        return bool(self._waiting_runs) or self._channel.may_block
+        return bool(self._waiting_runs) or self._overdue is not None or self._channel.may_block
 
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
         """Count a run of `length_bytes` bytes that the host could not read because of `error`."""
@@ -135,7 +157,7 @@ class ChannelPuts:
 
     @property
     def _may_offer(self) -> bool:
-        return self._ending is None and self._may_serve()
+        return self._ending is None and self._overdue is None and self._may_serve()
 
     def _stop_waiting(self, run: IncomingRun) -> None:
         self._waiting_runs.remove(run)
@@ -143,6 +165,9 @@ class ChannelPuts:
 
     def give_up(self, run: IncomingRun) -> None:
         """Refuse the rest of the run, because its waiting time is over."""
+        if self._overdue is not None:
+            self._overdue.append(run)
+            return
         now = self._now()
         if run in self._waiting_runs:
             self._stop_waiting(run)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument
@@ -121,3 +121,9 @@ def _check_adaptive(policy: Policy) -> None:
 def _check_range(name: str, value: int | None, least: int, most: int, unit: str) -> None:
     if value is not None and not least <= value <= most:
         raise InvalidArgument(f"{name} is {value}; it is between {least} and {most} {unit}, or left out")
+
+
+def check_policy_change(held: Policy, change: Policy) -> None:
+    """Raises InvalidArgument if the channel could not have the policy `held` with the values that `change` states."""
+    values = {field.name: getattr(change, field.name) for field in fields(change)}
+    ChannelLimits.of(replace(held, **{name: value for name, value in values.items() if value is not None}))

@@ -1,0 +1,169 @@
+"""Moves of channels to this host, which drives them: feed, hold, commit, release (paper, section 4.1)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import time
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import grpc
+
+from stampede_rt.errors import Overloaded, StaleBinding, StampedeError, Unavailable
+from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance, gone
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.move_feed import MoveFeed
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+Result = TypeVar("Result")
+logger = logging.getLogger(__name__)
+
+MOVES_MAX = 8  # to one host at a time
+RELEASED_SECONDS_MAX = 1.0
+HANDOFF_SECONDS_MAX = 4.0  # shorter than the source holds puts
+RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
+
+
+class Moved(NamedTuple):
+    """A channel that has moved here. `blackout_nanos`: for so long puts waited; 0: this host was the owner already."""
+
+    hosted: HostedChannel
+    blackout_nanos: int
+
+
+class IncomingMoves:
+    """The moves to one host, on its event loop. `dial` opens connections to other hosts."""
+
+    def __init__(
+        self, identity: HostIdentity, store: ChannelStore, directory: MoveDirectory, keeper: CopyKeeper,
+        dial: Callable[[str], grpc.aio.Channel], bytes_per_second: int = 0,
+    ) -> None:  # fmt: skip
+        """`bytes_per_second`: the most that each feed takes; 0: without a limit."""
+        self._identity = identity
+        self._store = store
+        self._directory = directory
+        self._keeper = keeper
+        self._dial = dial
+        self._bytes_per_second = bytes_per_second
+        self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
+
+    async def move_here(self, record: RecordedChannel) -> Moved:
+        """Make this host the owner of a channel. Joins a move of this channel that is under way.
+
+        The move goes on if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
+        """
+        if record.host_id == self._identity.host_id:
+            return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
+        move = self._moves.get(record.channel_id)
+        if move is None:
+            if len(self._moves) >= MOVES_MAX:
+                raise Overloaded(f"{MOVES_MAX} channels move to host {self._identity.name} already; wait for one")
+            move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
+            self._moves[record.channel_id] = move
+            move.add_done_callback(lambda done: self._over(record.channel_id, done))
+        return await asyncio.shield(move)
+
+    def _over(self, channel_id: bytes, move: asyncio.Task[Moved]) -> None:
+        self._moves.pop(channel_id, None)
+        failure = None if move.cancelled() else move.exception()
+        if failure is not None:
+            logger.info("a move has failed", extra={"event": "move_failed", "why": str(failure)})
+
+    async def aclose(self) -> None:
+        """Give up all moves."""
+        moves = [*self._moves.values()]
+        for move in moves:
+            move.cancel()
+        await asyncio.gather(*moves, return_exceptions=True)
+
+    async def _move(self, record: RecordedChannel) -> Moved:
+        source = await self._directory.owner_of(record.channel_id)
+        if not source.target:
+            raise Unavailable(f"the host of channel {record.name} is lost, and so are its items; open the channel")
+        self._keeper.pause(record.channel_id)
+        state = CopyState()
+        feed = MoveFeed(self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second)
+        channel = self._dial(source.target)
+        feeding = asyncio.create_task(feed.run(source, channel), name=f"feed of {record.name}")
+        try:
+            return await self._take_over(record, source, state, feed, feeding)
+        finally:
+            feeding.cancel()
+            await asyncio.gather(feeding, return_exceptions=True)
+            await channel.close(None)
+            if self._store.copies.of(record.channel_id) is not None:
+                self._store.copies.drop(record.channel_id, gone(record.name))
+
+    async def _take_over(
+        self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
+    ) -> Moved:
+        await _unless_ended(feeding, asyncio.ensure_future(state.caught_up_once()))
+        held_at = time.monotonic_ns()
+        feed.hold()
+        state.may_inherit = await _handoff(record.name, feed, feeding)
+        hosted = self._store.adopt(await self._commit(record, source.epoch))
+        feed.committed(hosted.epoch)
+        await self._remove_heir(hosted, source.host_id)
+        blackout_nanos = time.monotonic_ns() - held_at
+        hosted.end_move()
+        feed.released()
+        await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source hears of it
+        logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
+        return Moved(hosted, blackout_nanos)
+
+    async def _commit(self, record: RecordedChannel, epoch: int) -> RecordedChannel:
+        """Have the directory make this host the owner. Asks until it knows the outcome: the source waits for it, too.
+
+        Raises StaleBinding (WRONG_EPOCH) if the source has ended the move, and other errors that a repetition cannot
+        heal.
+        """
+        request_id, delay_s = secrets.token_bytes(16), RETRY_SECONDS_MIN
+        while True:  # paced by the sleep; ends when the directory answers
+            try:
+                return await self._directory.commit(record.channel_id, epoch, request_id)
+            except StampedeError as error:
+                if isinstance(error, StaleBinding) or not error.retryable:
+                    raise
+            await asyncio.sleep(delay_s)
+            delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
+
+    async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
+        """Let the former owner be the heir no more. Tries again for as long as this host has the channel."""
+        delay_s = RETRY_SECONDS_MIN
+        while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
+            try:
+                return await self._directory.remove_heir(hosted.record.channel_id, host_id)
+            except StampedeError as error:
+                extra = {"event": "move_undecided", "channel": hosted.record.name, "why": str(error)}
+                logger.info("cannot tell the directory that a move is over; the host tries again", extra=extra)
+            await asyncio.sleep(delay_s)
+            delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
+
+
+async def _handoff(name: str, feed: MoveFeed, feeding: asyncio.Task[None]) -> Inheritance:
+    """Wait until the source has handed the channel over. Raises Unavailable after HANDOFF_SECONDS_MAX."""
+    try:
+        async with asyncio.timeout(HANDOFF_SECONDS_MAX):
+            return await _unless_ended(feeding, feed.handoff)
+    except TimeoutError:
+        text = f"the host of channel {name} did not hand it over in {HANDOFF_SECONDS_MAX:g} s; move it again"
+        raise Unavailable(text) from None
+
+
+async def _unless_ended(feeding: asyncio.Task[None], wanted: asyncio.Future[Result]) -> Result:
+    """The result of `wanted`. Raises the error of the feed if it ends before."""
+    try:
+        await asyncio.wait((feeding, wanted), return_when=asyncio.FIRST_COMPLETED)
+        if not wanted.done():
+            await feeding
+            raise Unavailable("the feed of a move has ended early")
+        return wanted.result()
+    finally:
+        wanted.cancel()

@@ -1,0 +1,41 @@
+"""MigrationService on the wire: moves of channels to this host."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.cluster.identity import ID_BYTES
+from stampede_rt_channel_host.cluster.records import channel_message
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_runtime.access.control import check_access, check_known, current_account
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.rpc import Context, errors_as_status
+
+
+class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
+    """Serves MigrationService."""
+
+    def __init__(self, moves: IncomingMoves, directory: MoveDirectory) -> None:
+        self._moves = moves
+        self._directory = directory
+
+    @errors_as_status
+    async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:
+        """Make this host the owner of a channel."""
+        if len(request.channel_id) != ID_BYTES:
+            raise InvalidArgument(f"channel_id has {len(request.channel_id)} bytes; give the {ID_BYTES} of the channel")
+        record = await self._directory.resolve(request.channel_id)
+        check_known(AccessKind.CHANNEL, record.name, by_id=True)
+        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
+        current_account().change()
+        hosted, blackout_nanos = await self._moves.move_here(record)
+        counters = hosted.channel.latest_counters()
+        return pb.MoveHereResponse(
+            channel=channel_message(hosted.record),
+            held=counters.held,
+            held_bytes=counters.held_bytes,
+            blackout_nanos=blackout_nanos,
+        )

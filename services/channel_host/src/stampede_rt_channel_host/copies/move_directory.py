@@ -1,0 +1,76 @@
+"""The host's calls to the directory about moves of channels (paper, sections 4.1 and 4.3)."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from stampede_rt.v1 import migration_directory_service_pb2 as pb
+from stampede_rt.v1 import migration_directory_service_pb2_grpc, replica_directory_service_pb2_grpc, subject_pb2
+from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
+from stampede_rt_channel_host.cluster.directory import DirectoryQueries
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+CALL_SECONDS_MAX = 4.0
+
+
+class MoveDirectory:
+    """Asks the directory about owners, and has it change them.
+
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
+    """
+
+    def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:
+        self._supernodes = supernodes
+        self._queries = DirectoryQueries(supernodes)
+        self._identity = identity
+
+    async def resolve(self, channel_id: bytes) -> RecordedChannel:
+        """The channel's present record. Raises ChannelNotFound."""
+        return await self._queries.resolve(channel_id)
+
+    async def owner_of(self, channel_id: bytes) -> FeedSource:
+        """The owner, its gatekeeper and the epoch. `target` is empty if the owner is not alive."""
+        found = await self._list(channel_id)
+        owner = next((one for one in found.hosts if one.host_id == found.owner_host_id), None)
+        target = owner.gatekeepers[0].target if owner is not None and owner.alive and owner.gatekeepers else ""
+        return FeedSource(found.owner_host_id, target, found.epoch)
+
+    async def is_heir(self, channel_id: bytes) -> bool:
+        """Whether this host is to become the owner again if the present owner is lost at once."""
+        found = await self._list(channel_id)
+        return any(one.host_id == self._identity.host_id for one in found.replicas)
+
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
+        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding."""
+        request = pb.CommitMoveRequest(
+            request_id=request_id,
+            channel_id=channel_id,
+            epoch=epoch,
+            to_host_id=self._identity.host_id,
+            to_boot_incarnation=self._identity.boot_incarnation,
+        )
+        stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
+        return recorded_channel((await self._call("CommitMove", request, stub)).channel)
+
+    async def remove_heir(self, channel_id: bytes, host_id: bytes) -> None:
+        """Let the former owner be the heir no more. Idempotent."""
+        request = replicas_pb.RemoveReplicaRequest(
+            request_id=secrets.token_bytes(16),
+            subject=subject_pb2.Subject(channel_id=channel_id),
+            host_id=host_id,
+        )
+        await self._call("RemoveReplica", request, replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub)
+
+    async def _list(self, channel_id: bytes) -> replicas_pb.ListReplicasResponse:
+        request = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
+        stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
+        found: replicas_pb.ListReplicasResponse = await self._call("ListReplicas", request, stub)
+        return found
+
+    async def _call(self, method: str, request: object, stub: Any) -> Any:
+        return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)

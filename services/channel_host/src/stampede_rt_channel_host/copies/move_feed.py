@@ -1,0 +1,62 @@
+"""The feed of a move, at the destination: what every copy gets, and then the end of all changes at the source."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from typing import Any
+
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.copies.copy_feed import CopyFeed
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+
+class MoveFeed(CopyFeed):
+    """One stream from the owner of a channel to its next owner. `handoff` is done once everything has come."""
+
+    def __init__(
+        self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
+        bytes_per_second: int = 0,
+    ) -> None:  # fmt: skip
+        """As `CopyFeed`."""
+        super().__init__(store, record, state, host_id, target, bytes_per_second, owner_facts=True)
+        self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
+        self._step: dict[str, Any] = {}
+
+    def hold(self) -> None:
+        """Have the source hold all changes, and hand the channel over."""
+        self._tell(hold=True)
+
+    def committed(self, epoch: int) -> None:
+        """Tell the source that this host is the owner."""
+        self._tell(committed_epoch=epoch)
+
+    def released(self) -> None:
+        """Tell the source that its items are needed no more."""
+        self._tell(released=True)
+
+    def _tell(self, **step: Any) -> None:
+        self._step |= step
+        self._news.set()
+
+    def _opening(self, source: FeedSource) -> pb.FeedOpen:
+        opening = super()._opening(source)
+        opening.move_id = secrets.token_bytes(16)
+        return opening
+
+    def _request(self, opening: pb.FeedOpen | None = None) -> pb.FeedRequest:
+        request = super()._request(opening)
+        request.MergeFrom(pb.FeedRequest(**self._step))
+        request.ready = False  # so that the source sends no readers here before this host is the owner
+        return request
+
+    async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
+        if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life
+            return
+        await super()._take(response)
+        if response.state.HasField("handoff"):
+            self.handoff.set_result(Inheritance(response.state.handoff.host_time_unix_nano))

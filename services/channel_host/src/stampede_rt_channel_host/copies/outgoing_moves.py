@@ -1,0 +1,182 @@
+"""Moves of channels away from this host: holds their changes, and ends moves that fail (paper, section 4.1)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+from collections.abc import Coroutine
+from typing import Any
+
+from stampede_rt.errors import ChannelNotFound, Overloaded, StaleBinding, StampedeError
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving, held_too_long
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+
+logger = logging.getLogger(__name__)
+
+MOVES_MAX = 8  # away from one host at a time
+RETRY_SECONDS = 0.2
+HEIR_SECONDS = 2.0  # a former owner asks so often whether it is still needed
+
+
+class OutgoingMoves:
+    """The moves away from one host, on its event loop."""
+
+    def __init__(self, identity: HostIdentity, store: ChannelStore, directory: MoveDirectory) -> None:
+        self.identity = identity
+        self.store = store
+        self.directory = directory
+        self._under_way = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
+        """Begin a move to the host with that gatekeeper. Raises MOVE_CONFLICT, and Overloaded at MOVES_MAX moves."""
+        if hosted.moving is not None:
+            raise refusals.move_conflict(hosted.record.name)
+        if self._under_way >= MOVES_MAX:
+            raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
+        self._under_way += 1
+        return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
+
+    def over(self) -> None:
+        """The feed of a move has ended."""
+        self._under_way -= 1
+
+    def start(self, work: Coroutine[Any, Any, None], name: str) -> None:
+        """Do `work` in the background, also if the stream of the move ends."""
+        task = asyncio.create_task(work, name=name)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def aclose(self) -> None:
+        """Stop all work."""
+        for task in [*self._tasks]:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+
+class OutgoingMove:
+    """One move away. The stream that feeds the destination tells it each step; `feed_ended` always comes last."""
+
+    def __init__(
+        self, moves: OutgoingMoves, hosted: HostedChannel, moving: Moving, host_id: bytes, target: str
+    ) -> None:
+        self._moves = moves
+        self._hosted = hosted
+        self._moving = moving
+        self._host_id = host_id
+        self._target = target
+        self._timer: asyncio.TimerHandle | None = None
+        self._is_released = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the channel changes no more."""
+        return self._moving.is_held
+
+    @property
+    def is_committed(self) -> bool:
+        """Whether this host knows that the destination is the owner."""
+        return self._moving.elsewhere is not None
+
+    def hold(self) -> None:
+        """Let all changes wait, for HELD_SECONDS_MAX at most. Idempotent."""
+        if self._moving.is_held or self._hosted.moving is not self._moving:
+            return
+        self._moving.hold()
+        self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._held_too_long)
+
+    def _held_too_long(self) -> None:
+        """Refuse the puts that wait, and end the move unless it is committed."""
+        if self._hosted.moving is self._moving and not self.is_committed:
+            self._moves.store.scheduler.begin(self._hosted.puts.ending(held_too_long(self._hosted.record.name)))
+            self._end_soon()
+
+    def committed(self, epoch: int) -> None:
+        """The destination is the owner: send all callers there. Idempotent."""
+        if self.is_committed or self._hosted.moving is not self._moving:
+            return
+        record = self._hosted.record
+        error = refusals.moved_to(record.name, self._host_id, self._target, epoch, record.spec_version)
+        self._moving.gone(error)
+        logger.info("a channel has moved away", extra={"event": "channel_moved_away", "channel": record.name})
+        self._moves.store.scheduler.begin(self._hosted.ending(error))
+
+    def released(self) -> None:
+        """The directory needs the items here no more. Idempotent."""
+        if self.is_committed and not self._is_released and self._hosted.moving is self._moving:
+            self._is_released = True
+            assert self._moving.elsewhere is not None, "it is committed"
+            self._moves.store.forget(self._hosted.record.channel_id, self._moving.elsewhere)
+
+    def feed_ended(self) -> None:
+        """The stream to the destination has ended. Unless the move is over, find out what became of it."""
+        self._moves.over()
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._hosted.moving is not self._moving or self._is_released:
+            return
+        if self.is_committed:
+            self._moves.start(self._keep_items(), "heir")
+        elif self._moving.is_held:
+            self._end_soon()
+        else:
+            self._hosted.end_move()
+
+    def _end_soon(self) -> None:
+        self._moves.start(self._end(), "end of a move")
+
+    async def _end(self) -> None:
+        """Take a new epoch, so that the destination can commit no more; or learn that it has committed."""
+        directory, record, request_id = self._moves.directory, self._hosted.record, secrets.token_bytes(16)
+        while self._hosted.moving is self._moving and not self.is_committed:
+            try:
+                self._moves.store.adopt(await directory.commit(record.channel_id, record.epoch, request_id))
+                logger.info(
+                    "a move has failed; the channel stays", extra={"event": "move_ended", "channel": record.name}
+                )
+                return
+            except StaleBinding:
+                await self._learn_owner()
+            except ChannelNotFound:
+                self._moves.store.forget(record.channel_id, refusals.deleted(record.name))
+            except StampedeError as error:
+                extra = {"event": "move_undecided", "channel": record.name, "why": str(error)}
+                logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+                await asyncio.sleep(RETRY_SECONDS)
+
+    async def _learn_owner(self) -> None:
+        """Another owner was committed, or this host has got another epoch."""
+        try:
+            present = await self._moves.directory.resolve(self._hosted.record.channel_id)
+        except StampedeError:
+            await asyncio.sleep(RETRY_SECONDS)
+            return
+        if present.host_id == self._moves.identity.host_id:
+            self._moves.store.adopt(present)
+            return
+        self.committed(present.epoch)
+        await self._keep_items()
+
+    async def _keep_items(self) -> None:
+        """Keep the items while this host may become the owner again."""
+        channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
+        while self._hosted.moving is self._moving:
+            await asyncio.sleep(HEIR_SECONDS)
+            try:
+                present = await self._moves.directory.resolve(channel_id)
+                if present.host_id == self._moves.identity.host_id:
+                    self._moves.store.adopt(present)
+                elif not await self._moves.directory.is_heir(channel_id):
+                    self._moves.store.forget(channel_id, refusals.moved(name, present.host_id))
+                    return
+            except ChannelNotFound:
+                self._moves.store.forget(channel_id, refusals.deleted(name))
+                return
+            except StampedeError as error:
+                extra = {"event": "move_undecided", "channel": name, "why": str(error)}
+                logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
