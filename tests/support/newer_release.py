@@ -1,8 +1,8 @@
 """Simulates a later release of the supernode, made from the present code, with one more kind of command.
 
-The new kind is a field of DirectoryCommand that the present contract does not have. So the present code sees it as any
-release sees an addition of a later one. The command limits a channel to one item, and needs the next feature level.
-Everything else is the present code: hello, log, directory, services.
+The new kind is a field of DirectoryCommand that the present contract does not have. So it is unknown to the present
+code, as each addition of a later release is. The command limits a channel to one item, and needs the next feature
+level. Everything else is the present code: hello, log, directory, services.
 
 `NewerReplica` is the directory of that release, for tests with several releases in one process. As a program, `python
 -m tests.support.newer_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release: the names of the release

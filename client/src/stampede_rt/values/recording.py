@@ -104,7 +104,7 @@ _COUNTS = ("accepted", "recorded", "missing", "gap_count", "payload_bytes")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordingSummary:
-    """What a finished recording has. `path` is the file.
+    """The contents of a finished recording. `path` is the file.
 
     `absent` lists the names and globs that matched no channel, and channels that the recording could not follow.
     `complete` is False if anything is missing.

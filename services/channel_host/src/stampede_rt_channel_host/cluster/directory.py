@@ -15,7 +15,8 @@ CALL_SECONDS_MAX = 4.0
 class DirectoryQueries:
     """Asks the directory about channels, and has it change and delete them.
 
-    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error with which the directory answers, or
+    Unavailable.
     """
 
     def __init__(self, supernodes: Supernodes) -> None:

@@ -20,7 +20,7 @@ class QueueDirectory:
     async def resolve(self, queue_id: bytes) -> ResolvedQueue:
         """The present record of the queue (or mailbox), and its owner's address. Waits CALL_SECONDS_MAX at most.
 
-        Raises QueueNotFound, another error that the directory answers, or Unavailable.
+        Raises QueueNotFound, another error of the directory, or Unavailable.
         """
         request = pb.ResolveQueueRequest(queue_id=queue_id)
         response: pb.ResolveQueueResponse = await self._supernodes.call(

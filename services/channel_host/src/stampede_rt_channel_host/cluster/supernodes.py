@@ -79,7 +79,7 @@ class Supernodes:
         """Make one call of `service`. Tries all known supernodes. If all fail, asks the front-ends, and tries again.
 
         Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
-        from `since_s` by `age_clock_s`. Raises the error that the directory answers, or the last failure once
+        from `since_s` by `age_clock_s`. Raises the error with which the directory answers, or the last failure once
         `timeout_s` is over.
         """
         backoff = Backoff(time.monotonic() + timeout_s)

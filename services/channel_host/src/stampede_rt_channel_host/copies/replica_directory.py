@@ -23,7 +23,8 @@ class FeedSource(NamedTuple):
 class ReplicaDirectory:
     """Asks the directory about copies, and reports their loads.
 
-    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error with which the directory answers, or
+    Unavailable.
     """
 
     def __init__(self, supernodes: Supernodes) -> None:

@@ -246,8 +246,8 @@ class QueueStore:
         """Ask the directory for the record of the queue. Asks again if the host registers before the answer comes.
 
         Such an answer may be out of date: the lease ended before the host registered again, and the queue may have got
-        a new owner meanwhile. Raises the error that the directory answers. Raises StaleBinding if the host registered
-        during each of LOOKUPS_MAX questions.
+        a new owner meanwhile. Raises the error with which the directory answers. Raises StaleBinding if the host
+        registered during each of LOOKUPS_MAX questions.
         """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations

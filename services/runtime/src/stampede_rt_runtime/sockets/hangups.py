@@ -1,4 +1,4 @@
-"""Reports soon that a peer has gone, even while the service reads nothing from its socket. Closes few at a time.
+"""Reports soon that a peer has gone, even while the service reads nothing from its socket.
 
 asyncio notices a closed socket only when it reads. A caller that closes its stream also cancels its call, even while
 the service takes no more of its messages. A caller that ends may leave thousands of sockets, so the service closes a
@@ -15,7 +15,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 CLOSED_PER_TURN = 4
-"""Of the sockets whose peers have gone. Each takes about 50 us: its transport, its stream's task, its slot."""
+"""The most sockets of peers that have gone.
+
+To close one takes about 50 us: its transport, its stream's task, its slot.
+"""
 
 
 class _Watched(NamedTuple):
@@ -34,7 +37,7 @@ class HangupWatcher:
         # By the number of the socket's file. The system may give the number of a closed socket to another one.
         self._watched: dict[int, _Watched] = {}
         self._numbers: dict[int, int] = {}  # by the identity of the socket
-        self._gone: deque[Callable[[], object]] = deque()  # what closes the sockets whose peers have gone
+        self._gone: deque[Callable[[], object]] = deque()  # the calls that close the sockets whose peers have gone
 
     def watch(self, one: Any, close: Callable[[], object]) -> None:
         """Call `close` when the peer of the socket `one` has gone, see `gone`."""
