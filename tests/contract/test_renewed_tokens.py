@@ -79,7 +79,7 @@ async def test_streams_go_on_with_the_renewed_token_without_a_gap(rig: Rig, file
 
 
 class Waits:
-    """Everything for which a client can wait, under way over the streams of one connection."""
+    """All kinds of waits of a client, under way over the streams of one connection."""
 
     def __init__(self, rig: Rig, rt: Any, peer: Any) -> None:
         self.rig, self.rt, self.peer, self.name = rig, rt, peer, rig.name()
@@ -128,7 +128,7 @@ class Waits:
         await other.mailbox.get(timeout=0)
 
     async def check(self) -> None:
-        """Check what each wait got."""
+        """Check the result of each wait."""
         found = dict(zip(self.waiting, await asyncio.gather(*self.waiting.values()), strict=True))
         payloads = {found[kind].payload for kind in ("subscription", "get", "get in group", "queue", "mailbox")}
         assert payloads == {b"x"}

@@ -15,7 +15,7 @@ from stampede_rt_runtime.dial import dial
 
 
 def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> str:
-    """What a supernode answers to a call with this certificate; empty if it was let in and the call went through."""
+    """Make a call with this certificate. Returns the supernode's error text; empty if the call succeeded."""
 
     async def asked() -> str:
         assert files is not None

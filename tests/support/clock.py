@@ -25,5 +25,5 @@ class ManualClock:
         self.boot_nanos += nanos
 
     def set_wall_clock(self, unix_nano: int) -> None:
-        """Set the wall clock, as somebody sets a machine's clock. The other clock does not move."""
+        """Set the wall clock, as an operator sets a machine's clock. The other clock does not move."""
         self.unix_nano = unix_nano

@@ -15,7 +15,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
 
 
 class Operator:
-    """Its rules are in force when `add` and `rm` return."""
+    """Adds and removes rules. They are in force when `add` and `rm` return."""
 
     def __init__(self, cluster: LocalCluster, supernodes: Cluster) -> None:
         self.cluster, self._supernodes = cluster, supernodes

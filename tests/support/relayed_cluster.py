@@ -15,7 +15,7 @@ from tests.support.cluster import running_cluster
 from tests.support.cutting_relay import CUTS, CuttingRelay
 
 PAUSE_S_MAX = 0.25  # between cuts
-REFUSES_SHARE = 0.1  # of cuts, after which nobody gets through for a while
+REFUSES_SHARE = 0.1  # the share of cuts after which no connection succeeds for a while
 READY_S = 40.0
 HOST_NAME = "relayed"
 
@@ -30,11 +30,11 @@ class RelayedCluster:
 
     @property
     def address(self) -> str:
-        """What clients are given."""
+        """The address for clients."""
         return self.cluster.address
 
     async def cut(self, rng: random.Random) -> None:
-        """Cut connections again and again, until this is cancelled. What comes then gets through again."""
+        """Cut connections again and again until cancelled. Later connections succeed again."""
         try:
             while True:
                 await asyncio.sleep(rng.random() * PAUSE_S_MAX)

@@ -1,12 +1,13 @@
-"""A service as users start it, `python -m tests.support.service_process PACKAGE FLAGS`, with two seams: a wall clock
-that can be stepped, and for supernodes a log that is compacted early.
+"""A service as users start it, with two changes for tests: `python -m tests.support.service_process PACKAGE FLAGS`.
 
-The kernel has no namespace for CLOCK_REALTIME (time_namespaces(7): monotonic and boottime only), so the step is put
-between the process and `time.time_ns`, from which services take all their wall-clock times. The lease clock
-(CLOCK_BOOTTIME) does not see it, just as when an operator sets the date. `time.time` is left alone: gRPC makes
-deadlines of it, which its C code then compares with the kernel's clock, so that half a step would break what a whole
-one does not. A library before the C library (libfaketime 0.9.10) steps gRPC's clock, too, but does more harm than a
-stepped clock: `time.sleep` fails, and timed waits on the monotonic clock go wrong.
+A test can step its wall clock, and the log of a supernode is compacted early.
+
+The kernel has no namespace for CLOCK_REALTIME (time_namespaces(7): monotonic and boottime only). So the step is added
+to `time.time_ns`, from which services take all their wall-clock times. The clock of leases (CLOCK_BOOTTIME) is not
+affected, as when an operator sets the date. `time.time` stays as it is: gRPC makes deadlines from it, which its C code
+compares with the kernel's clock, so a step would break the deadlines. A library before the C library (libfaketime
+0.9.10) also steps gRPC's clock, but does more harm than a stepped clock: `time.sleep` fails, and timed waits on the
+monotonic clock go wrong.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ CLOCK_FILE, SNAPSHOT_EVERY = "ROBUSTNESS_CLOCK_FILE", "ROBUSTNESS_SNAPSHOT_EVERY
 
 
 def shift_wall_clock(file: Path) -> None:
-    """From now on `file` (a decimal number) says how many nanoseconds the wall clock is off."""
+    """Read the offset of the wall clock from `file`, a decimal number of nanoseconds, from now on."""
     descriptor = os.open(file, os.O_RDONLY)
     true_time_ns = time.time_ns
 

@@ -1,4 +1,4 @@
-"""A directory in memory behind real gRPC. It has what a channel host needs of supernodes and front-ends."""
+"""A directory in memory behind real gRPC, with all that a channel host needs from supernodes and front-ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A stream over a socket of a host whose bytes the test hands over itself. It sees what is written in the same turn."""
+"""A stream over a host's socket.
+
+The test passes the bytes itself, and sees in the same turn which bytes the host writes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A channel host on the test's event loop behind real gRPC, registered at a directory: what all rigs begin with."""
+"""A channel host on the test's event loop behind real gRPC, registered at a directory. All rigs use it."""
 
 from __future__ import annotations
 

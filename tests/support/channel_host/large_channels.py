@@ -59,7 +59,7 @@ def shuffled(items: int = ITEMS) -> ChannelCore:
 
 
 def backwards(items: int, **policy: Any) -> ChannelCore:
-    """Each item is earlier than the one before it, so that what is collected is out of the order of seqs."""
+    """A channel in which each item is earlier than the one before it, so that items leave out of the order of seqs."""
     channel = a_channel(max_age_nanos=10**12, **policy)
     for time in range(items):
         put(channel, CLOCK - time)

@@ -89,14 +89,17 @@ class Directory(FakeDirectory):
 
 
 class Steered:
-    """The host and its clock, on the host's event loop: nobody reads one clock before a tick and the other after it."""
+    """The host and its clock.
+
+    Its methods run on the host's event loop, so that no code sees the clock change in between.
+    """
 
     def __init__(self, host: ChannelHost, clock: ManualClock) -> None:
         self._host = host
         self._clock = clock
 
     def obey(self, line: str) -> int:
-        """Do what a line says; the host's time after it."""
+        """Perform the command of a line. Returns the host's time afterwards."""
         command, *numbers = line.split()
         if command == "settle":
             self._clock.set_wall_clock(self._host.store.now())
@@ -109,7 +112,7 @@ class Steered:
 
 
 async def serve() -> None:
-    """Until standard input ends."""
+    """Serve until standard input ends."""
     directory = Directory(lease_ttl_nanos=LEASE_TTL_NANOS)
     async with serving(directory.register) as supernode:
         directory.target = supernode.address

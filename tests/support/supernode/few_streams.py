@@ -12,7 +12,7 @@ from unittest import mock
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 
 LIMITS = replace(CONTROL_LIMITS, streams_max=1280, concurrent_rpcs_max=1792)
-"""Still more streams than one connection carries, and as many calls beside them as at every port."""
+"""still more streams than one connection carries, and as many other calls as at every port"""
 
 
 def main() -> int:

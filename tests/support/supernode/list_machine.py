@@ -1,4 +1,4 @@
-"""The replicated state of the simulator and of the tests: a list of commands, and what must hold of it."""
+"""The replicated state of the simulator and of tests: a list of commands, with checks of the log's promises."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class PromiseBroken(AssertionError):
 
 
 class History:
-    """What all replicas together have shown. Every new fact is checked against the ones before."""
+    """The facts that all replicas together have shown. Checks every new fact against the earlier ones."""
 
     def __init__(self) -> None:
         self.command_at: dict[int, bytes] = {}
@@ -75,7 +75,7 @@ class ListMachine:
         self._digest = b""
 
     def takes(self, command: bytes) -> bool:
-        """All are known to all."""
+        """Always true: every release knows these commands."""
         return True
 
     def apply(self, index: int, command: bytes) -> bytes:
@@ -99,17 +99,17 @@ class ListMachine:
         self._digest = digest
 
     def snapshot(self) -> bytes:
-        """All commands."""
+        """The encoded list of commands."""
         return json.dumps([[index, command.decode()] for index, command in self.entries]).encode()
 
     def begin_snapshot(self) -> Callable[[], bytes]:
-        """All commands of now, encoded later."""
+        """Copy the list of commands. Returns a function that encodes the copy."""
         still = ListMachine()
         still.entries = self.entries[:]
         return still.snapshot
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
-        """Decode all commands; what is returned replaces them, and checks them."""
+        """Decode a list of commands. The returned function checks it, and replaces the list by it."""
         entries = [(index, text.encode()) for index, text in json.loads(snapshot)]
 
         def restore() -> None:
@@ -125,7 +125,7 @@ FORK = b"what only newer releases know"
 
 
 class Ignorant(ListMachine):
-    """One that does not know the command FORK, and refuses it."""
+    """A machine of a release that does not know the command FORK, and refuses it."""
 
     _refused_at = 0
 

@@ -120,7 +120,7 @@ class LiveCluster:
                     continue
 
     async def remove(self, member: LiveMember) -> None:
-        """Remove a member, whoever leads, and stop it."""
+        """Remove a member, through the present leader, and stop it."""
         await self.on_leader(lambda log: log.remove_member(member.member.member_id, timeout=10.0))
         self.all.remove(member)
         await member.stop()
@@ -141,7 +141,7 @@ class LiveCluster:
             raise self.failures[0]
 
     async def leader(self, *, within: float = 10.0) -> LiveMember:
-        """The member that all running members take for their leader; those who are not in yet do not count."""
+        """The member that all running members take for the leader. Newcomers that have not joined yet do not count."""
         found: list[LiveMember] = []
 
         def agreed() -> bool:
@@ -162,7 +162,7 @@ class LiveCluster:
 
 
 def _is_in(status: ReplicationStatus) -> bool:
-    """One that was told of its removal by a refusal may not have the entry that says so."""
+    """Whether the member counts as one. A refusal may tell it of its removal before the log does."""
     return not status.removed and any(member.member_id == status.self_id for member in status.members)
 
 
@@ -181,7 +181,7 @@ async def proposed(member: LiveMember, command: bytes) -> bytes:
 
 
 def commands_of(member: LiveMember) -> list[bytes]:
-    """Its commands, in their order, each once."""
+    """The member's commands in their order, each once."""
     return list(dict.fromkeys(command for _, command in member.machine.entries))
 
 

@@ -47,7 +47,7 @@ class MemoryLog:
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
         self.outcomes: deque[ProposalOutcome] = deque()
-        # With True the next proposal never ends for its caller. `apply_held` applies it later.
+        # With True, the next proposal never ends for its caller. `apply_held` applies the proposal later.
         self.holds = False
         self.held: list[bytes] = []
         self.held_one = asyncio.Event()  # set once a proposal is held

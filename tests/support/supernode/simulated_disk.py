@@ -1,4 +1,4 @@
-"""A disk that takes its time to keep what is committed, and keeps nothing else when the power is lost."""
+"""A disk that needs time to store data. After a loss of power it has only the synced data."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import NamedTuple
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.store import SnapshotTrailer, StoreChanges, StoredSnapshot, StoredState
 
-# So many may be on their way at a time: nothing of a step has happened before the step began.
+# The most commits under way. A step's writes begin with the step.
 COMMITS_PER_STEP_MAX = 4
 
 
 class Commit(NamedTuple):
-    """What was written when, and when the sync of it was over."""
+    """The written data, the time of the write, and the end of its sync."""
 
     began: float
     durable: float
@@ -28,7 +28,7 @@ class Disk:
     # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
     forgets: int = 0
     commits: list[Commit] = field(default_factory=lambda: [Commit(0.0, 0.0, StoredState())])
-    # Of all snapshots, by last log index and number: without a trailer they count for nothing.
+    # All pieces of snapshots, by last log index and number. Without a trailer they count for nothing.
     pieces: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     @property
@@ -37,11 +37,11 @@ class Disk:
         return self.commits[-1].state
 
     def durable(self, now: float) -> StoredState:
-        """What is certainly still there after a crash."""
+        """The data that certainly survives a crash at `now`."""
         return [one for one in self.commits if one.durable <= now][-1].state
 
     def lose_power(self, now: float, *, lucky: Callable[[], bool]) -> None:
-        """What was synced stays, and, if it is `lucky`, what was just being written; nothing else."""
+        """Lose the power. Synced data stays. The data under way stays if `lucky()` is true."""
         kept = len([one for one in self.commits if one.durable <= now]) - 1
         while kept + 1 < len(self.commits) and self.commits[kept + 1].began <= now and lucky():
             kept += 1
@@ -49,11 +49,11 @@ class Disk:
         del self.commits[len(self.commits) - min(self.forgets, len(self.commits) - 1) :]
 
     def put_back(self, state: StoredState) -> None:
-        """Somebody restores a backup of it."""
+        """Restore a backup of the disk."""
         self.commits = [Commit(0.0, 0.0, state)]
 
     def survive(self) -> StoredState:
-        """What is there, as a copy."""
+        """A copy of the stored data."""
         return replace(self.newest, entries=list(self.newest.entries))
 
 

@@ -1,4 +1,4 @@
-"""What concerns many readers, items or channels is done in pieces, between which others are served."""
+"""Work for many readers, items or channels is done in pieces. Between two pieces the host serves other callers."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ async def test_puts_that_wait_are_refused_in_pieces_and_in_their_order_and_none_
         assert again is not None
         assert again.error.message == "gone"
         hosted.channel.configure(Policy(max_items=10**6, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
-        hosted.puts.changed(rig.now())  # there is room now, for nobody
+        hosted.puts.changed(rig.now())  # there is room now, and no put waits for it
         assert [run.ack is not None for run in runs] == [True] * (len(runs) - left[-1]) + [False] * left[-1]
     assert left == [PUTS_PER_PIECE * pieces for pieces in (3, 2, 1)]
     assert {run.ack.error.message for run in runs if run.ack is not None} == {"gone"}

@@ -1,4 +1,4 @@
-"""A server with certificates, and who comes through its port and its handlers."""
+"""A server with certificates, and the callers that its port and its handlers admit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A service gives back to the system what it has freed."""
+"""A service returns freed memory to the system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Callers' streams that fill a port, and what is let in all the same."""
+"""Callers' streams that fill a port, and the calls that the port still admits."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_single_calls_leave_streams_no_more_room_than_there_is() -> None:
 
 
 def test_single_calls_of_one_caller_leave_slots_for_others() -> None:
-    """One client with calls whose requests it did not finish took all slots of a port for ten seconds."""
+    """One client with unfinished requests once took all slots of a port for ten seconds."""
     slots = Slots(Limits(concurrent_rpcs_max=8, streams_max=4, reserved_rpcs_max=2))
     given = [slots.take(is_stream=number < 2, for_members=False, subject="greedy") for number in range(6)]
     for is_stream in (False, True):

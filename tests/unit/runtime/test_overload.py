@@ -1,4 +1,4 @@
-"""What a host refuses is counted each time and told in the log now and then."""
+"""The host counts each refusal, and logs some of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Few streams go on in each turn of the event loop, however many have been read or written."""
+"""Few streams continue in each turn of the event loop, however many have been read or written."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ONE, OTHER = Account("one", DEFAULTS), Account("other", DEFAULTS)
 
 
 class LoopTurns:
-    """Counts the turns of the event loop, and what went on in each of them."""
+    """Counts the turns of the event loop, and the streams that continue in each."""
 
     def __init__(self) -> None:
         self.number = 0
@@ -154,7 +154,7 @@ async def _handler(behavior: Any) -> Any:
 
 @pytest.mark.parametrize("kind", ["unary", "stream", "responses"])
 async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    """Of every service: a supernode's list with a pattern counts more than one without."""
+    """For every service: a supernode's list with a pattern costs more than one without."""
     now = 10**9
     monkeypatch.setattr("time.thread_time_ns", lambda: now)
     caller = Account("one", DEFAULTS, loop_shares=loop_shares.LoopShares(lambda: now, lambda delay_s, call: None))

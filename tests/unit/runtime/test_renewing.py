@@ -13,7 +13,7 @@ from stampede_rt_runtime.renewing import RenewingChannel
 
 
 class Call:
-    """One call, which ends when it is told to."""
+    """One call. The test ends it."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
@@ -41,7 +41,7 @@ class Connection:
 
 
 class Renewals:
-    """What a reader of certificate files gives, and the connections that were made with it."""
+    """A reader of certificate files for the test, and the connections that were made with its certificates."""
 
     def __init__(self) -> None:
         self.material = object()
@@ -73,7 +73,7 @@ async def test_calls_after_a_renewal_go_over_a_new_connection_and_those_before_i
 
 
 async def test_a_former_connection_is_closed_when_its_last_call_has_ended() -> None:
-    """Nobody closed it, and it went on connecting with certificates that nobody accepts any more."""
+    """Earlier, no code closed it, and it connected again and again with certificates that no server accepts."""
     renewals = Renewals()
     call = renewals.channel().unary_unary("/test.Probe/Echo")
     first, second = call(), call()

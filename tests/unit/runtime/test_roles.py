@@ -1,4 +1,4 @@
-"""Who may call what, by certificate."""
+"""The roles that may call each RPC, by certificate."""
 
 from __future__ import annotations
 

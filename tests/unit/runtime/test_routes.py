@@ -1,4 +1,4 @@
-"""Which of this machine's addresses leads where."""
+"""The reach of this machine's addresses."""
 
 from __future__ import annotations
 

@@ -203,8 +203,10 @@ async def test_metadata_beyond_the_limit_is_refused() -> None:
 
 
 async def test_a_caller_that_pings_as_often_as_grpc_lets_it_keeps_an_idle_stream() -> None:
-    """Both ping each second, the shortest time that gRPC takes; at a server that allows less, the third ping too many
-    ends the stream."""
+    """Both sides ping each second, the shortest time that gRPC allows.
+
+    A server that allows fewer pings ends the stream.
+    """
     probe = Probe()
     pinging = Limits(keepalive_millis=1_000)
     strict = Limits(ping_interval_millis_min=60_000)

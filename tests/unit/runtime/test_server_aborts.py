@@ -1,6 +1,6 @@
-"""What a call held goes with the call, also when it was refused: nothing is left to the garbage collector.
+"""The objects of a call are freed with the call, also after a refusal. Nothing is left to the garbage collector.
 
-A stream that its service ends during its first write tells its caller why.
+A stream that its service ends during its first write tells its caller the reason.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
 RESOLVE = "/stampede_rt.v1.DirectoryService/ResolveChannel"
 LIMIT_S = 20.0
-SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_Charged"}  # what the server's side of a call has
+SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_Charged"}  # the objects that a server has for a call
 UPDATE = "/stampede_rt.v1.DirectoryService/UpdateChannel"
 
 
 class Held:
-    """Stands for what a method has in its hands when it refuses."""
+    """Stands for an object that a method holds when it refuses."""
 
 
 class Refusing(grpc.GenericRpcHandler):
@@ -152,7 +152,7 @@ async def code_of(behavior: Callable[[Any, Any], Any]) -> grpc.StatusCode:
 
 @pytest.mark.parametrize("earlier_writes", [0, 1])
 async def test_a_stream_that_is_ended_during_a_write_gets_its_status(earlier_writes: int) -> None:
-    """One that was ended during its first write had no status, and its caller waited for ever."""
+    """A stream that ended during its first write once had no status, and its caller waited for ever."""
 
     async def behavior(request: Any, context: Any) -> None:
         for _ in range(earlier_writes):

@@ -1,4 +1,4 @@
-"""Callers who begin calls and do not go on, or who send what is no request."""
+"""Callers that begin calls and send nothing more, or bytes that are no request."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LIMIT_S = 60.0
 
 
 class Directory(grpc.GenericRpcHandler):
-    """One method of each kind of call; it keeps what it was asked."""
+    """One method of each kind of call. It keeps the requests."""
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
@@ -91,7 +91,7 @@ class Port:
         return response.next_page_token
 
     async def sent(self, method: str, *messages: bytes) -> tuple[grpc.StatusCode, str]:
-        """What a call is answered that brings these bytes and then ends."""
+        """The answer to a call that sends these bytes and then ends."""
         while True:  # ends with the test's timeout
             call: Any = self.channel.stream_stream(method)(iter(messages), timeout=LIMIT_S)  # type: ignore[arg-type]
             code, details = await call.code(), await call.details()

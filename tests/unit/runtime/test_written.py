@@ -1,4 +1,4 @@
-"""What cannot be written is named, though an open file does not know its name."""
+"""Errors of reads and writes name the file, although an open file does not know its name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a copy answers to readers, by its age and its place."""
+"""The answers of a copy to readers, by its age and its position."""
 
 from __future__ import annotations
 

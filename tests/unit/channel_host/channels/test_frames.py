@@ -1,4 +1,4 @@
-"""Messages framed by hand are what protobuf would have written."""
+"""Messages that the host frames itself equal those of protobuf."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_an_error_ends_a_call() -> None:
 
 
 def delivered(lengths: Sequence[int]) -> tuple[Sequence[DeliveredSlice], list[bytes]]:
-    """What a reader from the beginning of a new channel gets, and the stored bytes."""
+    """The slices that a reader from the beginning of a new channel gets, and the stored bytes."""
     channel, stored = channel_of(lengths)
     cursor = channel.subscribe_all(NOW, start=parse_interval(0, 0).start)
     return channel.since(cursor, NOW, 10**6).slices, stored

@@ -1,4 +1,4 @@
-"""Of very many who hear of a change, each turn of the event loop wakes a few, and nobody is left out."""
+"""A change wakes a few observers in each turn of the event loop, however many there are. It leaves out none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What retention has outdated is freed although nobody asks for it, at the cost of those in which something happens."""
+"""The host frees outdated items of channels that no caller uses. It does so during the work for channels in use."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ async def test_a_channel_is_swept_when_its_items_are_of_age_and_keeps_the_newest
 
 
 def _overhead(payload: bytes) -> int:
-    """What stands around a payload in a run of one: columns, the stamp and the seq."""
+    """The bytes around a payload in a run of one item: columns, the time and the seq."""
     return len(encode_run([payload], times=[0], durations=[0])) - len(payload) + 9
 
 
@@ -141,7 +141,7 @@ async def test_a_channel_that_goes_gives_its_memory_back() -> None:
 
 @pytest.mark.parametrize("max_items", [1, 3])
 async def test_an_item_that_is_left_of_a_large_run_does_not_keep_it_all(max_items: int) -> None:
-    """It was charged with its length and 64 bytes, and kept 64 kB."""
+    """Such an item once counted as its length and 64 bytes, and kept 64 kB in memory."""
     host = Host()
     channel = host.open(Policy(max_items=max_items))
     payloads = [b"%03d" % place + bytes(250) for place in range(256)]
@@ -156,7 +156,7 @@ async def test_an_item_that_is_left_of_a_large_run_does_not_keep_it_all(max_item
 
 
 async def test_runs_of_which_items_in_the_middle_went_are_charged_as_they_are_kept() -> None:
-    """What is left of a run in many places stays where it is: it is charged with all that it keeps."""
+    """The rest of a run with gaps stays in its place. It is charged with all the memory that it keeps."""
     host = Host()
     channel = host.open(Policy(max_items=256))
     start = host.clock.time_unix_nano()
@@ -188,7 +188,7 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
 
 
 async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
-    """It looked at 2048 channels in one step, and first at those that had just changed."""
+    """Earlier, such a put looked at 2048 channels in one step, and first at those that had just changed."""
     host = Host(bytes_max=200_000)
     old = [host.open(Policy(max_age_nanos=S)) for _ in range(4)]
     for channel in old:

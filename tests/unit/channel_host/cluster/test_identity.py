@@ -1,4 +1,4 @@
-"""Who a host is: its id in the data folder, and its name."""
+"""The identity of a host: its id in the data folder, and its name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A host serves the callers of its cluster, and those who name none."""
+"""A host serves the callers of its cluster, and callers that name no cluster."""
 
 from __future__ import annotations
 

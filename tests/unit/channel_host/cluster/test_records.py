@@ -1,4 +1,4 @@
-"""Records of the directory as values: what a host uses is decoded, and all of it is passed on."""
+"""Records of the directory as values: a host decodes the parts that it uses, and passes on all of them."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ MS = 10**6
 
 
 class Host:
-    """A registration under test, and what it was told."""
+    """A registration under test, and the events that it reported."""
 
     def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None, boot: int = 7) -> None:
         self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=boot)
@@ -99,7 +99,7 @@ async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_afte
 async def test_a_host_whose_lease_is_renewed_by_the_cluster_that_took_its_ones_place_is_of_that_one(
     tmp_path: Path,
 ) -> None:
-    """It serves the callers of both from then on: they go over at other moments."""
+    """The host serves the callers of both clusters from then on, because callers change over at other moments."""
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         host = Host(fake.target, folder=tmp_path)
         await host.registration.enter("localhost:1")

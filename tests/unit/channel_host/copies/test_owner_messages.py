@@ -1,4 +1,4 @@
-"""What only the owner knows, there and back."""
+"""The facts that only the owner knows, encoded and decoded again."""
 
 from __future__ import annotations
 

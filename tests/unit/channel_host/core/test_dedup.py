@@ -151,7 +151,7 @@ def test_what_is_kept_of_one_producer_has_a_bound_however_many_refusals_it_is_to
 
 
 def test_a_thousand_puts_of_one_item_cost_tens_of_bytes_each_and_the_window_knows_it() -> None:
-    """They cost 607 kB, and no budget saw it."""
+    """Earlier, they took 607 kB, which no budget counted."""
     window = RetryWindow()
     tracemalloc.start()
     try:

@@ -1,4 +1,4 @@
-"""What is told of lost items fits its message, wherever an overlap or a long life puts the times."""
+"""A report of lost items fits its message, whatever times an overlap or a long duration gives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a host wants of other hosts follows each group alone, however many groups there are."""
+"""The channels for which a host asks other hosts follow from each group alone, however many groups there are."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OWN, LEFT, RIGHT = b"o" * 16, b"l" * 16, b"r" * 16
 
 
 class Walked(dict[bytes, HostedGroup]):
-    """Counts how often somebody walks all of it."""
+    """Counts the walks over all groups."""
 
     walks = 0
 

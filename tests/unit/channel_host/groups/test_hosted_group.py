@@ -62,7 +62,7 @@ def _ignore(one: bytes) -> None: ...
 
 
 async def turns(count: Callable[[], int]) -> list[int]:
-    """What is counted after each turn of the event loop until nothing changes any more."""
+    """The count after each turn of the event loop, until it no longer changes."""
     counts = [count()]
     while len(counts) < 6 or counts[-1] != counts[-6]:
         await asyncio.sleep(0)

@@ -27,7 +27,7 @@ ME, OTHER = b"this-host-has-16", b"another-host-id!"
 
 
 class Notebook:
-    """Knows the times of every channel asked for, and writes down what it hears."""
+    """Knows the times of each channel for which it is asked, and records all messages."""
 
     def __init__(self) -> None:
         self.newest = 1
@@ -61,7 +61,7 @@ class Notebook:
 
 
 class Wire:
-    """One link, its two ends in the hands of the test."""
+    """One link. The test has both ends."""
 
     def __init__(self, notebook: Notebook, certified_name: str = "") -> None:
         self.sent: asyncio.Queue[pb.ExchangeTimesRequest] = asyncio.Queue()
@@ -96,7 +96,7 @@ async def test_the_other_side_is_told_only_what_it_wants_to_hear_and_the_latest_
     wire = Wire(notebook)
     await wire.greet()
     assert (await wire.sent.get()).update == pb.TimesUpdate()
-    wire.link.report_times(b"one")  # nobody has asked
+    wire.link.report_times(b"one")  # the peer has not asked for it
     await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
     update = (await wire.sent.get()).update
     assert [told.channel_id for told in update.times] == [b"one", b"two"]

@@ -1,4 +1,4 @@
-"""What a host knows of a group goes with the last group of each channel, and that looks at no other channel."""
+"""The facts about a channel are dropped with its last group. This looks at no other channel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HOST, NOW, GROUPS = b"h" * 16, 1_000_000, 100
 
 
 class Walked(dict[bytes, KnownTimes]):
-    """Counts how often somebody walks all of it."""
+    """Counts the walks over all channels."""
 
     walks = 0
 

@@ -45,7 +45,7 @@ class Source:
 
 
 async def test_a_refused_message_is_moved_again_with_the_same_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It had another number then. If an earlier move of it was still under way, both moves were stored."""
+    """With another number, the queue would store both moves if an earlier move was still under way."""
     refused = channel_service_pb2.PutRejection(error=error_pb2.Error(reason=error_pb2.ERROR_REASON_QUEUE_FULL))
     answers = [channel_service_pb2.PutAck(rejections=[refused]), channel_service_pb2.PutAck(first_seq=1)]
     numbers: list[int] = []

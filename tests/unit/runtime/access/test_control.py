@@ -1,4 +1,4 @@
-"""The calls under way at one port, and what they rest on."""
+"""The calls under way at one port, and the credentials and rights on which they rest."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ ALLOW = AccessRule("@clients", (AccessVerb.READ,), None, "open")
 
 
 class Streams(grpc.GenericRpcHandler):
-    """One stream for each caller: each request names a channel to read, each answer says whether it may be listed."""
+    """One stream for each caller.
+
+    Each request names a channel to read, and each answer says whether the caller may list it.
+    """
 
     def service(self, details: grpc.HandlerCallDetails) -> Any:
         return grpc.stream_stream_rpc_method_handler(self.read) if details.method == READ else None
@@ -200,7 +203,7 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
 
 @asynccontextmanager
 async def open_calls(control: AccessControl, count: int, reads: int, **caller: Any) -> AsyncIterator[None]:
-    """So many calls of a client, each of which has read so many channels."""
+    """Open `count` calls of a client, each of which has read `reads` channels."""
 
     async def aborted(*_: Any) -> None:
         raise PermissionDenied("aborted")

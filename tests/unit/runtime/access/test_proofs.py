@@ -1,4 +1,4 @@
-"""From what a call brings to who makes it."""
+"""From the proofs of a call to its caller."""
 
 from __future__ import annotations
 

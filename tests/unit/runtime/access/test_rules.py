@@ -89,6 +89,6 @@ def test_a_rule_that_can_match_nothing_is_refused(rule: AccessRule, told: str) -
 
 
 def test_a_pattern_of_many_stars_is_judged_in_a_few_steps() -> None:
-    """With a pattern that backtracks this would take for ever."""
+    """A pattern matcher that backtracks would take for ever."""
     rules = AccessRules([allow("*a" * 100 + "b", (), "*a" * 100 + "b")])
     assert not rules.judge(client("a" * 128), READ, CHANNEL, "a" * 128).allowed

@@ -1,4 +1,4 @@
-"""What callers use of a port, and when they are refused more."""
+"""The use of a port by callers, and the refusals of more."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ MS = 1_000_000
 
 
 class Loop:
-    """An event loop whose time is set by hand: steps take what they say, and timers fire in order."""
+    """An event loop whose clock the test sets. Each step takes the stated time, and timers fire in order."""
 
     def __init__(self) -> None:
         self.now = 10**9
@@ -120,7 +120,7 @@ def test_after_a_long_halt_a_line_goes_on_with_one_step_in_each_turn_of_the_loop
 
     for _ in range(100):
         heavy.stand(step)
-    loop.now += 500 * MS  # the process had no processor, or somebody's long step
+    loop.now += 500 * MS  # the process had no processor, or another step took long
     loop.works(light, MS // 10)
     ticks = loop.fire_due()
     assert len(served) <= ticks

@@ -70,7 +70,7 @@ async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() 
 
 
 class Spent:
-    """A turn that keeps what is spent."""
+    """A share that keeps the spent time."""
 
     def __init__(self) -> None:
         self.nanos: list[int] = []
@@ -124,7 +124,7 @@ class Clock:
         return charged(self.account, work)
 
     def used_ms(self) -> int:
-        """In the present second."""
+        """The used time of the present second, in milliseconds."""
         self.now = (self.now // 10**9 + 1) * 10**9
         assert self.account.loop_share is not None
         return self.account.loop_share.used_percent() * 10
@@ -241,7 +241,7 @@ def test_the_system_tells_how_long_a_thread_has_waited(monkeypatch: pytest.Monke
 
 
 def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At a few calls a second each call paid for opening them."""
+    """At a few calls per second, each call once opened them."""
     opened: list[object] = []
     real_open = os.open
 

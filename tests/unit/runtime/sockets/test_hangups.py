@@ -50,7 +50,7 @@ async def test_a_socket_that_has_the_number_of_a_closed_one_stays_watched() -> N
 async def test_a_caller_that_ends_with_many_streams_has_a_few_of_them_closed_in_each_turn_of_the_loop(
     port: Open, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """Also if the service reads from them at the moment (ECHO), so that it sees the end of each."""
+    """This holds also for streams that the service reads at the moment (ECHO), so that it sees the end of each."""
     lost_in: Counter[int] = Counter()
     turn, lose, loop = 0, server.SocketServer.lost, asyncio.get_running_loop()
 

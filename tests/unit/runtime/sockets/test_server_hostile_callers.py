@@ -1,4 +1,4 @@
-"""Callers who open sockets and do not go on, or who send what is no stream."""
+"""Callers that open sockets and send nothing more, or bytes that are no stream."""
 
 from __future__ import annotations
 

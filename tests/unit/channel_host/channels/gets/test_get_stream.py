@@ -1,4 +1,4 @@
-"""What a stream of gets does in pieces."""
+"""The work of a stream of gets that the host does in pieces."""
 
 from __future__ import annotations
 

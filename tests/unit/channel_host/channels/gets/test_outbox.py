@@ -1,4 +1,4 @@
-"""The one writer of a stream: fair, bounded, and without a task for what can be written at once."""
+"""The only writer of a stream: fair, bounded, and without a task for answers that it can write at once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts
 
 
 class Context:
-    """What gRPC gives a handler; while `open` is not set, nothing is taken."""
+    """The context of a handler. While `open` is not set, the peer takes nothing."""
 
     def __init__(self) -> None:
         self.written: list[bytes] = []

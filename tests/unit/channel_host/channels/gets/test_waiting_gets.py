@@ -1,4 +1,4 @@
-"""Ten thousand gets blocked on one channel: what they cost, in which order they end, and what they leave behind."""
+"""Ten thousand gets blocked on one channel: their cost, the order of their ends, and the memory that remains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who consumes and takes under which number."""
+"""The callers of consumer ids and taker ids."""
 
 from __future__ import annotations
 

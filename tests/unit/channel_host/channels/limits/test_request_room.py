@@ -108,7 +108,7 @@ async def test_large_requests_that_nobody_finishes_leave_room_for_those_in_which
 
 
 class CountedBytes(int):
-    """The size of a request. Counts how often somebody asks whether a request fits."""
+    """The size of a request. Counts the comparisons with the free room."""
 
     looks = 0
 

@@ -89,7 +89,7 @@ def test_the_runs_of_a_long_request_are_not_copied() -> None:
 
 
 def enqueue_of_runs(*payloads: bytes) -> bytes:
-    """With message ids, which come behind the run."""
+    """The request with runs that have message ids after their payloads."""
     runs = [
         queue_pb.EnqueueRun(
             first_number=number,

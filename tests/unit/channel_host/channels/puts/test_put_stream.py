@@ -1,4 +1,4 @@
-"""Who writes the acks of a stream of puts."""
+"""The writes of acks on a stream of puts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read behind a put that waits is memory of the host, too."""
+"""Requests that the host reads while a put waits count as its memory, too."""
 
 from __future__ import annotations
 

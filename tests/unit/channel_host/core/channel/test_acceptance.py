@@ -1,4 +1,4 @@
-"""Which puts are taken, in the words of the time model."""
+"""The puts that a channel accepts, by the rules of the time model."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def wait_untimed(channel: ChannelCore, since: int, now: int) -> PutOutcome:
 
 
 def test_a_put_without_a_time_waits_behind_an_item_whose_producer_is_ahead() -> None:
-    """It once counted into the newest item's bucket, which never ages, and waited for ever."""
+    """Earlier, such a put counted into the newest bucket, which never becomes too old, and waited for ever."""
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK + 50)
     waiting = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal)
@@ -147,7 +147,10 @@ def test_a_put_without_a_time_waits_behind_an_item_whose_producer_is_ahead() -> 
 
 
 def test_the_second_of_two_puts_that_wait_for_one_place_waits_for_the_age_of_the_first() -> None:
-    """Both waited from the same instant; let in and stamped, the first once held the second back for ever."""
+    """Both waited from the same instant.
+
+    Accepted and given a time, the first put once held the second one back for ever.
+    """
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
     first = wait_untimed(channel, CLOCK + 5, CLOCK + 5)
@@ -180,7 +183,9 @@ def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_t
 
 
 def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_at_once_if_nothing_can_make_room() -> None:
-    """It waited until its timeout, and every put behind it: the newest bucket never grows too old."""
+    """Earlier, it waited until its timeout, and every later put with it, because the newest bucket never becomes too
+    old.
+    """
     channel = a_channel(max_items=2, max_age_nanos=100, on_full="block")
     put(channel, CLOCK, CLOCK)
     refused = put(channel, CLOCK)

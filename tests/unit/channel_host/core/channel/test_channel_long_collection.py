@@ -82,7 +82,7 @@ def test_ageing_of_what_consumers_have_consumed_looks_at_a_bounded_number_of_sli
 def test_a_bucket_of_many_equal_times_that_consumers_may_owe_is_looked_through_a_part_at_a_time(
     looked: SliceCounter,
 ) -> None:
-    """With 100,000 items a look took 0.3 s, and a put 0.9 s."""
+    """With 100,000 items a poll once took 0.3 s, and a put 0.9 s."""
     channel = a_channel(max_age_nanos=10**6, max_age_unconsumed_nanos=10**12)
     channel.consume(1, [], CLOCK)
     for _ in range(ITEMS):
@@ -103,7 +103,7 @@ def test_a_bucket_of_many_equal_times_that_consumers_may_owe_is_looked_through_a
     for _ in range(ITEMS // SLICES_AGED_MAX):
         look(lambda: channel.collect(later))
         look(lambda: channel.next_deadline(later))
-    look(lambda: channel.consume(2, [], later))  # it owes what the other has consumed
+    look(lambda: channel.consume(2, [], later))  # this consumer owes the items that the other one has consumed
     for _ in range(2 * ITEMS // SLICES_AGED_MAX):
         look(lambda: channel.collect(later))
     assert channel.look(later)[0].items == ITEMS + 2, "one item of the bucket is owed"

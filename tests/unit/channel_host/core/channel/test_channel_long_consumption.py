@@ -137,7 +137,7 @@ def test_a_consumer_that_has_much_behind_a_gap_goes_on_behind_it_by_and_by() -> 
 
 
 def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() -> None:
-    """One consume after 200,000 such ranges took 228 ms."""
+    """After 200,000 such ranges, one `consume` once took 228 ms."""
     consumers, end = Consumers(1), 40_001
     consumers.consume(1, range(2, end, 2), next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
     consumers.note_collected(1, end)
@@ -164,7 +164,7 @@ def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> Non
 
 
 def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 200,000 items, consumed out of the order in which they go, one status took 6 x 256."""
+    """Of 200,000 items consumed in another order than that in which they leave, one status once collected 6 x 256."""
     channel = backwards(ITEMS, consumers=2)
     for consumer in (1, 2):
         channel.consume(consumer, [], CLOCK)
@@ -193,7 +193,7 @@ def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypat
 
 
 def test_a_late_item_behind_many_outdated_and_some_consumed_items_frees_a_bounded_number_of_entries() -> None:
-    """With 1,000,000 outdated items the put of the late item freed all of them, and took 3.1 s."""
+    """With 1,000,000 outdated items, the put of the late item once freed all of them, and took 3.1 s."""
     channel = filled(consumers=1, max_age_nanos=10**7)
     channel.consume(1, [], CLOCK)
     put(channel, *(CLOCK + time for time in (10**5, 2 * 10**5, 3 * 10**5)))

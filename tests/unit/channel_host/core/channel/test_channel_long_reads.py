@@ -120,7 +120,7 @@ def test_a_large_get_that_is_given_up_lets_go_of_what_it_has_found_in_pieces() -
         next(reading)
     leaving = abandoning(reading)
     next(leaving)
-    assert not channel.look(CLOCK)[0]._snapshots  # what it was to look at is not held back meanwhile
+    assert not channel.look(CLOCK)[0]._snapshots  # the channel does not keep the items for this read meanwhile
     assert sum(1 for _ in leaving) >= rounds - 2
 
 

@@ -1,4 +1,4 @@
-"""Items that go by consumption: places, leases, and what each holds back."""
+"""Items that leave by consumption: places, leases, and the items that each place holds back."""
 
 from __future__ import annotations
 
@@ -364,7 +364,7 @@ def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_i
 
 
 def test_what_consumers_have_consumed_out_of_order_counts_as_memory_of_the_channel_until_it_is_needed_no_more() -> None:
-    """It counted nowhere: 30,000 separate seqs of each of 1024 consumers took 4 GB for 60,000 empty items."""
+    """Earlier, it counted nowhere: 30,000 separate seqs of each of 1024 consumers took 4 GB for 60,000 empty items."""
     channel = a_channel(consumers=2)
     put(channel, *range(10, 2010, 10))
     items = channel.footprint_bytes

@@ -1,4 +1,4 @@
-"""A copy that somebody waits for must come nearer to its source."""
+"""A copy for which a host waits must come nearer to its source."""
 
 from __future__ import annotations
 

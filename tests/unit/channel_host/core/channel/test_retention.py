@@ -1,4 +1,4 @@
-"""When items go, in the words of the time model; and that letting go of many stalls nobody."""
+"""The moments at which items leave, by the rules of the time model. The collection of many items delays no caller."""
 
 from __future__ import annotations
 

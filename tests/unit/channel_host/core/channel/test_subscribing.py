@@ -63,7 +63,7 @@ def test_what_was_collected_before_it_was_sent_is_a_gap_with_its_count() -> None
 
 
 def test_a_reader_that_is_far_behind_is_told_in_gaps_that_adjoin() -> None:
-    """One call looked at all that was collected, half a second for a million items, and everybody waited."""
+    """Earlier, one call looked at all collected items, half a second for a million, and delayed all callers."""
     channel = a_channel(max_items=9999)
     for time in range(2500):
         put(channel, time)
@@ -172,7 +172,7 @@ def test_the_newest_goes_on_from_its_place_and_counts_each_once() -> None:
     channel = a_channel(max_items=99)
     put(channel, 10, 20)
     cursor = channel.subscribe_newest(CLOCK)
-    saved = cursor.saved(3)  # nothing was taken yet, and what is there is no news
+    saved = cursor.saved(3)  # the reader took nothing yet, and the present items are not new
     again = channel.subscribe_newest(CLOCK, saved=saved)
     assert channel.latest(again, CLOCK) is None
     put(channel, 15, 30)

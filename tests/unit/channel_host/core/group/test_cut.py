@@ -1,4 +1,4 @@
-"""Where the cut of a group is, and who holds it."""
+"""The cut of a group, and the members that hold it back."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
     board.enter_own(B, at(70), -1)
     cut = GroupCut(definition, board)
     cut.confirm()
-    assert cut.refresh(5 * S)  # nobody looked in between, when only A was left
+    assert cut.refresh(5 * S)  # no call looked in between, when only A was left
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
 
 

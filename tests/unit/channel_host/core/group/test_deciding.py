@@ -1,4 +1,4 @@
-"""Cut events: when they are due, and what they bring."""
+"""Cut events: the moments at which they are due, and their contents."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is
 
 
 def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
-    """Were the duration believed and wrong, what came in order would count as late."""
+    """If a wrong duration counted as a promise, items in order would count as late."""
     until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
     decider.note(133, now=0)
@@ -200,7 +200,7 @@ def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for
 
 
 def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enough() -> None:
-    """Too many once became one, whose wait began anew with each: what they showed came after twice the wait."""
+    """Too many cuts once became one, whose wait began anew with each cut. Their items came after twice the wait."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
     told: list[int] = []

@@ -1,4 +1,4 @@
-"""What a group's reader looks at in one go does not grow with what came late or is held."""
+"""The work of a group's reader in one step does not grow with the number of late or held items."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_many_late_items_are_looked_at_once_each_and_come_in_order_in_bounded_pa
 
 
 def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To begin to merge 1200 lists was one step of 6 ms."""
+    """To begin the merge of 1200 lists was once one step of 6 ms."""
     monkeypatch.setattr(pieces, "STEPS_PER_PIECE", 16)
     keys, order = 0, following._order
 

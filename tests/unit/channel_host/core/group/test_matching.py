@@ -164,7 +164,7 @@ def unique(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
 
 
 def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tuple[int, int | None]]:
-    """What a match takes that waits for its own channel, too."""
+    """The matches that a match takes which waits for its own channel, too."""
     times = {OWN: OwnTimes(left, NOW).times(1), RIGHT: OwnTimes(right, NOW).times(1)}
     taken = matcher.take(lambda name, instant: times[name].has_passed(instant), NOW, 100)
     return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
@@ -240,7 +240,7 @@ def test_what_comes_late_is_waited_for_and_matched_as_the_nearest() -> None:
 
 @pytest.mark.parametrize("unique", [False, True])
 def test_very_many_members_are_looked_at_some_at_a_time(unique: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With 31 members one message of unique matches took 130 ms, and with 255 more than a second."""
+    """With 31 members, one message of unique matches once took 130 ms, and with 255 more than a second."""
     gaps = [*range(400, 0, -10)]  # each item is nearer to the one behind it than to the one before it
     times = [1000 + sum(gaps[:at]) for at in range(len(gaps))]
     left, members = channel(*times[::2]), {bytes([number]): channel(*times[1::2]) for number in range(40)}

@@ -1,4 +1,4 @@
-"""What a group shows of a channel, and why it shows no more."""
+"""The items of a channel that a group shows, and why it shows no more."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_a_subscription_resumed_amid_a_step_leaves_out_no_late_item() -> None:
 
 
 def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> None:
-    """What lay behind the key in the same run once counted twice, and was then told as lost."""
+    """The items after the key in the same run once counted twice, and were then reported as lost."""
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
     reader = VisibleAll(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))

@@ -1,4 +1,7 @@
-"""What one call of a queue does is bounded, however much it holds and however many wait; the next calls go on."""
+"""Each call of a queue does a bounded amount of work, however many messages and takers there are.
+
+Later calls continue it.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +96,7 @@ def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the
     core.queue.configure(QueueLimits(max_items=10, on_full="drop_oldest"), core.now)
     run, held = core.put(1, wait_nanos=0), 10_000
     while not run.is_done:
-        (now_held,) = core.counted("held")  # looks after what is due
+        (now_held,) = core.counted("held")  # `counted` also does the due work
         assert held - 2 * (DROPPED_PER_RUN_MAX + 2) <= now_held < held
         held = now_held
     assert core.counted("held", "dropped") == (10, 9991)
@@ -129,7 +132,7 @@ def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_
         refused += core.queue.take_finished()
         assert len(refused) % ENDED_PER_CALL_MAX == 0
         if more:
-            core.queue.configure(QueueLimits(max_items=10_000), core.now)  # there is room now, for nobody
+            core.queue.configure(QueueLimits(max_items=10_000), core.now)  # there is room now, and no put waits for it
             again = core.put(1, producer_id=5, first_number=len(waiting) + 1)  # which is still in line
             assert again.error is not None
     assert refused == waiting
