@@ -70,13 +70,13 @@ class SocketCall(asyncio.BufferedProtocol):
 
     def get_buffer(self, _sizehint: int) -> memoryview:
         """Return the place for the next bytes."""
-        return self._buffer
+        return self._frames.place(self._buffer)
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take the received frames. While the program reads no messages, further messages wait at the host."""
         self._heard_s = self._loop.time()
         try:
-            frames = self._frames.feed(self._buffer[:nbytes])
+            frames = self._frames.take(self._buffer, nbytes)
         except InvalidArgument as error:
             self._end(broken(str(error)))
             return

@@ -113,7 +113,7 @@ class SocketCall:
             self._left_s()  # raises if the limit is over
             raise silent(SILENCE_S_MAX)
         try:
-            came_bytes = self._socket.recv_into(self._buffer, 0, _NOW)
+            came_bytes = self._socket.recv_into(self._frames.place(self._buffer), 0, _NOW)
         except BlockingIOError:
             return
         except OSError as error:
@@ -121,7 +121,7 @@ class SocketCall:
         if not came_bytes:
             raise cancelled() if self._is_cancelled else broken("the host has closed it")
         try:
-            self._came.extend(self._frames.feed(self._buffer[:came_bytes]))
+            self._came.extend(self._frames.take(self._buffer, came_bytes))
         except InvalidArgument as error:
             self.cancel()
             raise broken(str(error)) from error

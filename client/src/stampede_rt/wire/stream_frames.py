@@ -61,6 +61,17 @@ class FrameReader:
         """The number of bytes that are missing of an unfinished frame, or of its head; 0 if no frame has begun."""
         return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
 
+    def place(self, short: memoryview) -> memoryview:
+        """Return where to write the next bytes: `short`, or the room of a frame of which more is missing. Then `take`."""
+        return self.room() if self._came_bytes or self.missing_bytes > len(short) else short
+
+    def take(self, short: memoryview, came_bytes: int) -> list[Frame]:
+        """Take the bytes that were written to `place`. Returns the frames that are complete now.
+
+        Raises InvalidArgument, as `feed`.
+        """
+        return self.filled(came_bytes) if self._came_bytes else self.feed(short[:came_bytes])
+
     def room(self) -> memoryview:
         """Make room for the missing bytes of the unfinished frame, and return it.
 

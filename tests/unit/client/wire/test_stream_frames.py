@@ -47,6 +47,52 @@ def test_a_frame_that_may_not_come_is_refused_at_its_head(frame: bytes, why: str
         reader.feed(head_left if cut < 5 else head)
 
 
+SHORT_BYTES = 64
+SIZES = (0, 1, 4, 59, 60, 63, 64, 65, 123, 128, 129, 300)
+
+
+def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, bytes]], FrameReader]:
+    """The frames that come if each read gives so many bytes at most; the last number is for all further reads."""
+    reader, short, found, turn = FrameReader(LIMITS), memoryview(bytearray(SHORT_BYTES)), [], 0
+    while stream:
+        place = reader.place(short)
+        size = min(parts[min(turn, len(parts) - 1)], len(place), len(stream))
+        place[:size] = stream[:size]
+        found += reader.take(short, size)
+        stream, turn = stream[size:], turn + 1
+        short[:] = b"?" * SHORT_BYTES  # what was read is used up
+    return found, reader
+
+
+@pytest.mark.parametrize("long", SIZES)
+def test_long_and_short_frames_come_as_they_were_sent_wherever_a_read_ends(long: int) -> None:
+    frames = [(FrameKind.MESSAGE, bytes([65 + at]) * size) for at, size in enumerate((3, long, 300, long, 0, 7, 200, long))]
+    stream = b"".join(frame_of(kind, body) for kind, body in frames)
+    for cut in range(1, len(stream)):
+        found, reader = read_in_parts(stream, [cut, SHORT_BYTES])
+        assert found == frames
+        assert reader.unfinished_bytes == 0
+    for each in (1, 2, 3, 5, 6, 63, 64, 65, 127, 300):
+        assert read_in_parts(stream, [each])[0] == frames
+
+
+def test_the_rest_of_a_long_frame_is_read_into_its_own_memory() -> None:
+    reader, short = FrameReader(LIMITS), memoryview(bytearray(SHORT_BYTES))
+    frame = frame_of(FrameKind.MESSAGE, b"x" * 200)
+    place = reader.place(short)
+    assert place is short
+    place[:] = frame[:SHORT_BYTES]
+    assert reader.take(short, SHORT_BYTES) == []
+    for begin in range(SHORT_BYTES, len(frame), 20):  # also where less is missing than fits into the short memory
+        place = reader.place(short)
+        assert len(place) == len(frame) - begin
+        part = frame[begin : begin + 20]
+        place[: len(part)] = part
+        found = reader.take(short, len(part))
+    assert found == [(FrameKind.MESSAGE, b"x" * 200)]
+    assert reader.place(short) is short
+
+
 def test_only_the_bytes_that_came_of_an_unfinished_frame_are_kept() -> None:
     reader = FrameReader({FrameKind.MESSAGE: 2**30})
     reader.feed(frame_of(FrameKind.MESSAGE, b"a" * 10) + frame_of(FrameKind.MESSAGE, bytes(2**16))[:105])

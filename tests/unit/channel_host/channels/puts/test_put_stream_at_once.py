@@ -59,6 +59,27 @@ async def test_a_single_put_is_acked_in_the_turn_in_which_it_comes() -> None:
         assert (await channel.get()).payloads == [b"x"] * 3
 
 
+@pytest.mark.parametrize("payload_bytes", [4096, 18_000, 250_000])
+async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_bytes_come(payload_bytes: int) -> None:
+    async with stream_of("Put") as (stream, channel):
+        for number in (1, 2):
+            [ack] = acks_in(stream.send(put_of(channel, number, bytes(payload_bytes))))
+            assert ack.first_seq == number
+        assert (await channel.get()).payloads == [bytes(payload_bytes)] * 2
+
+
+@pytest.mark.parametrize(("runs", "is_at_once"), [(16, True), (17, False)])
+async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_comes(runs: int, is_at_once: bool) -> None:
+    async with stream_of("Put") as (stream, channel):
+        head, run = put_head(channel.channel_id, channel.epoch, PRODUCER), run_parts((bytes(3000),), times=None)
+        request = head + b"".join(put_request(b"", number, run, 10**9) for number in range(1, runs + 1))
+        found = acks_in(stream.send(request))
+        assert bool(found) == is_at_once
+        while len(found) < runs:
+            found = acks_in(await stream.until_written(1))
+        assert [ack.first_seq for ack in found] == [*range(1, runs + 1)]
+
+
 async def test_a_repeated_put_gets_its_former_ack_at_once() -> None:
     async with stream_of("Put") as (stream, channel):
         former = stream.send(put_of(channel, 1))

@@ -1,8 +1,8 @@
 """Serves one stream of puts: judges and acks runs in order.
 
 Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
-put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a single put
-in the turn of the event loop in which its bytes come (decision 0164).
+put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a request of a few
+runs in the turn of the event loop in which its bytes come (decision 0164).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.puts.long_requests import SHORT_BYTES
 from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead, left_nanos
@@ -36,6 +35,7 @@ from stampede_rt_runtime.rpc import Context, answer_at_once
 # the message stays below its size limit.
 ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
+RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; a producer sends no more together
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
@@ -114,26 +114,25 @@ class PutStream:
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
     def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
-        """Judge the only run of a request, which surely need not wait, and write its ack.
+        """Judge the few runs of a request, which surely need not wait, and write their acks.
 
         Returns False for any other message.
         """
         is_idle = not (self._acks or self._is_writing or self._whole.is_joining or self._requests.is_ahead)
-        if not is_idle or len(raw) > SHORT_BYTES or raw[:1] == PIECE_TAG:
+        if not is_idle or raw[:1] == PIECE_TAG:
             return False
         try:
             request = read_request(raw)
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
-            if len(request.puts) != 1 or self._store.find(channel_id, epoch).puts.may_wait:
+            if not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX or self._store.find(channel_id, epoch).puts.may_wait:
                 return False
         except StampedeError:  # the loop that reads the requests comes to the same error
             return False
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
-        ack = self._judge(request.puts[0], time.monotonic())
-        assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
-        write(pb.PutResponse(acks=[ack]).SerializeToString())
+        received_s = time.monotonic()
+        write(pb.PutResponse(acks=[self._judge_now(put, received_s) for put in request.puts]).SerializeToString())
         return True
 
     async def _take(self, received: _ReceivedRequest) -> None:
@@ -156,6 +155,12 @@ class PutStream:
             return
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
+
+    def _judge_now(self, put: Put, received_s: float) -> pb.PutAck:
+        """The ack of a run whose channel lets no put wait."""
+        ack = self._judge(put, received_s)
+        assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
+        return ack
 
     async def _put(self, received: _ReceivedRequest) -> pb.PutAck:
         """The ack of the first run. Waits while the run waits for room."""
