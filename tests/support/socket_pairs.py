@@ -5,11 +5,12 @@ from __future__ import annotations
 import socket
 
 from stampede_rt.transports.bidi_methods import BidiMethod
+from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of
 
 RAW = BidiMethod("/test/Raw", None, None, lambda: None)
 OPENING = b"the opening"
-_LIMITS = {FrameKind.MESSAGE: 2**20, FrameKind.OPENING: 2**10}
+_LIMITS = {FrameKind.MESSAGE: SOCKET_MESSAGE_BYTES_MAX, FrameKind.OPENING: 2**10}
 
 
 class FarEnd:

@@ -11,6 +11,7 @@ import grpc
 import grpc.aio
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.transports.socket_async import OpeningCall
 from stampede_rt.wire.request_pieces import messages_of
 
 
@@ -53,7 +54,8 @@ class Requests:
         with suppress(grpc.RpcError, StampedeError, asyncio.InvalidStateError, asyncio.CancelledError):
             while True:
                 while self._waiting:
-                    for message in messages_of(self._waiting.popitem(last=False)[1]):
+                    request = self._waiting.popitem(last=False)[1]
+                    for message in (request,) if isinstance(self._call, OpeningCall) else messages_of(request):
                         await self._call.write(message)
                 self._more.clear()
                 await self._more.wait()

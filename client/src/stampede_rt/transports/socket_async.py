@@ -21,6 +21,7 @@ from stampede_rt.transports.socket_limits import (
     SILENCE_S_MAX,
     UNREAD_BYTES_MAX,
 )
+from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of, head_of
 
 
@@ -110,17 +111,18 @@ class SocketCall(asyncio.BufferedProtocol):
     async def write(self, request: Any) -> None:
         """Send a request. Returns when the system has taken it. Raises grpc.RpcError after the end of the stream."""
         encode = self._method.encode
-        message: bytes = request if encode is None else encode(request)
-        if self._is_over:
-            raise self._error or broken("the stream has ended")
-        if len(message) <= JOINED_BYTES_MAX:
-            self._transport.write(frame_of(FrameKind.MESSAGE, message))
-        else:
-            self._transport.write(head_of(FrameKind.MESSAGE, len(message)))
-            self._transport.write(message)
-        while self._is_full and not self._is_over:
-            self._room = self._loop.create_future()
-            await self._room
+        encoded: bytes = request if encode is None else encode(request)
+        for message in messages_of(encoded, SOCKET_MESSAGE_BYTES_MAX):
+            if self._is_over:
+                raise self._error or broken("the stream has ended")
+            if len(message) <= JOINED_BYTES_MAX:
+                self._transport.write(frame_of(FrameKind.MESSAGE, message))
+            else:
+                self._transport.write(head_of(FrameKind.MESSAGE, len(message)))
+                self._transport.write(message)
+            while self._is_full and not self._is_over:
+                self._room = self._loop.create_future()
+                await self._room
 
     def __aiter__(self) -> SocketCall:
         return self
@@ -181,7 +183,7 @@ class SocketCall(asyncio.BufferedProtocol):
 
 
 class OpeningCall:
-    """A stream whose transport is not known yet. It has the methods of a call of grpc.aio."""
+    """A stream whose transport is not known yet. It has the methods of a call of grpc.aio, and takes whole requests."""
 
     def __init__(self, opening: Awaitable[Any]) -> None:
         """`opening` returns the call. It may raise StampedeError, which `async for` then raises."""
@@ -200,8 +202,10 @@ class OpeningCall:
             self._call.add_done_callback(callback)
 
     async def write(self, request: Any) -> None:
-        """Send a request, see grpc.aio."""
-        await (self._call or await asyncio.shield(self._opening)).write(request)
+        """Send a whole request, over gRPC in pieces if it is large."""
+        call = self._call or await asyncio.shield(self._opening)
+        for message in (request,) if isinstance(call, SocketCall) else messages_of(request):
+            await call.write(message)
 
     async def __aiter__(self) -> AsyncIterator[Any]:
         """Yield the responses, see grpc.aio."""

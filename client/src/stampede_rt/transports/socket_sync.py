@@ -19,7 +19,7 @@ from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
 from stampede_rt.transports.socket_limits import RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
-from stampede_rt.wire.request_pieces import messages_of
+from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
@@ -66,7 +66,7 @@ class SocketCall:
         encoded: bytes = request if encode is None else encode(request)
         try:
             with self._mutex:
-                for message in messages_of(encoded):
+                for message in messages_of(encoded, SOCKET_MESSAGE_BYTES_MAX):
                     self._write((head_of(FrameKind.MESSAGE, len(message)), message))
         except BaseException:  # an interrupt: the host may have half of a frame
             self.cancel()

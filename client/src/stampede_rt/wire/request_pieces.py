@@ -14,24 +14,25 @@ from stampede_rt.wire.runs import encode_varint
 MESSAGE_BYTES_MAX = 2**18  # of one message to a host
 REQUEST_BYTES_MAX = 20 * 2**20  # of all pieces of one request
 JOINED_BYTES_MAX = 2**20  # of a request in which a producer joins runs; a run that is larger has a request of its own
+SOCKET_MESSAGE_BYTES_MAX = JOINED_BYTES_MAX + 2**14  # of one message to a host over a socket (decision 0170)
 PIECE_TAG = bytes((5 << 3 | 2,))  # PutRequest.piece and EnqueueRequest.piece
 _REQUEST_BYTES_TAG = bytes((1 << 3,))  # RequestPiece.request_bytes
 _CONTENT_TAG = bytes((2 << 3 | 2,))  # RequestPiece.content
 _VARINT_BYTES_MAX = 10
-_CONTENT_BYTES = MESSAGE_BYTES_MAX - 32  # leaves room for tags and lengths
+_FRAMING_BYTES_MAX = 32  # the tags and lengths of a piece
 
 
-def messages_of(request: Any) -> Iterator[Any]:
+def messages_of(request: Any, message_bytes_max: int = MESSAGE_BYTES_MAX) -> Iterator[Any]:
     """Yield the messages that carry a request: the request, or the pieces of a large encoded one.
 
     A request that gRPC has still to encode is small.
     """
-    if not isinstance(request, bytes) or len(request) <= MESSAGE_BYTES_MAX:
+    if not isinstance(request, bytes) or len(request) <= message_bytes_max:
         yield request
         return
-    view = memoryview(request)
-    for begin in range(0, len(view), _CONTENT_BYTES):
-        content = view[begin : begin + _CONTENT_BYTES]
+    view, content_bytes = memoryview(request), message_bytes_max - _FRAMING_BYTES_MAX
+    for begin in range(0, len(view), content_bytes):
+        content = view[begin : begin + content_bytes]
         head = b"" if begin else _REQUEST_BYTES_TAG + encode_varint(len(view))
         head += _CONTENT_TAG + encode_varint(len(content))
         yield b"".join((PIECE_TAG, encode_varint(len(head) + len(content)), head, content))

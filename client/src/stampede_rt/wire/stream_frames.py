@@ -57,12 +57,20 @@ class FrameReader:
         return self._came_bytes or len(self._partial)
 
     @property
+    def wanted_bytes(self) -> int:
+        """The length of the unfinished frame, or of its head while that is unfinished."""
+        return self._wanted_bytes
+
+    @property
     def missing_bytes(self) -> int:
         """The number of bytes that are missing of an unfinished frame, or of its head; 0 if no frame has begun."""
         return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
 
     def place(self, short: memoryview) -> memoryview:
-        """Return where to write the next bytes: `short`, or the room of a frame of which more is missing. Then `take`."""
+        """Return where to write the next bytes: `short`, or the room of a frame of which more is missing.
+
+        Then call `take`.
+        """
         return self.room() if self._came_bytes or self.missing_bytes > len(short) else short
 
     def take(self, short: memoryview, came_bytes: int) -> list[Frame]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from stampede_rt.transports.grpc_options import MORE_CONNECTIONS
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX as REQUEST_MESSAGE_BYTES_MAX
+from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX
 from stampede_rt_runtime.open_files import connections_max
 
 Option = tuple[str, int | str]
@@ -25,7 +26,8 @@ class Limits:
     calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts one. A server accepts messages
-    of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them. It accepts
+    of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them; over a socket
+    messages of `socket_request_bytes_max`. It accepts
     `calls_per_connection_max` calls on one connection. Callers open further connections for further calls. The server
     closes a connection whose set-up takes longer than `handshake_millis_max`. Each side pings the other after
     `keepalive_millis` of silence, and closes the connection if no answer comes within `keepalive_timeout_millis`.
@@ -37,6 +39,7 @@ class Limits:
 
     message_bytes_max: int = 20 * 2**20
     request_bytes_max: int = REQUEST_MESSAGE_BYTES_MAX
+    socket_request_bytes_max: int = SOCKET_MESSAGE_BYTES_MAX
     unread_bytes_max: int = 2**18
     metadata_bytes_max: int = 16 * 2**10
     concurrent_rpcs_max: int = 4608

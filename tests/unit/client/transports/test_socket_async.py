@@ -14,6 +14,7 @@ from stampede_rt.transports import socket_async
 from stampede_rt.transports.grpc_options import MESSAGE_BYTES_MAX
 from stampede_rt.transports.socket_async import OpeningCall, SocketCall
 from stampede_rt.transports.socket_limits import UNREAD_BYTES_MAX
+from stampede_rt.wire.request_pieces import piece_in
 from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
 from tests.support.socket_pairs import OPENING, RAW, FarEnd
 
@@ -48,6 +49,35 @@ async def test_requests_and_responses_go_over_the_socket_until_the_regular_end()
         assert await done is call
         with pytest.raises(grpc.RpcError):
             await call.write(b"late")
+
+
+@pytest.mark.parametrize(("request_bytes", "messages"), [(2**20, 1), (5 * 2**19, 3)])
+async def test_a_large_request_goes_in_one_message_or_in_few_pieces(request_bytes: int, messages: int) -> None:
+    async with opened() as (call, far):
+        opening: asyncio.Future[SocketCall] = asyncio.get_running_loop().create_future()
+        opening.set_result(call)
+        request = bytes(range(256)) * (request_bytes // 256)
+        writing = asyncio.create_task(OpeningCall(opening).write(request))
+        found = [await asyncio.to_thread(far.message) for _ in range(messages)]
+        await writing
+        assert (found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)) == request
+
+
+async def test_a_large_request_over_grpc_goes_in_pieces_of_what_grpc_takes() -> None:
+    class GrpcCall:
+        def __init__(self) -> None:
+            self.written: list[bytes] = []
+
+        async def write(self, message: bytes) -> None:
+            self.written.append(message)
+
+        def add_done_callback(self, callback: object) -> None:
+            pass
+
+    call, opening = GrpcCall(), asyncio.get_running_loop().create_future()
+    opening.set_result(call)
+    await OpeningCall(opening).write(bytes(600_000))
+    assert (len(call.written), max(map(len, call.written)) <= 2**18) == (3, True)
 
 
 async def test_an_error_of_the_service_arrives_with_its_details() -> None:
@@ -85,13 +115,13 @@ async def test_a_host_without_any_sign_of_life_is_given_up(monkeypatch: pytest.M
 async def test_responses_that_the_program_does_not_read_stay_at_the_host_and_are_no_silence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(socket_async, "SILENCE_S_MAX", 0.05)
+    monkeypatch.setattr(socket_async, "SILENCE_S_MAX", 0.3)
     async with opened() as (call, far):
         far.socket.setblocking(False)
         sent = bytearray(frame_of(FrameKind.MESSAGE, bytes(100_000)) * 20)
         loop = asyncio.get_running_loop()
         sending = asyncio.create_task(loop.sock_sendall(far.socket, sent))
-        await asyncio.sleep(0.2)  # longer than the allowed silence
+        await asyncio.sleep(0.4)  # longer than the allowed silence
         assert call._unread_bytes <= 2 * UNREAD_BYTES_MAX + 100_000
         assert not sending.done()
         for _ in range(20):

@@ -16,6 +16,7 @@ from stampede_rt.status import encode_status, from_rpc_error
 from stampede_rt.transports import socket_sync
 from stampede_rt.transports.grpc_options import MESSAGE_BYTES_MAX
 from stampede_rt.transports.socket_sync import SocketCall
+from stampede_rt.wire.request_pieces import piece_in
 from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
 from tests.support.socket_pairs import OPENING, RAW, FarEnd
 
@@ -54,6 +55,17 @@ def test_requests_and_responses_go_over_the_socket_until_the_regular_end(
     assert list(call) == []
     assert list(call) == []
     assert far.frame() is None  # the client has closed its socket
+
+
+@pytest.mark.parametrize(("request_bytes", "messages"), [(2**20, 1), (5 * 2**19, 3)])
+def test_a_large_request_goes_in_one_message_or_in_few_pieces(
+    pair: tuple[socket.socket, FarEnd], request_bytes: int, messages: int
+) -> None:
+    call, far = opened(pair, in_turn=False)
+    request = bytes(range(256)) * (request_bytes // 256)
+    call.send(request)
+    found = [far.message() for _ in range(messages)]
+    assert (found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)) == request
 
 
 def test_an_error_of_the_service_arrives_with_its_details_after_the_messages_before_it(

@@ -9,7 +9,21 @@ from hypothesis import strategies as st
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX, PIECE_TAG, messages_of, piece_in
+from stampede_rt.wire.request_pieces import (
+    MESSAGE_BYTES_MAX,
+    PIECE_TAG,
+    SOCKET_MESSAGE_BYTES_MAX,
+    messages_of,
+    piece_in,
+)
+
+
+def test_over_a_socket_a_request_is_cut_later() -> None:
+    request = bytes(SOCKET_MESSAGE_BYTES_MAX)
+    assert list(messages_of(request, SOCKET_MESSAGE_BYTES_MAX)) == [request]
+    messages = [*messages_of(request + request + b"x", SOCKET_MESSAGE_BYTES_MAX)]
+    assert (len(messages), max(map(len, messages)) <= SOCKET_MESSAGE_BYTES_MAX) == (3, True)
+    assert b"".join(piece_in(one).content for one in messages) == request + request + b"x"
 
 
 @pytest.mark.parametrize("size", [1, MESSAGE_BYTES_MAX - 1, MESSAGE_BYTES_MAX])

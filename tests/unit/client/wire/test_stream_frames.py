@@ -66,7 +66,8 @@ def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, byte
 
 @pytest.mark.parametrize("long", SIZES)
 def test_long_and_short_frames_come_as_they_were_sent_wherever_a_read_ends(long: int) -> None:
-    frames = [(FrameKind.MESSAGE, bytes([65 + at]) * size) for at, size in enumerate((3, long, 300, long, 0, 7, 200, long))]
+    sizes = (3, long, 300, long, 0, 7, 200, long)
+    frames = [(FrameKind.MESSAGE, bytes([65 + at]) * size) for at, size in enumerate(sizes)]
     stream = b"".join(frame_of(kind, body) for kind, body in frames)
     for cut in range(1, len(stream)):
         found, reader = read_in_parts(stream, [cut, SHORT_BYTES])

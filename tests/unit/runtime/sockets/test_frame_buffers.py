@@ -5,22 +5,22 @@ import asyncio
 from stampede_rt_runtime.quotas.accounts import Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS
 from stampede_rt_runtime.quotas.loop_shares import LoopShares
-from stampede_rt_runtime.sockets.frame_buffers import PLACES, FrameBuffers
+from stampede_rt_runtime.sockets.frame_buffers import PLACE_BYTES, PLACES, FrameBuffers
 
 
 async def test_a_caller_with_many_long_frames_takes_no_place_of_another() -> None:
     buffers, accounts = FrameBuffers(), Accounts()
     busy, good = accounts.of("busy"), accounts.of("good")
-    assert all(buffers.place(busy).take_now() for _ in range(PLACES))
-    assert not buffers.place(busy).take_now()
-    assert buffers.place(good).take_now()
+    assert all(buffers.place(busy).take_now(PLACE_BYTES) for _ in range(PLACES))
+    assert not buffers.place(busy).take_now(PLACE_BYTES)
+    assert buffers.place(good).take_now(PLACE_BYTES)
 
 
 async def test_a_place_that_was_left_goes_to_the_first_that_waits() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     taken = [buffers.place(busy) for _ in range(PLACES)]
-    assert all(one.take_now() for one in taken)
-    waiting = [asyncio.ensure_future(buffers.place(busy).take()) for _ in range(3)]
+    assert all(one.take_now(PLACE_BYTES) for one in taken)
+    waiting = [asyncio.ensure_future(buffers.place(busy).take(PLACE_BYTES)) for _ in range(3)]
     await asyncio.sleep(0)
     waiting[0].cancel()
     taken[0].leave()
@@ -29,14 +29,14 @@ async def test_a_place_that_was_left_goes_to_the_first_that_waits() -> None:
     taken[1].leave()
     await waiting[2]
     taken[2].leave()
-    assert buffers.place(busy).take_now()
+    assert buffers.place(busy).take_now(PLACE_BYTES)
 
 
 async def test_a_stream_that_is_cancelled_as_it_gets_a_place_leaves_it_to_the_next() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     taken = [buffers.place(busy) for _ in range(PLACES)]
-    assert all(one.take_now() for one in taken)
-    first, second = (asyncio.ensure_future(buffers.place(busy).take()) for _ in range(2))
+    assert all(one.take_now(PLACE_BYTES) for one in taken)
+    first, second = (asyncio.ensure_future(buffers.place(busy).take(PLACE_BYTES)) for _ in range(2))
     await asyncio.sleep(0)
     taken[0].leave()
     first.cancel()
@@ -44,11 +44,42 @@ async def test_a_stream_that_is_cancelled_as_it_gets_a_place_leaves_it_to_the_ne
     assert first.cancelled()
 
 
+async def test_a_longer_frame_takes_more_places_and_those_behind_it_wait_for_it() -> None:
+    buffers, busy = FrameBuffers(), Accounts().of("busy")
+    half, other, whole, small = (buffers.place(busy) for _ in range(4))
+    assert half.take_now(PLACES * PLACE_BYTES // 2)
+    assert other.take_now(PLACE_BYTES + 1)  # takes two
+    waiting = [asyncio.ensure_future(whole.take(PLACES * PLACE_BYTES))]
+    await asyncio.sleep(0)
+    assert not small.take_now(1), "the long frame came first"
+    waiting.append(asyncio.ensure_future(small.take(1)))
+    half.leave()
+    await asyncio.sleep(0)
+    assert not waiting[0].done()
+    other.leave()
+    await waiting[0]
+    assert not waiting[1].done()
+    whole.leave()
+    await waiting[1]
+    small.leave()
+    assert whole.take_now(PLACES * PLACE_BYTES + 1), "a frame that needs more than all takes all"
+
+
+async def test_a_long_frame_that_waits_no_more_lets_the_next_one_go_on() -> None:
+    buffers, busy = FrameBuffers(), Accounts().of("busy")
+    half, whole, small = (buffers.place(busy) for _ in range(3))
+    assert half.take_now(PLACES * PLACE_BYTES // 2)
+    waits = [asyncio.ensure_future(whole.take(PLACES * PLACE_BYTES)), asyncio.ensure_future(small.take(1))]
+    await asyncio.sleep(0)
+    waits[0].cancel()
+    await waits[1]
+
+
 async def test_members_of_the_cluster_never_wait_for_a_place() -> None:
     place = FrameBuffers().place(unlimited())
     for _ in range(PLACES + 1):
-        assert place.take_now()
-        await place.take()
+        assert place.take_now(PLACE_BYTES)
+        await place.take(PLACE_BYTES)
 
 
 async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> None:
@@ -57,7 +88,7 @@ async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> No
     accounts.of("good").loop_share.spend(1)  # type: ignore[union-attr]  # several callers have work
     place = FrameBuffers().place(accounts.of("busy"))
     begun = 0
-    while place.take_now():
+    while place.take_now(PLACE_BYTES):
         place.leave(2**18)
         begun += 1
     assert 1 <= begun <= 2 * PLACES

@@ -201,7 +201,7 @@ async def test_what_nobody_reads_stays_with_the_caller_and_is_read_later(port: O
         [made] = one.server.sockets._streams
         await until(lambda: made._unread_bytes and made._is_paused)
         kept = made._unread_bytes + made._frames.unfinished_bytes
-        assert kept <= 2 * Limits().unread_bytes_max + Limits().request_bytes_max
+        assert kept <= 2 * Limits().unread_bytes_max + Limits().socket_request_bytes_max
         one.streams.may_read.set()
         assert (await stream.status()).code == 0
         assert one.streams.read_bytes == 100 * 100_000

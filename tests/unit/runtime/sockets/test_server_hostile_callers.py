@@ -54,7 +54,7 @@ async def test_another_version_of_the_frames_is_refused(port: Open) -> None:
 @pytest.mark.parametrize(
     ("sent", "why"),
     [
-        (head_of(FrameKind.MESSAGE, Limits().request_bytes_max + 1), "it has at most"),
+        (head_of(FrameKind.MESSAGE, Limits().socket_request_bytes_max + 1), "it has at most"),
         (frame_of(FrameKind.OPENING), "came where none may come"),
         (frame_of(FrameKind.ALIVE), "which may not come here"),
         (frame_of(FrameKind.END) + frame_of(FrameKind.MESSAGE, b"x"), "came where none may come"),

@@ -17,26 +17,32 @@ from stampede_rt_runtime.quotas.working import SOCKET_COSTS, CallerWork
 SHORT_BYTES = 2**14
 """The most bytes of one read. A frame that needs more is long, and waits for a place."""
 PLACES = 16
-"""The most long frames of one caller that the service reads at the same time. To read 256 KiB takes about 0.1 ms."""
+PLACE_BYTES = 2**18
+"""The long frames of one caller that come at the same time take PLACES at most, one for each PLACE_BYTES of a frame.
+
+To read 256 KiB takes about 0.1 ms."""
 
 
 class _Line:
-    """The free places of one caller, and the streams that wait for one."""
+    """The free places of one caller, and the streams that wait for some, with the number that each of them needs."""
 
     __slots__ = ("free", "waiting")
 
     def __init__(self) -> None:
         self.free = PLACES
-        self.waiting: OrderedDict[asyncio.Future[None], None] = OrderedDict()
+        self.waiting: OrderedDict[asyncio.Future[None], int] = OrderedDict()
 
-    def leave(self) -> None:
-        """Give the place to the first stream that waits."""
+    def leave(self, places: int) -> None:
+        """Give the places to the streams that wait, the first one first."""
+        self.free += places
         while self.waiting:
-            first, _ = self.waiting.popitem(last=False)
-            if not first.done():
-                first.set_result(None)
+            first, needed = next(iter(self.waiting.items()))
+            if not first.done() and needed > self.free:
                 return
-        self.free += 1
+            del self.waiting[first]
+            if not first.done():
+                self.free -= needed
+                first.set_result(None)
 
 
 class FrameBuffers:
@@ -57,52 +63,61 @@ class FrameBuffers:
 
 
 class FramePlace:
-    """The right of one stream to read a long frame. The stream takes a place for each long frame."""
+    """The right of one stream to read a long frame. The stream takes places for each long frame."""
 
-    __slots__ = ("_line", "_work")
+    __slots__ = ("_line", "_taken", "_work")
 
     def __init__(self, caller: Account, line: _Line | None) -> None:
         """`line`: None for a caller without quotas."""
         self._line, self._work = line, CallerWork(caller, SOCKET_COSTS)
+        self._taken = 0
 
-    def take_now(self) -> bool:
-        """Take a place if the stream need not wait. Returns whether it has one. `leave` must follow."""
+    def take_now(self, frame_bytes: int) -> bool:
+        """Take the places of a frame if the stream need not wait. Returns whether it has them. `leave` must follow."""
         if self._line is None:
             return True
-        if self._work.must_wait or not self._line.free:
+        needed = _places_of(frame_bytes)
+        if self._work.must_wait or self._line.waiting or needed > self._line.free:
             return False
-        self._line.free -= 1
+        self._line.free -= needed
+        self._taken = needed
         return True
 
-    async def take(self) -> None:
-        """Wait for a free place, and for the turn of the caller. `leave` must follow."""
+    async def take(self, frame_bytes: int) -> None:
+        """Wait for the places of a frame, and for the turn of the caller. `leave` must follow."""
         if self._line is None:
             return
-        if self._line.free:
-            self._line.free -= 1
+        needed = _places_of(frame_bytes)
+        if self._line.waiting or needed > self._line.free:
+            await self._wait(self._line, needed)
         else:
-            await self._wait(self._line)
+            self._line.free -= needed
+        self._taken = needed
         if self._work.must_wait:
             try:
                 await self._work.turn()
             except asyncio.CancelledError:
-                self._line.leave()
+                self.leave()
                 raise
 
     @staticmethod
-    async def _wait(line: _Line) -> None:
+    async def _wait(line: _Line, needed: int) -> None:
         given: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        line.waiting[given] = None
+        line.waiting[given] = needed
         try:
             await given
         except asyncio.CancelledError:
             line.waiting.pop(given, None)
-            if not given.cancelled():
-                line.leave()
+            line.leave(0 if given.cancelled() else needed)
             raise
 
     def leave(self, lost_bytes: int = 0) -> None:
-        """Give the place back. `lost_bytes` were read of a frame that never ended; they count for the caller."""
+        """Give the places back. `lost_bytes` were read of a frame that never ended; they count for the caller."""
         self._work.spend_bytes(lost_bytes)
         if self._line is not None:
-            self._line.leave()
+            taken, self._taken = self._taken, 0
+            self._line.leave(taken)
+
+
+def _places_of(frame_bytes: int) -> int:
+    return min(PLACES, -(-frame_bytes // PLACE_BYTES))

@@ -61,7 +61,8 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._owner, self._limits, self._hangups, self._buffers = owner, limits, hangups, buffers
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
-        self._frames = FrameReader({opening: OPENING_BYTES_MAX, message: limits.request_bytes_max, FrameKind.END: 0})
+        message_bytes_max = limits.socket_request_bytes_max
+        self._frames = FrameReader({opening: OPENING_BYTES_MAX, message: message_bytes_max, FrameKind.END: 0})
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
@@ -122,7 +123,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         """Whether a long frame has begun that must wait for a place. If it need not wait, it takes its place now."""
         if self._is_filling or self._frames.missing_bytes <= SHORT_BYTES or not self.is_opened:
             return False
-        self._is_filling = self._place is not None and self._place.take_now()
+        self._is_filling = self._place is not None and self._place.take_now(self._frames.wanted_bytes)
         return not self._is_filling
 
     def _leave_place(self, lost_bytes: int = 0) -> None:
@@ -167,7 +168,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             if self._has_ended:
                 return EOF
             if self._must_wait_for_place():
-                await self._place.take()
+                await self._place.take(self._frames.wanted_bytes)
                 self._is_filling = True
                 if self._is_lost:
                     self._drop_frame()

@@ -41,13 +41,13 @@ def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[
     """Decode a request whose fields come in the order of their numbers, as all protobuf encoders write them.
 
     Returns None for a short request, and for any other form, which protobuf decodes or refuses. But protobuf does not
-    decode a request that came in pieces: it would copy up to 20 MiB in one step, while all other callers wait. Raises
+    decode a large request: it would copy up to 20 MiB in one step, while all other callers wait. Raises
     InvalidArgument for such a request, and for bytes that are no message. `name`: what errors call the message.
     """
     found = _read(raw, head, run, name) if len(raw) > SHORT_BYTES else None
     if found is None and len(raw) > MESSAGE_BYTES_MAX:
         raise InvalidArgument(
-            f"the {len(raw)} bytes of a request in pieces are no valid {name} message whose fields come in the order "
+            f"the {len(raw)} bytes of a large request are no valid {name} message whose fields come in the order "
             "of their numbers; encode it from the .proto file, and leave out fields that the file does not have"
         )
     return found

@@ -1,8 +1,8 @@
 """Serves one stream of puts: judges and acks runs in order.
 
 Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
-put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a request of a few
-runs in the turn of the event loop in which its bytes come (decision 0164).
+put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a request of
+a few runs in the turn of the event loop in which its bytes come (decision 0164).
 """
 
 from __future__ import annotations
