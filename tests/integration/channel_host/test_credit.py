@@ -1,4 +1,4 @@
-"""What readers let a channel host send, by raw streams: none, one item, too much, and nonsense."""
+"""The credit that readers give a channel host, over raw streams: none, one item, too much, and invalid values."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ async def test_a_reader_that_grants_nothing_is_sent_nothing_and_costs_no_memory(
     status = await channel.status()
     assert (status.counters.delivered_bytes, status.subscriptions) == (0, 1)
     await grant(call, 1)
-    assert [payload[:2] for payload in payloads(await read(call))] == [b"00"]  # what came first, and nothing before it
+    assert [payload[:2] for payload in payloads(await read(call))] == [b"00"]  # the first item, and none before it
     call.cancel()
 
 

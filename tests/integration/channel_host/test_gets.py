@@ -395,7 +395,7 @@ async def test_the_status_adds_up(rig: Rig) -> None:
 
 
 async def test_a_reader_that_takes_nothing_keeps_no_more_than_a_bound_of_items_that_retention_let_go(rig: Rig) -> None:
-    """All answers to calls that were released were kept: here 200 MB of a channel that holds 1 MB."""
+    """The host once kept all answers to released calls: here 200 MB of a channel that holds 1 MB."""
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=1))
     channel = await rig.open(spec=spec)
     call = rig.channels.Get()

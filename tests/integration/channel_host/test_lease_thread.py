@@ -25,7 +25,7 @@ HELD_UP_SECONDS = 1.3 * LEASE_SECONDS
 
 
 class Served:
-    """A host on this test's own event loop, and what it was told of its lease."""
+    """A host on this test's own event loop, and the events of its lease."""
 
     def __init__(self, cluster: LocalCluster) -> None:
         dialer = Dialer(secret=cluster.secret)

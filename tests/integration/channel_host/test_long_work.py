@@ -1,4 +1,4 @@
-"""Long work of a channel host, in pieces between which it serves everybody else."""
+"""Long work of a channel host in pieces. Between two pieces the host serves all other callers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Large:
         return [self.start + at for at in range(ITEMS)]
 
     async def until(self, *, begun: bool) -> None:
-        """Until long work in the channel is under way, or none is any more."""
+        """Wait until long work in the channel is under way, or until no long work is under way."""
         async with asyncio.timeout(10):
             while bool(self.held._snapshots) is not begun:
                 await self.rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())

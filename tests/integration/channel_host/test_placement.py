@@ -1,4 +1,4 @@
-"""Where real channels come to be: by the loads that real hosts report, and beside other channels."""
+"""The hosts of new channels: chosen by the loads that real hosts report, or beside other channels."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def keeping_busy(address: str, host: str) -> Iterator[None]:
 
 
 def loads(rt: st.Connection) -> dict[str, int]:
-    """By name, the shares of a core that the hosts reported."""
+    """By name of the host, the share of a core that it reported."""
     return {host.name: host.load.busy_permille for host in rt.hosts() if host.load is not None}
 
 

@@ -1,4 +1,4 @@
-"""`stampede host` as a process: its ready line, its end, and what it says when it cannot start."""
+"""`stampede host` as a process: its ready line, its end, and its errors when it cannot start."""
 
 from __future__ import annotations
 

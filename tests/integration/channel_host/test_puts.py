@@ -256,7 +256,7 @@ async def test_a_put_that_may_not_wait_gives_up_at_once_and_one_behind_it_waits(
 
 
 async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) -> None:
-    """It was answered with CHANNEL_FULL, as if the item had not been accepted the first time."""
+    """Earlier, the answer was CHANNEL_FULL, as if the first put had not been accepted."""
     channel = await rig.open(spec=blocking(600 * S))
     (first,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
     waiting = rig.channels.Put()

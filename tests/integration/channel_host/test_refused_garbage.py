@@ -1,4 +1,4 @@
-"""A host keeps nothing of what it refuses: an error in a circle with its traceback keeps the locals of all frames."""
+"""A host keeps nothing of a refused request: an error in a circle with its traceback keeps the locals of all frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cluster in memory that was restarted has forgotten everything; handles find what has their names then."""
+"""A restarted cluster in memory has forgotten everything. Handles then find the channels that have their names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 
 def restart(cluster: LocalCluster) -> None:
-    """All of it, at the same addresses, with nothing left."""
+    """Restart all parts at the same addresses, without their data."""
     for process in cluster.processes():
         process.kill()
     for process in reversed(list(cluster.processes())):
@@ -153,7 +153,7 @@ def for_ever(call: Callable[[], object]) -> None:
 
 
 def put_pairs(time: int, *channels: st.Channel) -> int:
-    """A pair, and what shows that nothing nearer comes; its time."""
+    """Put a pair, and later items that show that no nearer partner comes. Returns the time of the pair."""
     for channel in channels:
         channel.put(b"pair", time=time)
     for channel in channels:

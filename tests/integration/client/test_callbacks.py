@@ -1,4 +1,4 @@
-"""Push through failures: a function goes on being called when its channel's host is lost."""
+"""Listeners and failures: the function is called again after its channel's host is lost."""
 
 from __future__ import annotations
 

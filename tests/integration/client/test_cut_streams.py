@@ -16,7 +16,7 @@ from stampede_rt.status import from_rpc_error
 from tests.support.cutting_relay import CUTS
 from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
-SIZES = (10, 1000, 300_000, 2_000_000)  # what is written in one piece, and what in many
+SIZES = (10, 1000, 300_000, 2_000_000)  # requests of one piece, and of many
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def world() -> Iterator[RelayedCluster]:
 
 
 class Told:
-    """What gRPC tells of calls that failed, and what the client makes of it."""
+    """The errors of gRPC for failed calls, and the client's errors made from them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.internal: list[st.StampedeError] = []
@@ -45,7 +45,7 @@ class Told:
 async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
     world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """About one of fifty: the test goes on until it has met one."""
+    """About one of fifty cuts. The test goes on until it has met one."""
     told = Told(monkeypatch)
     failures: list[st.StampedeError] = []
 

@@ -1,4 +1,4 @@
-"""Forked children: what they inherit is refused at once, in every entry point; a connection of their own works."""
+"""Forked children: every entry point refuses an inherited connection at once. A connection of their own works."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LIMIT_S = 40
 
 
 def told_by(call: Callable[[], Any]) -> str:
-    """The class of what a call raises."""
+    """The class of the error that a call raises."""
     try:
         call()
     except BaseException as error:  # noqa: BLE001
@@ -31,7 +31,7 @@ def told_by(call: Callable[[], Any]) -> str:
 
 
 def told_at_once_by(call: Callable[[], Awaitable[Any]]) -> str:
-    """The class of what an awaited call raises before it waits for anything."""
+    """The class of the error that an awaited call raises before it waits for anything."""
 
     def step() -> None:
         call().__await__().send(None)

@@ -1,4 +1,4 @@
-"""A host that hangs (SIGSTOP): whoever waits for its items is told, and goes on where they are after it is given up."""
+"""A host that hangs (SIGSTOP): callers that wait for its items get an error, and go on at the new owner."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:
-    """None needs to be tried again by its caller: the silence is noticed before the time for one call is over."""
+    """No caller need repeat its call: the client notices the silence before the time for one call is over."""
     with st.connect(cluster.address) as rt, ThreadPoolExecutor(8) as pool:
         channel = rt.channel("cam/a", max_age="60s")
         queue = rt.queue("work/a", host=channel.host)

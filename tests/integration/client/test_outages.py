@@ -1,4 +1,4 @@
-"""Outages that last longer than any call tries: streams go on afterwards, and say meanwhile that they are broken."""
+"""Outages that last longer than any call: streams report that they are broken, and go on afterwards."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMIT_S = 45
 
 @contextmanager
 def outage(cluster: LocalCluster) -> Iterator[None]:
-    """Nothing runs inside; then everything does again, at the same addresses, and remembers nothing."""
+    """Stop all services during the block. Afterwards start them at the same addresses, without their data."""
     for process in cluster.processes():
         process.kill()
     yield

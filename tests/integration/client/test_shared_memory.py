@@ -1,4 +1,4 @@
-"""Reads from shared memory, with real processes: who gets it, what they see, and what is left when somebody dies."""
+"""Reads from shared memory, with real processes: which programs get it, their answers, and the end of a killed one."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def proven(number: int) -> bytes:
 def test_a_stopped_reader_delays_nobody_and_goes_on_where_it_was(
     cluster: LocalCluster, held: int, dropped_max: int
 ) -> None:
-    """The ring has room for 16 items. What it lacks comes from the host, or is reported as dropped."""
+    """The ring has room for 16 items. The host sends later items that the ring lacks, or reports them as dropped."""
     name = f"stopped/reader/{held}"
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel(name, max_items=held)

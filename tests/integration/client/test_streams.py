@@ -1,4 +1,4 @@
-"""What cancellation, closing and broken streams leave behind in the client: nothing missed, doubled, hung or leaked."""
+"""After cancellation, closing and broken streams, the client misses, doubles, hangs and leaks nothing."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_n
 
 
 async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: LocalCluster) -> None:
-    """Those beyond 1024 were refused, tried again and again, and some failed in the end."""
+    """Earlier, gets beyond 1024 were refused and tried again and again, and some failed in the end."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/crowd", max_age="60s")
         await channel.newest()

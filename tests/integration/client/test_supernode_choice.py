@@ -1,4 +1,4 @@
-"""Which supernode a client takes: of its zone, then the nearest, found by asking all of them at once."""
+"""The client's choice of a supernode: in its zone, then the nearest. The client asks all of them together."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LATER_SECONDS = 0.3
 
 @dataclass
 class Asked:
-    """How many have been asked, by whom all can see; and who waits until all have been."""
+    """Counts the pings. Each waits until all supernodes have been asked."""
 
     wanted: int
     pings: int = 0

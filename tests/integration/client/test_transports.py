@@ -1,4 +1,4 @@
-"""Streams over sockets and over gRPC: which one a program gets, and what happens when one of them fails."""
+"""Streams over sockets and over gRPC: the choice of a transport, and the failure of one."""
 
 from __future__ import annotations
 

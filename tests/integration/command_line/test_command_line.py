@@ -44,7 +44,7 @@ def stampede(environment: dict[str, str]) -> Run:
 
 @pytest.fixture
 def following(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts commands that go on until Ctrl-C; what is left over is killed."""
+    """Start commands that run until Ctrl-C. Kills those that are left."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:

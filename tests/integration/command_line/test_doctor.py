@@ -1,4 +1,4 @@
-"""`stampede doctor` on real clusters in trouble: what it finds, what it says to do, and its exit status."""
+"""`stampede doctor` on real clusters with faults: its findings, its advice, and its exit status."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Doctor:
         self._capsys = capsys
 
     def __call__(self, *words: str) -> tuple[int, str]:
-        """Its exit status and what it printed; pytest shows the last of it if a test fails."""
+        """Run the command. Returns its exit status and its output. pytest shows the last output if a test fails."""
         self._capsys.readouterr()
         code = stampede(["doctor", *words])
         said = self._capsys.readouterr().out

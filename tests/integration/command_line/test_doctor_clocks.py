@@ -1,4 +1,4 @@
-"""`stampede doctor` before services whose clocks and versions are what a test says: real ones share this machine's."""
+"""`stampede doctor` with services whose clocks and versions the test sets. Real services share this machine's clock."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Everything(
         return [directory_pb2.SupernodeRecord(supernode_id="s1", endpoint=place)]
 
     async def Ping(self, request: Any, context: Any) -> Any:
-        """Of the supernode and of the host: told apart by the request."""
+        """Ping of the supernode and of the host. The request tells which."""
         if isinstance(request, gatekeeper_pb.GatekeeperServicePingRequest):
             ahead = self._now() + self.host_ahead_nanos
             return gatekeeper_pb.GatekeeperServicePingResponse(
@@ -165,7 +165,7 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
         peer("robot/good", ahead_nanos=0),
         peer("robot/late", ahead_nanos=-2 * HOUR_NANOS),
         peer("robot/new"),
-        peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # which nobody has asked
+        peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # which no supernode has pinged
     )
     code, said = await said_of(everything, capsys)
     assert code == 1, said

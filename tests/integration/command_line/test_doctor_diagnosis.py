@@ -1,4 +1,4 @@
-"""What `stampede doctor` makes of what parts say: of clocks, versions and ends that a test cannot really bend."""
+"""The findings of `stampede doctor` from given answers: clocks, versions and ends that a test cannot set for real."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 @pytest.fixture
 def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command: its exit status, and what it printed."""
+    """Run a command. Returns its exit status and its output."""
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
 
     def command(*words: str) -> tuple[int, str, str]:

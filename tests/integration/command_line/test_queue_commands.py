@@ -21,7 +21,7 @@ Run = Callable[..., tuple[str, str]]
 
 @pytest.fixture
 def stampede(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Runs a command; what it printed, and what it said beside that."""
+    """Run a command. Returns its output on stdout and on stderr."""
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
 
     def run(*arguments: str, status: int = 0) -> tuple[str, str]:

@@ -35,7 +35,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 @pytest.fixture
 def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command: its exit status, and what it printed."""
+    """Run a command. Returns its exit status and its output."""
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
 
     def command(*words: str | Path) -> tuple[int, str, str]:
@@ -106,7 +106,7 @@ def test_a_recording_that_is_killed_can_be_recovered(
         wait_until(lambda: len(seqs_of(read(path)[0], "killed")) >= 20)
         process.send_signal(signal.SIGKILL)
     status, out, told = run("file", "recover", path, "-o", saved)
-    assert status == 3  # nobody knows what came after
+    assert status == 3  # nothing is known about later items
     seqs = seqs_of(read(saved)[0], "killed")
     assert seqs == list(range(1, len(seqs) + 1))
     assert len(seqs) >= 20

@@ -49,7 +49,7 @@ async def test_every_service_is_ready(cluster: LocalCluster) -> None:
 
 @pytest.mark.parametrize("secret", [None, WRONG])
 async def test_every_port_asks_for_the_secret(cluster: LocalCluster, secret: Secret | None) -> None:
-    """Any method will do: the secret is asked for before the method is looked up."""
+    """Any method will do: the port asks for the secret before it looks up the method."""
     for process in cluster.processes():
         async with dial(process.address, secret=secret) as channel:
             for method in ("/stampede_rt.v1.DirectoryService/Ping", "/stampede_rt.v1.RaftService/Link", "/x/Y"):

@@ -31,7 +31,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 class Dev:
-    """A running `stampede dev`; `screen` is what it printed until it was ready, `children` its services."""
+    """A running `stampede dev`. `screen` is its output until it was ready, `children` its services."""
 
     def __init__(self, process: subprocess.Popen[str], screen: str) -> None:
         self.process = process

@@ -15,7 +15,7 @@ WHY_NOT = unavailable_because()
 
 
 def read_newest(address: str, name: str) -> bytes | None:
-    """In a process of its own."""
+    """Read the newest item in a separate process."""
     with st.connect(address) as rt:
         item = rt.channel(name, create=False).newest()
     return None if item is None else item.payload
@@ -41,7 +41,7 @@ def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
 
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 def test_two_networks_have_names_and_addresses_of_their_own() -> None:
-    """They were those of the process id modulo 4096: two processes could have the same ones."""
+    """Earlier, they came from the process id modulo 4096, so two processes could have the same ones."""
     with NamespaceNetwork(1) as one, NamespaceNetwork(1) as other:
         assert one.address != other.address
         assert one.namespaces[0].name != other.namespaces[0].name

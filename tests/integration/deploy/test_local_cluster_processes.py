@@ -1,4 +1,4 @@
-"""Child processes of `stampede dev` and of the tests: readiness, failures, stopping, and that nobody is left over."""
+"""Child processes of `stampede dev` and of the tests: readiness, failures and stopping. No process is left over."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_free_ports_are_different_and_can_be_listened_at() -> None:
 
 
 def test_two_processes_get_no_port_of_each_other(tmp_path: Path) -> None:
-    """They took random ports that were free at the moment: of two test runs, one got the other's restarting port."""
+    """Earlier, they took random free ports. One of two test runs got the port of a restarting service of the other."""
     path = tmp_path / "ports"
     script = (
         "import sys; from pathlib import Path; from itertools import islice\n"

@@ -1,4 +1,4 @@
-"""What readers of cut events and matches let a host send, by raw streams."""
+"""The credit that readers of cut events and matches give a host, over raw streams."""
 
 from __future__ import annotations
 

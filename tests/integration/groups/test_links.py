@@ -1,4 +1,4 @@
-"""What keeps hosts that share groups in touch: their links, and what they ask the directory about."""
+"""The links between hosts that share groups, and their calls to the directory."""
 
 from __future__ import annotations
 

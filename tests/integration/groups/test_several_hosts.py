@@ -167,7 +167,7 @@ async def test_a_host_whose_lease_came_back_tells_its_times_again(pair: Pair) ->
     await pair.right.put(t + 1)
     await pair.synced(t)
     for fenced in (pair.right.host.host.store, pair.right.host.host.groups):
-        fenced.fence()  # nobody reads the group there, yet others wait for its channel
+        fenced.fence()  # no reader uses the group at this host, but other hosts wait for its channel
     await pair.left.put(t + 20)
     await pair.right.put(t + 10)
     await pair.left.host.until_cut(pair.group, t + 10)
@@ -209,7 +209,7 @@ async def test_a_host_shows_nothing_before_it_knows_how_far_the_others_have_show
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 9)
-    await pair.right.host.server.grpc.stop(None)  # it lives, as the directory believes, but nobody can talk to it
+    await pair.right.host.server.grpc.stop(None)  # the directory counts the host as live, but no caller can reach it
     times, summary = await pair.left.get(pair.group)
     assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
     assert not summary.HasField("cut_unix_nano")
@@ -312,6 +312,6 @@ async def test_floors_of_unknown_groups_are_kept_for_each_host_up_to_a_bound(pai
 
 
 def floor_of(pair: Pair, cut: int, group: int | None = None) -> group_pb2.CutFloor:
-    """That the pair's group, or an unknown one of that number, has come to `cut`."""
+    """The cut floor of the pair's group, or of an unknown group with that number."""
     group_id = pair.group.group_id if group is None else group.to_bytes(16, "big")
     return group_pb2.CutFloor(group_id=group_id, incarnation=pair.group.incarnation, cut_unix_nano=cut)

@@ -1,4 +1,4 @@
-"""Streams of groups: signs of life, members that come and go, where to go on, and what the status counts."""
+"""Streams of groups: signs of life, members that join and leave, cursors, and the counts of the status."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice
     await right.put(t + 3)
     begun = left.subscribe(group)
     cursor = (await begun.call.read()).cursor
-    begun.call.cancel()  # before anything came: what was visible already is not meant for it
+    begun.call.cancel()  # cancelled before the first event: the reader is not owed the items that were visible before
     resumed = left.subscribe(group, cursor=cursor)
     assert not (await resumed.call.read()).HasField("gap")
     await left.put(t + 1, t + 6)
@@ -219,7 +219,7 @@ async def until_counted(channel: GroupedChannel, **expected: int) -> None:
 
 
 def get_through(channel: GroupedChannel, group: group_pb2.GroupRecord) -> Any:
-    """The call of a get that waits for what the group does not show yet."""
+    """A get that waits for an item that the group does not show yet."""
     request = channel_service_pb2.GetRequest(
         call_id=1,
         channel_id=channel.channel_id,

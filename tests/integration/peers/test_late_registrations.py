@@ -29,7 +29,7 @@ Ask = Callable[[Any, int, int], Awaitable[Any]]
 
 @asynccontextmanager
 async def stubs(address: str) -> AsyncIterator[Any]:
-    """What a process that talks to that address has."""
+    """Yield the stubs of a process that calls that address."""
     channel = dial(address, secret=None)
     try:
         yield SimpleNamespace(
@@ -80,7 +80,7 @@ async def resolve_host(process: Any) -> Any:
 async def test_what_a_killed_process_sent_changes_nothing_once_its_successor_is_in(
     enter: Ask, find: Callable[[Any], Awaitable[Any]]
 ) -> None:
-    """It was done, and took name and mailbox, or all channels, from the process that lives."""
+    """Earlier, the request was performed, and took name and mailbox, or all channels, from the live process."""
     address = f"127.0.0.1:{free_ports(1)[0]}"
     one = Supernode("s1", address, ["--listen", address])
     try:

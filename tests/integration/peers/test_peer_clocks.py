@@ -1,4 +1,4 @@
-"""Participants whose clocks are off, as real processes: who sees it where, and after what happens to the leader."""
+"""Peers with wrong clocks, as real processes: the programs that see it, also after the loss of the leader."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ cluster = cluster_fixture(hosts=1, supernodes=3, durable=False)
 
 SECOND = 10**9
 PATIENCE_SECONDS = 30.0
-# The wall clock of the process is off by what a file says, see service_process; all its other clocks are right.
+# A file sets the offset of the process's wall clock, see service_process. Its other clocks are right.
 STAY = """
 import sys
 from pathlib import Path
@@ -55,11 +55,11 @@ class Robot:
             raise AssertionError(f"{name} did not come in")
 
     def step(self, off_nanos: int) -> None:
-        """From now on its wall clock is off by so much."""
+        """Set the offset of its wall clock."""
         self._file.write_text(f"{off_nanos:+021}")
 
     def kill(self) -> None:
-        """It leaves without a word."""
+        """Kill the process."""
         self._process.kill()
         self._process.communicate()
 

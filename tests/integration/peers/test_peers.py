@@ -1,4 +1,4 @@
-"""Participants: they register by name, are found, keep their leases, leave, and come back."""
+"""Peers: they register by name, are found, keep their leases, leave, and return."""
 
 from __future__ import annotations
 
@@ -90,7 +90,10 @@ def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cl
 def test_of_two_live_processes_with_one_proof_the_later_has_the_name_and_the_other_is_told(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """They took it from each other again and again, each with the other's messages, and closing one freed the name."""
+    """Earlier, they took the name from each other again and again, with the other's messages.
+
+    The end of one freed the name.
+    """
     proof = "0123456789abcdef"
     former = st.connect(cluster.address, name="twice", proof=proof)
     with st.connect(cluster.address) as rt, st.connect(cluster.address, name="twice", proof=proof) as latter:
@@ -169,7 +172,7 @@ def test_who_lost_its_name_to_another_is_told(cluster: LocalCluster, caplog: pyt
 
 
 def leave(rt: st.Connection) -> None:
-    """What the directory does when a lease has ended: the peer and its mailbox are gone."""
+    """Remove the peer and its mailbox, as the directory does when a lease has ended."""
     peer = rt.peer(rt.name)
     request = peer_service_pb2.DeregisterPeerRequest(
         request_id=os.urandom(16), peer_id=peer.peer_id, boot_incarnation=peer.boot_incarnation

@@ -1,6 +1,7 @@
-"""Subscriptions of a test, each in a thread, and a producer: what everybody must have seen at the end.
+"""Subscriptions of a test, each in a thread, and a producer; and the items that all readers must have at the end.
 
-The tests of this folder connect over gRPC: on one machine readers would follow the owner's shared memory, and no proxy.
+The tests of this folder connect over gRPC. On one machine readers would otherwise follow the owner's shared memory, and
+use no proxy.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Producing:
 
 @contextmanager
 def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) -> Iterator[list[Reading]]:
-    """So many subscriptions of a channel."""
+    """Begin `count` subscriptions of a channel."""
     readers = [Reading(channel.subscribe(start, **options)) for _ in range(count)]
     try:
         yield readers

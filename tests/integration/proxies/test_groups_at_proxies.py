@@ -33,7 +33,7 @@ class Pair:
         rt.proxy(self.first, "h2")
 
     def at_proxy(self) -> st.Items | None:
-        """What the proxy shows through the group; None if it has not answered."""
+        """The answer of the proxy through the group; None if it has not answered."""
         answer = self.group[self.first].get(st.OLDEST, st.NEWEST, max_staleness="10s")
         return answer if answer.staleness_nanos is not None else None
 

@@ -1,4 +1,4 @@
-"""Owners and proxies that are killed or frozen, and links that are cut: readers go on, or hear of the loss."""
+"""Killed or frozen owners and proxies, and cut links: readers go on, or learn of the loss."""
 
 from __future__ import annotations
 
@@ -64,7 +64,10 @@ def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> 
 
 
 def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> None:
-    """For less than the lease: the owner comes back with its items, and the proxy continues where it was."""
+    """The owner is frozen for less than its lease.
+
+    It comes back with its items, and the proxy continues at its place.
+    """
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")

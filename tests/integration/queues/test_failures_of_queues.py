@@ -125,7 +125,7 @@ def owner(cluster: LocalCluster, queue: st.Queue) -> Any:
 
 
 def in_the_end(call: Callable[[], Result]) -> Result:
-    """What `call` gives once the host is replaced, however long that takes on a busy machine."""
+    """The result of `call` once the host is replaced, however long that takes on a busy machine."""
     while True:
         try:
             return call()

@@ -1,4 +1,4 @@
-"""A taker that hangs (SIGSTOP) with its stream open: what it would be given goes to live takers, until it goes on."""
+"""A taker that hangs (SIGSTOP) with its stream open: other takers get its messages until it goes on."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ asyncio.run(main())
 
 @contextmanager
 def taker(client: str, address: str, queue: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that takes and acknowledges all that it is given, and prints what still was its own."""
+    """A process that takes and acknowledges messages, and prints those that it still had the lease of."""
     command = [sys.executable, "-c", TAKER[client], address, queue]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

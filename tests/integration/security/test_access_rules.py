@@ -1,4 +1,4 @@
-"""Rules of access in a running cluster: who owns what, what operators are told, and what is logged.
+"""Rules of access in a running cluster: owners, answers for operators, and logs.
 
 tests/contract/test_access.py has each verb, and the streams that end.
 """
@@ -42,7 +42,7 @@ cluster = cluster_fixture(hosts=2)
 
 
 def refused(ask: Callable[[], Any]) -> str:
-    """What `ask` is told."""
+    """The error text that `ask` raises."""
     with pytest.raises(PermissionDenied) as caught:
         ask()
     return caught.value.message
@@ -55,7 +55,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 
 def things(cluster: LocalCluster) -> None:
-    """What the tests ask for, made by somebody whom no rules judge."""
+    """Make the things that the tests use, as a caller whom no rule limits."""
     with st.connect(cluster.address) as rt:
         video = rt.channel("video/1", consumers=1)
         video.put(b"frame")
@@ -90,7 +90,9 @@ def test_nobody_finds_the_host_of_a_hidden_channel_by_opening_beside_it(
 def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """Errors told the name of a channel, queue, group or peer, and the owner of a peer, to everybody with its id."""
+    """Earlier, errors told the name of a channel, queue, group or peer, and the owner of a peer, to every caller with
+    its id.
+    """
     with st.connect(cluster.address, name="unseen/peer") as rt:
         things(cluster)
         hidden = rt.channel("unseen/channel")
@@ -126,7 +128,7 @@ def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(
 
 
 def denied(method: Any, request: Any, operator: Operator) -> str:
-    """What a client that may only put is told."""
+    """The error text for a client that may only put."""
     with pytest.raises(grpc.RpcError) as caught:
         method(request, timeout=10, metadata=call_metadata(operator.token("cam")))
     assert caught.value.code() is grpc.StatusCode.PERMISSION_DENIED
@@ -231,7 +233,7 @@ def test_no_listing_and_no_watch_tells_of_things_that_its_caller_may_not_list(
 
 
 def listed(method: Any, request: Any, metadata: Any) -> list[Any]:
-    """All pages with one thing each."""
+    """All pages of a list, with one thing on each page."""
     pages = [method(request(page_size=1), timeout=10, metadata=metadata)]
     while pages[-1].next_page_token:
         pages.append(method(request(page_size=1, page_token=pages[-1].next_page_token), timeout=10, metadata=metadata))
@@ -299,7 +301,7 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It said "0, none lost" and "Everything is well", whatever was lost."""
+    """Earlier, it said "0, none lost" and "Everything is well", whatever was lost."""
     things(cluster)
     operator.add("cam", "put", "video/*")
     secret = tmp_path / "token"

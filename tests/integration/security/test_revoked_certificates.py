@@ -1,4 +1,4 @@
-"""A certificate that an operator has revoked: it opens nothing, and what it had opened ends."""
+"""A revoked certificate: new calls with it are refused, and its open streams end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole cluster with certificates: who is let in, who is not, and what they are told."""
+"""A whole cluster with certificates: admitted callers, refused callers, and their errors."""
 
 from __future__ import annotations
 
@@ -177,7 +177,10 @@ def leaving(name: str) -> Callable[[grpc.aio.Channel], Any]:
 
 
 async def knock(channel: grpc.aio.Channel) -> None:
-    """Open a member's stream and say nothing: who may not have one is told before anything is read."""
+    """Open a member's stream without a message.
+
+    A caller without the right is refused before the server reads anything.
+    """
     call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)
     await call.read()
     raise AssertionError(f"the stream ended without a reason: {await call.code()}")
@@ -294,7 +297,7 @@ def test_the_command_line_takes_certificates_from_the_environment(cluster: Local
 
 
 def supernode_command(cluster: LocalCluster, files: st.TlsFiles | None, *words: str) -> tuple[int, str]:
-    """Run `stampede supernode ...` with that certificate: its exit code, and what it printed."""
+    """Run `stampede supernode ...` with that certificate. Returns its exit code and its output."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
     if files is not None:
         named = zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True)
@@ -375,7 +378,7 @@ class Bomb:
 def send(address: str, data: bytes, context: ssl.SSLContext | None) -> None:
     """Send `data` and read until the other side has had enough of it, for one second at most."""
     host, _, port = address.rpartition(":")
-    with contextlib.suppress(OSError):  # it hung up, which is what it should do
+    with contextlib.suppress(OSError):  # the server closed the connection, as it should
         plain = socket.create_connection((host, int(port)), 5)
         plain.settimeout(1)
         with plain, context.wrap_socket(plain, server_hostname=host) if context else plain as stream:

@@ -57,7 +57,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
         for variable, path in (("CA", files.ca), ("CERTIFICATE", files.certificate), ("KEY", files.key)):
             patch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
         with operating(cluster) as made:
-            made.add("somebody", "*", "contract/*")  # what the other tests need, and no more
+            made.add("somebody", "*", "contract/*")  # the rights that the other tests need, and no more
             yield made
 
 

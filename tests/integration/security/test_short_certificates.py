@@ -1,4 +1,4 @@
-"""Certificates that end while they are used: who renews them goes on, who does not is told."""
+"""Certificates that end during use: a caller that renews its certificate goes on, and another one gets an error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In a cluster with certificates a stream over a socket has the rights of the certificate whose ticket it brings."""
+"""In a cluster with certificates, a stream over a socket has the rights of the certificate of its ticket."""
 
 from __future__ import annotations
 

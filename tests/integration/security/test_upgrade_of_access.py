@@ -66,7 +66,7 @@ def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_
     def names_the_member_to_upgrade(words: list[str]) -> bool:
         status, said = told(*words)
         assert status == 1, words
-        # Until the front-end has found the upgraded supernodes again, s3 alone answers, and has no such call.
+        # Until the front-end finds the upgraded supernodes again, only s3 answers, and it does not know the call.
         return "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in said
 
     for words in CHANGES:

@@ -31,10 +31,11 @@ from stampede_rt_runtime.server import serving
 
 
 class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_service_pb2_grpc.PeerServiceServicer):
-    """One that knows no hosts and no peers. `mute`: it answers no ping.
+    """A supernode that knows no hosts and no peers.
 
-    `served` has the cluster that each caller named, and `clocks_asked` whether it asked for clocks, which only the
-    leader tells. The supernodes' addresses in `members` are what it lists, and it takes the first for the leader.
+    `mute`: it answers no ping. `served` has the cluster that each caller named, and `clocks_asked` whether the caller
+    asked for clocks, which only the leader tells. It lists the addresses in `members`, and takes the first for the
+    leader.
     """
 
     def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:
@@ -173,7 +174,7 @@ async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_
 async def test_a_call_for_the_leader_leaves_the_other_cluster_out_that_answers_at_the_known_leaders_address(
     world: World, kind: str, others_know: bool
 ) -> None:
-    """The others may not have elected another one yet: then nobody tells clocks."""
+    """The others may not have elected another leader yet. Then none of them tells clocks."""
     former, follower = FakeSupernode("x"), FakeSupernode("x")
     targets = [await world.supernode(former), await world.supernode(follower)]
     former.members = follower.members = targets
@@ -221,7 +222,7 @@ async def test_a_front_end_that_serves_another_cluster_by_now_takes_no_client_al
     async with connected(kind, frontend) as client:
         await client.hosts()
         serves.cluster_id, serves._supernodes = "y", [await world.supernode(stranger)]
-        own.cluster_id = "z"  # what was there is gone, too
+        own.cluster_id = "z"  # the former data is gone, too
         with pytest.raises(WrongCluster, match="of cluster z, and the caller of cluster x"):
             await client.hosts()
         assert stranger.served == []

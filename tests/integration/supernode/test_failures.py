@@ -1,4 +1,4 @@
-"""Real processes killed for real: what goes on, what is said."""
+"""Real processes, killed: the calls that still succeed, and the log lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A bit flips in the memory of one supernode, which may lead: who differs from most says so, and ends serving."""
+"""A bit flips in the memory of one supernode, perhaps the leader.
+
+A supernode that differs from most reports it, and stops serving.
+"""
 
 from __future__ import annotations
 

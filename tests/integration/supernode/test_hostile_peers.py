@@ -1,4 +1,4 @@
-"""Somebody who speaks the log's protocol with valid credentials, and is no member, before real supernodes."""
+"""Outsiders that speak the log's protocol with valid credentials to real supernodes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def hello(cluster_id: str, name: str, to: Supernode, **more: Any) -> pb.RaftHell
 
 
 async def said(to: Supernode, greeting: pb.RaftHello, *messages: pb.RaftMessage) -> str:
-    """Open a stream, say it all, and return with what the stream ends; empty if it does not end."""
+    """Open a stream and send the messages. Returns the status text with which it ends; empty if it does not end."""
     call = raft_service_pb2_grpc.RaftServiceStub(to.channel).Exchange()  # type: ignore[no-untyped-call]
     await call.write(pb.RaftServiceExchangeRequest(hello=greeting))
     try:
@@ -109,7 +109,7 @@ async def test_whoever_takes_a_members_name_needs_its_store(tmp_path: Path) -> N
 
 
 async def test_a_member_whose_store_is_known_to_a_liar_ends_no_process_and_raises_no_term(tmp_path: Path) -> None:
-    """The liar has stopped a member and taken its folder: each lie costs it the stream, and nobody else anything."""
+    """The liar has stopped a member and taken its folder. Each lie costs it its stream, and does no other harm."""
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         taken, _ = cluster.others(leader)
@@ -134,7 +134,7 @@ async def terms_of(one: Supernode) -> set[int]:
 
 
 def read_identity_of_copy(folder: Path) -> tuple[str, str]:
-    """Of a running supernode's store."""
+    """The identity in a copy of a running supernode's store."""
     with tempfile.TemporaryDirectory() as place:
         shutil.copytree(folder, Path(place) / "copy")
         return read_identity(Path(place) / "copy")

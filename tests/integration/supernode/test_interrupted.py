@@ -1,4 +1,4 @@
-"""Ctrl-C before a service is up ends it at once, without a traceback of what it was just importing."""
+"""Ctrl-C before a service is ready ends it at once, without a traceback from an import."""
 
 from __future__ import annotations
 

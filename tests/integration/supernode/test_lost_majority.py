@@ -1,4 +1,4 @@
-"""What those hear who need the directory when most of its supernodes are gone, and what the services log of it."""
+"""The errors of callers that need the directory when most supernodes are gone, and the log lines of the services."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def lines_of(cluster: LocalCluster, words: str) -> int:
 
 
 def wait_for(cluster: LocalCluster, words: str, *, more_than: int) -> None:
-    """Until a front-end or host has logged it once more."""
+    """Wait until a front-end or host has logged the words once more."""
     deadline, pause = time.monotonic() + PATIENCE_SECONDS, threading.Event()
     while lines_of(cluster, words) <= more_than:
         assert time.monotonic() < deadline, words

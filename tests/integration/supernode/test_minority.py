@@ -1,4 +1,4 @@
-"""What is left of a cluster that has lost its majority can still be saved."""
+"""An operator can still save the data of a cluster that has lost its majority."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hosts of one cluster before the supernodes of another one, and founders who were given different lists."""
+"""Hosts of one cluster with supernodes of another one, and founders that got different lists."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_w
         own = await cluster_id(restored)
         assert own != former_id
         await register(restored, 2, cluster_id=own)
-        # Its lease may have ended while the other cluster started. Its registration is still taken.
+        # Its lease may have ended while the other cluster started. Its registration is still accepted.
         await register(former, 1, cluster_id=former_id)
     finally:
         for one in running:

@@ -32,7 +32,7 @@ CHANNELS, ITEMS = 6, 5
 
 
 def supernode_command(*words: str) -> str:
-    """What `stampede supernode ...` printed; the secret comes from the environment."""
+    """The output of `stampede supernode ...`. The secret comes from the environment."""
     done = subprocess.run(
         [sys.executable, "-m", "stampede_rt.cli", "supernode", *words],
         env=os.environ,
@@ -122,7 +122,7 @@ def test_hosts_and_front_ends_stay_with_their_cluster_and_lose_no_item(cluster: 
                     assert (info.host, info.incarnation, info.epoch) == owned, "it keeps its owner"
                 newcomer.channel("cam/new").put(b"taken by those that live")
             assert "restored is there" in supernode_command("status", "--member", living[0].address)
-            # It knows them from the backup. As neither comes, their leases end there.
+            # It knows them from the backup. Neither of them comes, so their leases end there.
             assert len(asyncio.run(hosts_at(cluster, gone.address, include_dead=True))) == len(cluster.hosts)
             until(
                 lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)), "their leases end there"

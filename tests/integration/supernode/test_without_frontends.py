@@ -1,4 +1,4 @@
-"""Front-ends are where one starts and nothing else: with all of them gone, whoever is bound goes on."""
+"""Clients need a front-end only at their start: without any front-end, bound clients go on."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_what_is_bound_goes_on_without_front_ends_also_to_new_channels_hosts_and
         assert next(reader).payload == b"after"
     assert [item.payload for item in channel.get(st.OLDEST, st.NEWEST)] == [b"before", b"after"]
 
-    # A name that nobody has asked for yet: the supernodes are known, so no front-end is needed.
+    # No client has used this name yet. The supernodes are known, so no front-end is needed.
     other = rt.channel("bound/after", max_age="1h", host="h2")
     other.put(b"new")
     assert [item.payload for item in other.get(st.OLDEST, st.NEWEST)] == [b"new"]
@@ -70,7 +70,7 @@ def test_what_is_bound_goes_on_without_front_ends_also_to_new_channels_hosts_and
     cluster.supernodes[1].kill()
     rt.channel("bound/last", max_age="1h").put(b"last")
 
-    # And one front-end that comes back is all that a new client needs.
+    # One front-end that returns is enough for a new client.
     cluster.frontends[1].start()
     cluster.frontends[1].wait_ready(40)
     with st.connect(cluster.address) as newcomer:

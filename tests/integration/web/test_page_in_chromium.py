@@ -1,4 +1,4 @@
-"""The page in headless Chromium: what a person sees and does there."""
+"""The page in headless Chromium: the things that a person sees and does."""
 
 from __future__ import annotations
 

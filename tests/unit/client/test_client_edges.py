@@ -1,4 +1,4 @@
-"""What callers state, checked at the edge; caches and retries; errors on the wire."""
+"""Checks of arguments at the edge; caches and retries; errors on the wire."""
 
 from __future__ import annotations
 

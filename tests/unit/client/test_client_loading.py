@@ -1,4 +1,6 @@
-"""What is loaded when: little by `import stampede_rt` and the command's entry, and gRPC so that it logs errors only."""
+"""The modules that are loaded, and when: few by `import stampede_rt` and the command's entry; gRPC so that it logs
+errors only.
+"""
 
 from __future__ import annotations
 

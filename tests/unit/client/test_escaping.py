@@ -1,4 +1,4 @@
-"""No verb prints control characters of its arguments: scripts pass on what other programs wrote."""
+"""No verb prints control characters from its arguments, because scripts pass on the output of other programs."""
 
 from __future__ import annotations
 

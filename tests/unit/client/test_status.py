@@ -1,4 +1,4 @@
-"""What a failed call says of its cause."""
+"""The error of a failed call names its cause."""
 
 from __future__ import annotations
 

@@ -67,9 +67,9 @@ METHODS = {
     "ListPeers": st.Connection.peers,
     "WatchPeers": st.Connection.watch_peers,
 }
-# What hosts ask of supernodes, and of each other.
+# Calls of hosts to supernodes, and to each other.
 OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel", "ExchangeTimes"}
-# To measure round trips, and to find the addresses of sockets.
+# Calls that measure round trips, or find the addresses of sockets.
 OF_CONNECTIONS = {"Ping", "ListDataEndpoints", "ShareMemory"}
 
 

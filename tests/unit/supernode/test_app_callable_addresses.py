@@ -20,7 +20,7 @@ ELSEWHERE = "10.0.0.5:7590"
 
 
 def cluster_at(*targets: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `join` reaches is a cluster whose members have these addresses."""
+    """Let `join` find a cluster whose members have these addresses."""
     members = [
         SimpleNamespace(supernode_id=f"s{number}", endpoint=SimpleNamespace(target=target))
         for number, target in enumerate(targets, 1)

@@ -1,4 +1,4 @@
-"""A supernode whose state is not the leader's: how that is told from a sound one, and what it answers then."""
+"""A supernode whose state differs from the leader's: how it is noticed, and its answers from then on."""
 
 from __future__ import annotations
 

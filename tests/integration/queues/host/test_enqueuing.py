@@ -1,4 +1,4 @@
-"""Producers at a channel host, over gRPC with the generated stubs: what is accepted, and what waits."""
+"""Producers at a channel host, over gRPC with the generated stubs: accepted messages, and waiting ones."""
 
 from __future__ import annotations
 

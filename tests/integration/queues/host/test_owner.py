@@ -1,4 +1,4 @@
-"""Which host serves a queue, and how, over gRPC with the generated stubs."""
+"""The host that serves a queue, over gRPC with the generated stubs."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ async def test_takers_of_a_deleted_queue_are_told_and_its_items_are_gone(rig: Qu
     queue = rig.open()
     taker = await queue.take(credit=1).open()
     await rig.directory.called("Watch", times=1)
-    await rig.directory.called("ResolveQueue", times=2)  # what may have been missed before the watch began
+    await rig.directory.called("ResolveQueue", times=2)  # the change may have come before the watch began
     del rig.directory.queues[queue.queue_id]
     rig.directory.tell(queue.record)
     assert await taker.ended() == grpc.StatusCode.NOT_FOUND

@@ -1,4 +1,4 @@
-"""Takers at a channel host, over gRPC with the generated stubs: what they are given, and what they settle."""
+"""Takers at a channel host, over gRPC with the generated stubs: their deliveries and settlements."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> N
 
 
 async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() -> None:
-    """Its stream is open, and it has credit for more: every item went to it again."""
+    """Its stream is open, and it has credit. Earlier, every message went to it again and again."""
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)

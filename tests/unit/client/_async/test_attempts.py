@@ -1,4 +1,4 @@
-"""How an operation is tried again: after what may pass, until its time is over, and what is told then."""
+"""Repeated tries of an operation: after errors that may pass, until its time is over; and the error at the end."""
 
 from __future__ import annotations
 

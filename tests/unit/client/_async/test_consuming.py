@@ -51,7 +51,7 @@ class FakeHost:
 
 
 class FakeSession:
-    """What consuming needs of a session."""
+    """The parts of a session that consuming uses."""
 
     def __init__(self) -> None:
         self.host = FakeHost()

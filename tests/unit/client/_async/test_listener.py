@@ -1,4 +1,4 @@
-"""What ends a function that is called for each item is told, whatever it was."""
+"""Any error that ends a listener is reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Session:
 
 
 class Defective:
-    """A subscription in which something fails that nobody thought of."""
+    """A subscription that fails with an unexpected error."""
 
     dropped = skipped = reconnects = 0
 

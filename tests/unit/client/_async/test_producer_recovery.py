@@ -25,7 +25,7 @@ LIMIT_S = 5.0
 
 
 class Duplex:
-    """A stream that keeps what is sent."""
+    """A stream that keeps its requests."""
 
     def __init__(self, on_response: Any, on_end: Any) -> None:
         self.on_response, self.on_end = on_response, on_end
@@ -124,7 +124,7 @@ async def test_one_message_with_several_refusals_wakes_a_flush_that_waits() -> N
 
 
 async def test_a_host_that_takes_and_answers_nothing_ends_a_put_with_its_time() -> None:
-    """Its process lives, so that its connection does: its event loop hangs."""
+    """The host's process lives, so the connection lives, too; its event loop hangs."""
     place = Place()
     producer = await three_in_flight(place)
     for _ in range(IN_FLIGHT_RUNS_MAX - 3):
@@ -187,7 +187,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over
 
 
 async def test_what_a_final_failure_left_is_sent_by_whoever_puts_after_it() -> None:
-    """A failure was told for ever, and what was not acked was never sent again."""
+    """Earlier, a failure was reported for ever, and runs without an ack were never sent again."""
     place = Place()
     producer = await three_in_flight(place)
     await place.streams[0].on_end(st.StampedeError("the host failed with a defect"))

@@ -1,4 +1,4 @@
-"""Which puts share a stream, and which do not."""
+"""The puts that share a stream, and those that do not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How streams come back: for as long as their user lets them, at growing distances, and not one step longer."""
+"""Reconnecting streams: as long as the user allows, at growing intervals."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def run_of(*seqs: int) -> item_pb2.ItemRun:
 
 
 class Stream:
-    """A Take stream: keeps what is said, and answers what the test gives it."""
+    """A Take stream. It keeps the requests, and gives the responses that the test states."""
 
     def __init__(self, opens: bool = True, error: st.StampedeError | None = None) -> None:
         self.opens = opens
@@ -81,7 +81,7 @@ class Staying(BindingCache):
 
 
 class Host:
-    """A session with one host, which keeps the streams and what was given back."""
+    """A session with one host. It keeps the streams and the returned messages."""
 
     closing = closed = False
     inherited = False
@@ -147,7 +147,7 @@ async def until_said(stream: Stream, wanted: Any) -> None:
 
 
 async def until_handed_over(taker: Taker) -> None:
-    """Until somebody who waited was given a message, and before it runs on."""
+    """Wait until a waiting caller has a message, before the caller runs on."""
     credit, waiting = taker._credit, len(taker._waiting)
     for _ in range(1000):
         if taker._credit < credit and len(taker._waiting) < waiting:
@@ -177,7 +177,9 @@ async def test_as_much_is_asked_for_as_is_waited_for() -> None:
 
 
 async def test_those_for_whom_nothing_could_be_asked_yet_are_served_when_others_were() -> None:
-    """Nobody asked for the 1025th who waited, and it waited for ever beside messages that were there."""
+    """Earlier, the client asked for no message for the 1025th waiting caller, which waited for ever beside available
+    messages.
+    """
     host = Host()
     taker = taker_at(host)
     gets = [asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(1026)]
@@ -247,7 +249,7 @@ async def test_a_message_that_its_cancelled_getter_never_saw_goes_to_the_next_on
 
 
 async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> None:
-    """It stayed in line, and the next message was leased to nobody until its lease ended."""
+    """Earlier, it stayed in line, and the next message was leased to no caller until its lease ended."""
     host = Host()
     taker = taker_at(host)
     held = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -263,7 +265,7 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
 
 
 async def test_a_poll_that_gets_what_another_had_asked_for_is_answered_at_once() -> None:
-    """It waited for 12 s beside its message, for a stream on which to ask."""
+    """Earlier, it waited for 12 s beside its message, for a stream on which to ask."""
     host = Host()
     taker = taker_at(host)
     cancelled = asyncio.ensure_future(taker.get(FOR_EVER))

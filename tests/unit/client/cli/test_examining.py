@@ -1,4 +1,4 @@
-"""What `stampede doctor` believes of those whom it asks."""
+"""The answers that `stampede doctor` believes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ REFUSED = {"s1": "'s1' comes with an older copy of its store"}
 
 
 def answer(address: str) -> PartAnswer:
-    """Of somebody at an address who says to be s1, and refused."""
+    """The answer of a part at an address that calls itself s1, and refused."""
     seen = Observation(kind=SUPERNODE, name="s1", address=address)
     return PartAnswer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
 
@@ -20,5 +20,5 @@ def test_a_copy_of_a_member_at_another_members_address_does_not_speak_for_the_me
     listed = {"s1:1": "s1", "s2:1": "s2"}
     assert _refused_by(answer("s2:1"), listed) == {}
     assert _refused_by(answer("s1:1"), listed) == REFUSED
-    # At an address that nobody lists, as of one that moved: it may be the member itself.
+    # At an address that no supernode lists, like that of a moved member: it may be the member itself.
     assert _refused_by(answer("s9:1"), listed) == REFUSED

@@ -1,4 +1,4 @@
-"""What `doctor` says of a supernode of another cluster, such as a restored backup at the address of one of ours."""
+"""The findings of `doctor` about a supernode of another cluster, such as a restored backup at a member's address."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 
 
 def answer(name: str, cluster_id: str | None) -> PartAnswer:
-    """What a supernode said; None: nothing."""
+    """The answer of a supernode; None: it did not answer."""
     seen = Observation(kind=SUPERNODE, address=f"{name}:1", name=name)
     if cluster_id is None:
         return PartAnswer(None, seen)

@@ -28,7 +28,7 @@ PRELUDE = """
 
 
 def ended(program: str) -> tuple[int, str]:
-    """The exit status of a program, and what it printed."""
+    """The exit status and the output of a program."""
     source = textwrap.dedent(PRELUDE) + textwrap.dedent(program)
     with started([sys.executable, "-c", source], stderr=subprocess.STDOUT) as process:
         out, _ = process.communicate(timeout=PATIENCE_S)

@@ -1,4 +1,4 @@
-"""What reaches a terminal: no control characters, and lines that fit."""
+"""Output to a terminal has no control characters, and its lines fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which addresses are this machine's own, and who is told the user's own secret."""
+"""The addresses that count as this machine's own, and the servers that get the user's own secret."""
 
 from __future__ import annotations
 

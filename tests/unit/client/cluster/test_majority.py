@@ -1,4 +1,4 @@
-"""What a caller hears when no supernode served a call."""
+"""The error of a call that no supernode served."""
 
 from __future__ import annotations
 

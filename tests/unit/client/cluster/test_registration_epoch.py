@@ -1,4 +1,4 @@
-"""Which number a process registers with, and when it gives way to another one."""
+"""The number with which a process registers, and the moment at which it gives way to another process."""
 
 from __future__ import annotations
 

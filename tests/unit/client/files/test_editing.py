@@ -48,7 +48,7 @@ def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: 
         assert not damages
         assert seqs_of(events) == seqs_of(events, "imu") == expected, length
         assert report.damages[-1].end == length
-        for counts in report.summary.channels:  # says what is missing, for each channel that it knows of
+        for counts in report.summary.channels:  # names the missing items of each channel that it knows
             assert counts.gaps[-1].first_seq == expected[-1] + 1
             assert counts.gaps[-1].reason == "DAMAGED"
         assert verify(saved).intact

@@ -8,7 +8,10 @@ FRAME = 18_000
 
 
 class Reader:
-    """Takes items that are there at once, each for so long; `ahead` is what the host may have sent before it asks."""
+    """Takes items that are available at once, each in a stated time.
+
+    `ahead`: the bytes that the host may have sent before it asks.
+    """
 
     def __init__(self, window: CreditWindow, item_bytes: int) -> None:
         self.window = window

@@ -40,7 +40,7 @@ def test_a_late_one_is_still_done() -> None:
 
 
 class TestClock:
-    """Time that passes only while somebody waits, or where the sampled function lets it."""
+    """A clock that moves only while a caller waits, or when the sampled function moves it."""
 
     __test__ = False
 

@@ -50,7 +50,7 @@ def test_a_change_that_cannot_be_used_is_told_once_and_the_last_good_secret_stay
     assert len(caplog.records) == 1
     assert "can be read by every user" in caplog.records[0].getMessage()
     for _ in range(2):
-        written(path, "")  # somebody is writing it
+        written(path, "")  # another process is writing the file
         assert reader.current() == "first"
         path.unlink()
         assert reader.current() == "first"

@@ -1,4 +1,4 @@
-"""Unit tests of `ServerEndpoint.share_memory` for asyncio: a ring that nobody wants any more is closed."""
+"""`ServerEndpoint.share_memory` on asyncio: a ring is closed if its caller no longer wants it."""
 
 from __future__ import annotations
 

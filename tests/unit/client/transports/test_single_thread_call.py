@@ -145,7 +145,7 @@ def test_the_status_of_a_call_comes_with_its_trailers_again_and_again(endpoint: 
         error: Any = raised.value
         assert (error.code(), error.details()) == (grpc.StatusCode.NOT_FOUND, "no such channel")
         assert dict(error.trailing_metadata())[DETAILS_KEY] == b"why"
-        call.send(pb.SubscribeRequest())  # what is sent after the end goes nowhere
+        call.send(pb.SubscribeRequest())  # a message sent after the end is dropped
 
 
 def test_a_call_that_the_server_ended_well_stops(endpoint: ServerEndpoint) -> None:

@@ -1,4 +1,4 @@
-"""Codecs without a network: what is missing, what travels between processes."""
+"""Codecs without a network: missing packages, and values between processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups as their readers hold them: who may be a member, and how values are found by channel."""
+"""Values of groups: possible members, and the search of values by channel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said to a caller whose payload is refused."""
+"""The error texts for refused payloads."""
 
 from __future__ import annotations
 

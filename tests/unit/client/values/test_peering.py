@@ -1,4 +1,4 @@
-"""What a participant keeps to itself, and what a queue's caller may state."""
+"""The private values of a peer, and the arguments that a queue's caller may give."""
 
 from __future__ import annotations
 

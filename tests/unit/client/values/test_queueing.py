@@ -1,4 +1,4 @@
-"""What callers give to queues: text that cannot be sent is refused with a sentence."""
+"""The arguments of callers of queues: text that cannot be sent is refused with a sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the surface says to type checkers: the kinds of arguments have names, and words are those that are accepted."""
+"""The types of the public arguments: they have names, and allow exactly the accepted words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a host sends is checked before items are made of it."""
+"""The client checks a host's messages before it makes items from them."""
 
 from __future__ import annotations
 

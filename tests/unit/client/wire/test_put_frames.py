@@ -1,4 +1,4 @@
-"""Requests framed by hand are what protobuf would have made of the same values."""
+"""Requests that the client frames itself equal those of protobuf."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Item runs: what a producer encodes is what a reader decodes, whatever the host appends or cuts."""
+"""Item runs: a reader decodes the items that a producer encoded, whatever the host appends or cuts."""
 
 from __future__ import annotations
 

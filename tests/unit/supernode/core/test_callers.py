@@ -1,4 +1,4 @@
-"""What hosts and peers may say of themselves when they register, and who may ask for queues and peers at all."""
+"""The facts that hosts and peers may state when they register, and the callers that may ask for queues and peers."""
 
 from __future__ import annotations
 

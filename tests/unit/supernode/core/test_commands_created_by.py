@@ -1,4 +1,4 @@
-"""Channels, queues and groups record who made them."""
+"""Channels, queues and groups record their creators."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""A request to open that comes late, after its caller had its answer, makes nothing again.
+"""A request to open that arrives late, after its caller had its answer, creates nothing again.
 
-The scenario: a caller opens `cam`, hears nothing, and tries again at another supernode. `cam` is there by now, so the
-second attempt is answered at once, without an entry in the log. Somebody deletes `cam`. Then the first attempt, which
-had been under way all the time, comes to be applied; nobody remembered the request, so it made the channel anew.
+The scenario: a caller opens `cam`, gets no answer, and tries again at another supernode. `cam` exists by then, so the
+second attempt is answered at once, without an entry in the log. Another caller deletes `cam`. Then the first attempt,
+which was under way all the time, is applied. Earlier, no record of the request was left, so it created the channel
+again.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ async def node() -> AsyncIterator[Node]:
 
 
 async def open_and_delete(node: Node, request: pb.OpenChannelRequest) -> None:
-    """Another makes the channel, the second attempt of `request` finds it there, and it is deleted."""
+    """Another caller creates the channel, the second attempt of `request` finds it, and it is deleted."""
     made = await node.open("cam")
     index = node.log.index
     assert (await node.stub.OpenChannel(request)).channel == made.channel
@@ -94,7 +95,9 @@ async def test_a_request_that_stood_still_at_a_supernode_does_not_bring_a_delete
 async def test_a_request_that_the_network_held_opens_nothing_once_its_repetition_was_answered(
     node: Node, kind: str
 ) -> None:
-    """Its repetition was answered without an entry, and the held request made the thing again after it was deleted."""
+    """Earlier, the repetition was answered without an entry, and the held request created the thing again after its
+    deletion.
+    """
     member = (await node.open("member")).channel.channel_id
     spec = group_pb2.GroupSpec(channel_ids=[member])
     held: dict[str, tuple[Any, Any]] = {

@@ -1,4 +1,4 @@
-"""Whatever the log brings, the directory's invariants hold, and every replica says the same."""
+"""After any commands, the directory's invariants hold, and all replicas agree."""
 
 from __future__ import annotations
 

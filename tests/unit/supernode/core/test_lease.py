@@ -34,7 +34,7 @@ def table() -> LeaseTable:
 
 
 def pass_time(table: LeaseTable, start: int, end: int) -> list[tuple[bytes, int, int]]:
-    """What is due at `end`, with a look every second: a leader that runs."""
+    """The due leases at `end`, for a leader that looks every second."""
     due: list[tuple[bytes, int, int]] = []
     for now in range(start, end + 1, SECOND):
         due = table.due(now)
@@ -155,7 +155,7 @@ class CountedHolder:
 
 
 def test_very_many_leases_are_looked_at_and_ended_a_part_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With 100,000 leases each look took 25 ms, and to follow the holders took 107 ms."""
+    """With 100,000 leases each look once took 25 ms, and to follow the holders took 107 ms."""
     looks, count = 0, 5 * LOOKS_MAX
     look = LeaseTable._look
 
@@ -190,7 +190,7 @@ def test_a_holder_that_has_registered_since_it_was_gone_keeps_its_lease_and_its_
     assert table.renew(again, TTL)
     table.note_gone(again.host_id, 8)
     table.note(host(1), TTL)
-    assert table.due(2 * TTL - 1) == []  # all others got a full TTL: nobody had looked
+    assert table.due(2 * TTL - 1) == []  # all others got a full TTL, because the leader had not looked
     assert (again.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
     table.note_gone(again.host_id, 8)
     assert not table.renew(again, 4 * TTL), "its end is proposed"

@@ -47,7 +47,7 @@ class LeaseMachine(RuleBasedStateMachine):
 
     @rule(seconds=st.integers(1, 6), looking=st.sampled_from([(0,), (1,), (0, 1), (0, 1)]), sees_log=st.booleans())
     def pass_time(self, seconds: int, looking: tuple[int, ...], sees_log: bool) -> None:
-        """Who does not look is frozen."""
+        """Let time pass. A leader that does not look is frozen."""
         for _ in range(seconds):
             self.now += SECOND
             for node in looking:
@@ -86,7 +86,7 @@ class LeaseMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.confirming)
     @rule(which=st.just(0))
     def confirm_renewal(self, which: int) -> None:
-        """As LeaseKeeper.renew does; only who leads can confirm a read."""
+        """Confirm a renewal, as LeaseKeeper.renew does. Only the leader can confirm a read."""
         node, tenure, received, sent = self.confirming.pop(which % len(self.confirming))
         table, host = self.tables[node], self.log.directory.tables.hosts.get(HOST_ID)
         leads = node == self.leader and table.tenure == tenure == self.tenure

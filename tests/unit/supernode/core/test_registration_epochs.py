@@ -1,7 +1,7 @@
-"""What an older process of a peer or host sent is not done after its newer process has registered.
+"""A request of an older process of a peer or host is not performed after its newer process has registered.
 
 The scenario: a peer's process asks to register, and the network holds the request. The process is killed and started
-again, and the new one registers. Then the held request arrives. It took the name from the process that lives.
+again, and the new one registers. Then the held request arrives. Earlier, it took the name from the live process.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def assert_stale(result: Result, *, reached: int, alive: bool = True) -> None:
 def test_a_registration_of_an_older_process_that_comes_late_is_refused(log: Log, made: Make) -> None:
     assert epoch_in(log.apply(made(boot=1, epoch=0))) == 0
     assert_stale(log.apply(made(boot=2, epoch=0)), reached=0)
-    late = made(boot=2, epoch=1)  # what the second process sends next, and the network holds
+    late = made(boot=2, epoch=1)  # the next request of the second process, which the network holds
     assert epoch_in(log.apply(made(boot=3, epoch=1))) == 1
     before = record_of(log)
     assert_stale(log.apply(late), reached=1)

@@ -1,4 +1,4 @@
-"""A snapshot is of one moment while the directory goes on, and the next one writes only what has changed since."""
+"""A snapshot is of one moment while the directory changes, and the next one writes only the changes since."""
 
 from __future__ import annotations
 

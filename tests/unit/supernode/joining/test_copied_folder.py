@@ -28,7 +28,7 @@ class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
 
 
 async def watched(one: Answering, looks_max: int = 20) -> str:
-    """What process 7 of s1, of cluster "c", comes to: "itself", "copy", or "looks" if it is still looking."""
+    """The finding of process 7 of s1, of cluster "c": "itself", "copy", or "looks" if it still looks."""
     looks = 0
 
     async def count(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""What a supernode says of itself when it was started in a way that cannot be meant."""
+"""The errors of a supernode that was started with contradictory arguments."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ async def test_a_backup_of_a_running_cluster_founds_another_one_that_knows_all_t
         restored = await prepared("init", "r", ports[1], tmp_path, "--restore", str(backup))
         await restored.start()
         assert (await resolve(restored, "cam/kept")).channel.channel_id == opened.channel.channel_id
-        # Another cluster, for those who would take either: a former member may come back.
+        # Another cluster, for processes that would accept either: a former member may return.
         async for _ in attempts():
             if await cluster_id(restored) != former_id:
                 break
@@ -179,7 +179,7 @@ async def test_a_founder_that_lost_its_disk_is_refused_and_what_was_acknowledged
         # The two that lack the channel are a majority: with the old id back, they would lead without it.
         await away.start()
         await wiped.start()
-        # One member's word holds it back; most of the others' ends it.
+        # One member's word delays it; the word of most others ends it.
         await status_has(away.address, f"{wiped.name} is refused: '{wiped.name}' has come with another store before")
         await leader.start()
         assert await wiped.ended() == 1

@@ -22,7 +22,7 @@ from stampede_rt_supernode.replication.interface import too_old
 
 
 class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
-    """Refuses everybody until it is told otherwise; then the newcomer is a member."""
+    """Refuses all newcomers until the test changes that. Then the newcomer is a member."""
 
     def __init__(self) -> None:
         self.refuses, self.asked, self.has_let_in = True, 0, False

@@ -1,4 +1,4 @@
-"""Reads that wait share one, and nobody is answered by a read that began before it asked."""
+"""Waiting reads share one read. No caller gets the answer of a read that began before its call."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Behind:
         return 1
 
     def check_state(self) -> None:
-        """It is sound."""
+        """Accept the state."""
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCall
 
 
 async def test_a_supernode_that_lags_behind_checks_the_rights_to_what_it_has_not_heard_of(log: Log) -> None:
-    """It took the thing for missing, checked nothing, and the log then deleted it."""
+    """Earlier, it took the thing for missing, checked nothing, and the log then deleted the thing."""
     calls, behind = calls_of(log, known=Log().directory)
     channel_id = log.directory.tables.channel_ids["secret/plan"]
     async with called_by("thief", AccessRule("*", (AccessVerb.READ,), None, "*")):

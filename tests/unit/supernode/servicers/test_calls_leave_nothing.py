@@ -1,4 +1,4 @@
-"""A supernode keeps of a call only what the directory counts: nothing waits for Python's collector."""
+"""A supernode keeps only the counted things of a call. It leaves nothing to Python's collector."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leases from end to end: RPCs, the leader's table, and what the log makes of it. On a manual clock."""
+"""Leases from end to end: RPCs, the leader's table, and the entries of the log. With a manual clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Listings hold what their caller may list, and tell nothing of the rest."""
+"""Listings contain only things that their caller may list, and reveal nothing about the rest."""
 
 from __future__ import annotations
 

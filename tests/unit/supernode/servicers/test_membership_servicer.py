@@ -1,4 +1,4 @@
-"""Join tokens, MembershipService on an in-memory log, and what a data folder says of itself."""
+"""Join tokens, MembershipService on a log in memory, and the facts in a data folder."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ async def test_a_few_snapshots_are_asked_for_at_once_and_no_more(rig: tuple[Node
     node.log.reads_may_end.clear()
     waiting = [stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10) for _ in range(SNAPSHOTS_MAX)]
     firsts = [asyncio.ensure_future(call.read()) for call in waiting]
-    # Those that came first are still waiting: one more is refused, whichever it is.
+    # The first ones are still waiting, so one more is refused.
     extra = stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10)
     refused = await first_refused([*firsts, asyncio.ensure_future(extra.read())])
     assert refused.reason == "OVERLOADED"

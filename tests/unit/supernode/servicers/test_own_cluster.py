@@ -1,4 +1,6 @@
-"""Whose callers a supernode serves: those of its own cluster, of one whose place it took, and those who name none."""
+"""The callers that a supernode serves: of its own cluster, of a cluster that it replaced, and those that name no
+cluster.
+"""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ async def test_a_new_leader_grants_peers_a_full_lease(node: Node) -> None:
 async def test_a_leader_follows_the_peers_that_change_and_all_of_them_a_few_in_a_turn(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With 100,000 peers each one that came or went cost the leader 0.1 s."""
+    """With 100,000 peers, each peer that came or left once cost the leader 0.1 s."""
     monkeypatch.setattr(followed_peers, "PEERS_PER_TURN", 4)
     noted: list[int] = []
     note, turn = lease.LeaseTable.note, 0
@@ -184,7 +184,7 @@ async def test_another_boot_can_neither_renew_nor_leave(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7, "planner"))
     assert (await reason_of(node.peers.RenewPeerLease(renewal(7, boot=2)))).reason == "LEASE_EXPIRED"
     assert (await reason_of(node.peers.DeregisterPeer(leaving(7, boot=2)))).reason == "LEASE_EXPIRED"
-    await node.peers.DeregisterPeer(leaving(99))  # who is not there has left already
+    await node.peers.DeregisterPeer(leaving(99))  # a peer that is not registered counts as having left
 
 
 async def test_peers_are_listed_by_name_and_the_nameless_last(node: Node) -> None:
@@ -258,7 +258,7 @@ AHEAD = peer_pb2.ClockOffset(offset_nanos=30_000_000, uncertainty_nanos=700_000,
 
 
 async def clocks(node: Node, **fields: Any) -> dict[str, peer_pb2.ClockOffset | None]:
-    """By the names of the peers; None where it is unknown."""
+    """The clock offsets by the names of the peers; None: unknown."""
     listed = await Node.call(node.peers.ListPeers(pb.ListPeersRequest(with_clocks=True, **fields)))
     return {peer.name: peer.clock if peer.HasField("clock") else None for peer in listed.peers}
 

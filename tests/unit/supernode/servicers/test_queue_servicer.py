@@ -1,4 +1,4 @@
-"""Queues over gRPC: what the servicer adds to the transitions."""
+"""Queues over gRPC: the parts that the servicer adds to the transitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups and copies over gRPC: what the servicers add to the transitions."""
+"""Groups and copies over gRPC: the parts that the servicers add to the transitions."""
 
 from __future__ import annotations
 

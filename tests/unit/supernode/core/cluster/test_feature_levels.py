@@ -1,4 +1,4 @@
-"""Feature levels: what a cluster of several releases may use, and what becomes of a release that knows too little."""
+"""Feature levels: the commands that a cluster of several releases may use, and a release that knows too few."""
 
 from __future__ import annotations
 

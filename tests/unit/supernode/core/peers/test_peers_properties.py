@@ -1,4 +1,4 @@
-"""Whatever the log brings, a name has one live owner, a live named peer one mailbox, and a queue one place."""
+"""After any commands, a name has one live owner, a live named peer one mailbox, and a queue one owner."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class Owners:
-    """Who is in, told from what was asked and answered alone: the oracle for the directory's peers."""
+    """The live peers, computed from requests and answers only: the oracle for the directory's peers."""
 
     def __init__(self) -> None:
         self.living: dict[bytes, RegisterPeer] = {}

@@ -1,4 +1,4 @@
-"""The library is exactly the one that was studied, and its copy shares nothing with anybody else's."""
+"""The library is exactly the examined one, and its copy shares nothing with other copies."""
 
 from __future__ import annotations
 

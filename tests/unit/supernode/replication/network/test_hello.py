@@ -1,4 +1,4 @@
-"""Which introductions a member refuses for the release of the caller, and what that does to the caller."""
+"""The introductions that a member refuses because of the caller's release, and the effect on the caller."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OTHERS_STORE = "the store with which s2 came before"
 
 
 def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal | None:
-    """What s1, of a cluster at level `cluster`, says to s2, whose release knows level `knows`."""
+    """The refusal of s1, of a cluster at level `cluster`, for s2, whose release knows level `knows`."""
     of_s2, of_s1 = (ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF))
     hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, durable_end=(3, 7), roster=ROSTER, highest_level=knows)
     for name, value in changes.items():
@@ -37,7 +37,7 @@ def test_a_release_that_knows_the_clusters_level_or_more_is_heard() -> None:
 
 
 class Links3(PeerLinks):
-    """The links of s2, which is one of three. `done`: what else they have had done."""
+    """The links of s2, one of three members. `done`: the other calls that they got."""
 
     def __init__(self, leader_id: str | None = None) -> None:
         settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
@@ -47,7 +47,7 @@ class Links3(PeerLinks):
         self.on_refusal_confirmed = self.done.append
 
     def hear(self, member_id: str, refusal: HelloRefusal | None) -> None:
-        """That one has refused s2."""
+        """Note that the member has refused s2."""
         assert refusal is not None
         self._on_refused(member_id, f"{refusal.code.name}: {refusal.why}", self.done.append)
 

@@ -51,7 +51,7 @@ def timeout_now(term: int) -> pb.RaftMessage:
 
 
 class Inbox:
-    """Stands for a replica: keeps what it is told, on the loop of the test."""
+    """Stands for a replica. Keeps its messages, on the loop of the test."""
 
     roster = ROSTER
     feature_level = 1
@@ -109,7 +109,7 @@ async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_m
 
 
 async def greeted_by_an_older_copy(channel: grpc.aio.Channel) -> str:
-    """What somebody hears who comes as OTHER, with a store that lacks what OTHER has promised."""
+    """The answer to a caller that calls itself OTHER, with a store that lacks entries which OTHER has promised."""
     call = _pb_grpc.RaftServiceStub(channel).Exchange()
     hello = hello_to("self", settings_of(OTHER))
     hello.store_id = "one"

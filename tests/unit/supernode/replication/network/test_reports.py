@@ -1,4 +1,4 @@
-"""What is logged once, however often it happens."""
+"""Events that are logged once, however often they happen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which releases a leader lets in: those that know the cluster's feature level, and the one to which it is to rise."""
+"""The releases that a leader lets in: those that know the present feature level, and the next one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEWCOMER = Member(member_id="new", address="new:1")
 
 
 class Leader(LoneNode):
-    """Leads `a`, `b` and `c`, of which `b` and `c` have told what levels they know; a newcomer is about to join."""
+    """Leads `a`, `b` and `c`. `b` and `c` have reported their levels. A newcomer is about to join."""
 
     def __init__(self, *, level: int, knows: int, told: Mapping[str, int]) -> None:
         machine = ListMachine()
@@ -38,7 +38,7 @@ class Leader(LoneNode):
         self.tick()
 
     def let_in(self, knows: int | None) -> ChangeOutcome:
-        """The newcomer joins, holds the whole log, and has told what level it knows; None: it has told nothing."""
+        """Let the newcomer join with the whole log. It has reported the level `knows`; None: it has reported none."""
         self.changes.add(MemberChange(NEWCOMER, False, self.outcomes.append))
         self.node.transport.deliver(Connected(NEWCOMER.member_id))
         if knows is not None:

@@ -1,4 +1,4 @@
-"""A leader removes nobody, itself included, unless it knows that a majority of the others is alive."""
+"""A leader removes no member, itself included, unless it knows that a majority of the others is alive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a caller hears of its command, for every answer of the library."""
+"""The outcome of a command for its caller, for every answer of the library."""
 
 from __future__ import annotations
 

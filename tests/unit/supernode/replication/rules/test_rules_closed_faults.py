@@ -86,7 +86,9 @@ def test_a_vote_that_comes_twice_counts_once(rules: type) -> None:
 
 
 class LeftByTwoSteps(MemoryStore):
-    """What a crash between writing a snapshot and trimming the log leaves: entries 1 to 10, snapshot up to 5."""
+    """The store after a crash between the write of a snapshot and the trim of the log: entries 1 to 10, snapshot up to
+    5.
+    """
 
     def load(self) -> StoredState:
         entries = [Entry(command(f"{index}/1"), index, 1) for index in range(1, 11)]

@@ -1,4 +1,6 @@
-"""What a hostile holder of valid credentials says to one node: it is at fault, or not heard, and the node goes on."""
+"""Messages of a hostile holder of valid credentials to one node: it counts as at fault, or is ignored, and the node
+goes on.
+"""
 
 from __future__ import annotations
 

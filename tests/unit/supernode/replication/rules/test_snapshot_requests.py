@@ -1,4 +1,4 @@
-"""A snapshot on request: what it covers, when it is answered, and that a kill at any commit leaves a readable store."""
+"""Snapshots on request: their contents, the moment of the answer, and a readable store after a kill at any commit."""
 
 from __future__ import annotations
 

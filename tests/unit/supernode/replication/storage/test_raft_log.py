@@ -1,4 +1,4 @@
-"""The log over every store: what was synced comes back, what was not is gone."""
+"""The log over every store: synced entries come back, unsynced ones are gone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def sqlite_in(folder: Path) -> Reopen:
 
 @pytest.fixture(params=["sqlite", "simulated disk"])
 def reopen(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Reopen]:
-    """Opens the store again, as after a crash: what was not committed is gone."""
+    """Open the store again, as after a crash: uncommitted writes are gone."""
     if request.param == "sqlite":
         make = sqlite_in(tmp_path)
         yield make

@@ -1,4 +1,4 @@
-"""A cluster from what one member of a lost one has kept."""
+"""A cluster made from the data of one member of a lost cluster."""
 
 from __future__ import annotations
 

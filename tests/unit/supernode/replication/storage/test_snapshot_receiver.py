@@ -1,4 +1,4 @@
-"""A member that opens a large snapshot goes on answering its leader, and no step of it does more than a piece."""
+"""A member that opens a large snapshot goes on answering its leader, and none of its steps takes more than a piece."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class Background:
-    """Another thread: does the work that it was given when it is told to."""
+    """Stands for another thread: does its work when the test tells it."""
 
     def __init__(self) -> None:
         self._work: list[Callable[[], None]] = []
@@ -36,7 +36,7 @@ class Background:
 
 
 def answers(said: list[tuple[str, Message]]) -> list[AppendReply]:
-    """What was said, all of it answers to a leader."""
+    """The messages, which must all be answers to a leader."""
     replies = [message for _, message in said if isinstance(message, AppendReply)]
     assert len(replies) == len(said)
     return replies

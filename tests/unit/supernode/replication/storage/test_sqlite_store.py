@@ -142,7 +142,7 @@ def test_a_file_that_is_no_database_is_found(tmp_path: Path) -> None:
 
 
 def copy_as_after_a_crash(folder: Path, to: Path) -> Path:
-    """What a kill would leave of a store in use: the write-ahead log is still there."""
+    """The store as a kill would leave it during use: the write-ahead log is still there."""
     log = RaftLog(open_store(folder))
     for index in range(1, 61):
         log.append(b"\x00command %d" % index, index, 1)
@@ -285,7 +285,7 @@ def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) 
         file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
     with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=False)
-    KnownStores.open(tmp_path, had_store=True)  # as a member that nobody told of its first start leaves it
+    KnownStores.open(tmp_path, had_store=True)  # as a member leaves it whose first start no other member knows
     with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=True)
 
@@ -332,7 +332,7 @@ def test_every_commit_is_synced(tmp_path: Path) -> None:
 
 
 def read_copy(original: Path, copy: Path, name: str = "", data: bytes = b"") -> StoredState | None:
-    """What a copy holds in which one file has changed; None if it is refused with a reason."""
+    """The contents of a copy in which one file has changed; None if it is refused with a reason."""
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(original, copy)
     if name:

@@ -143,7 +143,7 @@ def test_a_process_that_was_stopped_for_long_does_not_blame_its_disk(
 
     thread = TickThread(tick_seconds=0.01, on_fatal=lambda error: None)
     monkeypatch.setattr(thread, "_ended", Ended())
-    # So far off that no number of looks comes near; by the clock, the step has lasted for two days at the first one.
+    # So far off that no number of looks comes near. By the clock, the step has lasted for two days at the first look.
     monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 1e-9)
     thread._step_began = time.monotonic() - 2 * 86400.0
     watcher = threading.Thread(target=thread._watch, daemon=True)

@@ -1,4 +1,4 @@
-"""Only well-formed messages come through, and what went in comes out."""
+"""The codec refuses malformed messages, and decodes the messages that it encoded."""
 
 from __future__ import annotations
 
