@@ -115,5 +115,9 @@ def joined(answers: list[ReadAnswer], *, down: bool) -> ReadAnswer:
     first, last = answers[0], answers[-1]
     slices = [one for answer in (reversed(answers) if down else answers) for one in answer.slices]
     following = first.next_time if down else next((one.next_time for one in reversed(answers) if one.slices), None)
+    next_times = {key: time for answer in answers for key, time in answer.next_times.items()}
+    for answer in answers:
+        if answer.slices and answer.next_time is not None:
+            next_times[answer.slices[-1].last_time, answer.slices[-1].end_seq] = answer.next_time
     reason = last.reason if down and first.truncated and not last.more else first.reason
-    return first._replace(slices=slices, next_time=following, more=last.more, reason=reason)
+    return first._replace(slices=slices, next_time=following, more=last.more, reason=reason, next_times=next_times)

@@ -55,7 +55,7 @@ def query_of(draw: random.Random, last: int, positions: list[Position]) -> Query
 
 def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
     items = items_of(answer.slices)
-    ends = ends_as_read(items, answer.next_time, overlap)
+    ends = ends_as_read(items, answer.next_time, overlap, answer.next_times)
     reason = None if answer.reason is None else str(answer.reason)
     return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
 

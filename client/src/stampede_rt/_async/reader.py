@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.listener import Listener
@@ -26,6 +26,7 @@ from stampede_rt.values.reading import (
     parse_least_seq,
     parse_limit,
     parse_staleness,
+    parse_within,
 )
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
@@ -98,6 +99,7 @@ class Reader(Reference):
         complete: bool = False,
         max_staleness: DurationLike | None = None,
         least_seq: int | None = None,
+        within: Literal["memory"] | None = None,
     ) -> Items:
         """Return the items in an interval, by default those whose span shares an instant with it.
 
@@ -109,7 +111,8 @@ class Reader(Reference):
 
         With `max_staleness`, such as "500ms", a proxy of the channel may answer whose state is at most this old. With
         `least_seq`, such as the seq of the program's own last item, a proxy may answer that has this item. If no proxy
-        can, the owner answers. `staleness_nanos` of the answer tells. Raises
+        can, the owner answers. `staleness_nanos` of the answer tells. `within="memory"` reads only the items that the
+        host has in memory, and never waits for the archive of a recorded channel. Raises
         InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
@@ -126,6 +129,7 @@ class Reader(Reference):
                 complete=complete,
                 max_staleness_nanos=parse_staleness(max_staleness),
                 least_seq=parse_least_seq(least_seq),
+                within_memory=parse_within(within),
             )
         )
 

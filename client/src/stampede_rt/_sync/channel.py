@@ -169,11 +169,14 @@ class Channel(Reader):
         on_full: OnFull | None = None,
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
+        archive: DurationLike | None = None,
+        archive_bytes: int | str | None = None,
     ) -> Policy:
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
-        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 10 s.
+        keep all held items. With fewer, the channel removes the places whose leases end first. `archive` and
+        `archive_bytes` record the channel from now on, or change the limits of its archive. Blocks for at most 10 s.
         Raises InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
@@ -184,6 +187,8 @@ class Channel(Reader):
             on_full=on_full,
             max_future=max_future,
             max_age_unconsumed=max_age_unconsumed,
+            archive=archive,
+            archive_bytes=archive_bytes,
         )
 
         identity, since_s = request_id(), age_clock_s()

@@ -119,6 +119,8 @@ class Connection(Files, Reference):
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
         overlap: DurationLike | None = None,
+        archive: DurationLike | None = None,
+        archive_bytes: int | str | None = None,
         content_type: str | None = None,
         codec: CodecLike | None = None,
         host: str | None = None,
@@ -132,8 +134,11 @@ class Connection(Files, Reference):
         max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
         `max_age_unconsumed` replaces max_age for items that a live consumer has still to consume (see
         `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
-        do not end its span. `host` names the host of a new channel. If the channel exists at another live host, the
-        call raises ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound.
+        do not end its span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the
+        channel: its host keeps the items on disk for that time, and up to that size. Reads of the channel find them
+        there. The host needs the option --archive. `host` names the host of a new channel. If the channel exists at
+        another live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call
+        raises ChannelNotFound.
         Blocks for at most 10 s.
 
         `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
@@ -154,6 +159,8 @@ class Connection(Files, Reference):
             max_future=max_future,
             max_age_unconsumed=max_age_unconsumed,
             overlap=overlap,
+            archive=archive,
+            archive_bytes=archive_bytes,
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)

@@ -15,6 +15,7 @@ from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.pages import Pages
 from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
 from stampede_rt.values.timeline import ResolvedInterval, fixed
 from stampede_rt.wire.reads import (
@@ -57,10 +58,16 @@ def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: Se
         exchange = session.endpoints.to(binding.target).gets()
         wait = Wait(wait_s).after(monotonic_s() - began_s)
         try:
-            items = _answer(state, query, exchange.get(_request(binding, query, wait, view), timeout_s))
+            responses = exchange.get(_request(binding, query, wait, view), timeout_s)
+            pages = Pages(query, _answer(state, query, responses))
+            while responses[-1].summary.continues:
+                rest = pages.rest
+                responses = exchange.get(_request(binding, rest, Wait(0), view), CALL_TIMEOUT_S)
+                pages.add(_answer(state, rest, responses))
         except StampedeError as error:
             query = replace(query, interval=fixed(query.interval, _interval_of(error)))
             raise
+        items = pages.whole
         if view is not None:
             view.saw(items.cut)
         return items
@@ -95,6 +102,7 @@ def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | Non
         cut_unix_nano=query.cut,
         max_staleness_nanos=query.max_staleness_nanos,
         least_seq=query.least_seq,
+        within_memory=query.within_memory,
     )
 
 

@@ -167,6 +167,12 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
         metavar="DURATION",
         help="for this time a later item does not end the span of an item with a duration",
     )
+    parser.add_argument(
+        "--archive",
+        metavar="DURATION",
+        help='record the channel: the host keeps items on disk for this time, or "forever"',
+    )
+    parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most so much on disk, such as "200GiB"')
     parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
     parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')
 
@@ -180,6 +186,8 @@ def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
         "consumers",
         "max_age_unconsumed",
         "overlap",
+        "archive",
+        "archive_bytes",
         "on_full",
         "content_type",
     )

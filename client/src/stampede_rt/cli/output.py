@@ -11,6 +11,7 @@ from typing import Any
 from stampede_rt.cli.terminal import columns_max, table_lines
 from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item, Policy
+from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import format_duration, format_instant
 
 PREVIEW_CHARACTERS_MAX = 60  # of a text payload
@@ -131,6 +132,11 @@ def policy_text(policy: Policy) -> str:
     parts = parts or ["10 s (default)"]
     if policy.overlap_nanos is not None:
         parts.append(f"overlap {format_duration(policy.overlap_nanos)}")
+    if policy.archive_nanos is not None:
+        forever = policy.archive_nanos == FOREVER_NANOS
+        parts.append("archive " + ("for ever" if forever else format_duration(policy.archive_nanos)))
+    if policy.archive_bytes is not None:
+        parts.append(f"archive {bytes_text(policy.archive_bytes)}")
     return ", ".join(parts)
 
 

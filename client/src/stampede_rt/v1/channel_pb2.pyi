@@ -33,20 +33,24 @@ class RetentionPolicy(_message.Message):
     def __init__(self, max_age_nanos: _Optional[int] = ..., max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., consumers: _Optional[int] = ..., max_age_unconsumed_nanos: _Optional[int] = ...) -> None: ...
 
 class ChannelSpec(_message.Message):
-    __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos")
+    __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "archive_nanos", "archive_bytes")
     RETENTION_FIELD_NUMBER: _ClassVar[int]
     ON_FULL_FIELD_NUMBER: _ClassVar[int]
     MAX_FUTURE_NANOS_FIELD_NUMBER: _ClassVar[int]
     CONTENT_TYPE_FIELD_NUMBER: _ClassVar[int]
     MAX_ITEM_BYTES_FIELD_NUMBER: _ClassVar[int]
     OVERLAP_NANOS_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_BYTES_FIELD_NUMBER: _ClassVar[int]
     retention: RetentionPolicy
     on_full: OnFull
     max_future_nanos: int
     content_type: str
     max_item_bytes: int
     overlap_nanos: int
-    def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ...) -> None: ...
+    archive_nanos: int
+    archive_bytes: int
+    def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ..., archive_nanos: _Optional[int] = ..., archive_bytes: _Optional[int] = ...) -> None: ...
 
 class ChannelRecord(_message.Message):
     __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids", "created_by")

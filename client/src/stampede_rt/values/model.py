@@ -201,7 +201,8 @@ class Policy:
 
     `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
     `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.
-    If it is None, the next later item always ends the span.
+    If it is None, the next later item always ends the span. With `archive_nanos` or `archive_bytes` the channel is
+    recorded: its host keeps the items in an archive, for that time and up to that many bytes.
     """
 
     max_age_nanos: int | None = None
@@ -214,6 +215,13 @@ class Policy:
     max_item_bytes: int | None = None
     max_age_unconsumed_nanos: int | None = None
     overlap_nanos: int | None = None
+    archive_nanos: int | None = None
+    archive_bytes: int | None = None
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether the host keeps the items in an archive."""
+        return self.archive_nanos is not None or self.archive_bytes is not None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

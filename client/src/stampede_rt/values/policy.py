@@ -15,6 +15,21 @@ NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
 _NAME = re.compile(NAME_GRAMMAR)
 MAX_BYTES_MIN = 64
 """The bytes that an item without payload counts against `max_bytes`."""
+FOREVER_NANOS = 2**63 - 1
+"""The value of `Policy.archive_nanos` for an archive that keeps its items for ever."""
+ARCHIVE_BYTES_MIN = 2**20
+_SIZE_UNITS = {
+    "": 1,
+    "KiB": 2**10,
+    "MiB": 2**20,
+    "GiB": 2**30,
+    "TiB": 2**40,
+    "kB": 10**3,
+    "MB": 10**6,
+    "GB": 10**9,
+    "TB": 10**12,
+}
+_SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(" + "|".join(_SIZE_UNITS) + ")")
 ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
 
@@ -39,6 +54,8 @@ def parse_policy(
     content_type: str | None = None,
     max_age_unconsumed: DurationLike | None = None,
     overlap: DurationLike | None = None,
+    archive: DurationLike | None = None,
+    archive_bytes: int | str | None = None,
 ) -> Policy:
     """Return the policy that the arguments state. An argument that is None is not stated.
 
@@ -56,7 +73,27 @@ def parse_policy(
         content_type=content_type_of(content_type),
         max_age_unconsumed_nanos=duration_of("max_age_unconsumed", max_age_unconsumed, least=1),
         overlap_nanos=duration_of("overlap", overlap, least=1),
+        archive_nanos=archive_nanos_of(archive),
+        archive_bytes=archive_bytes_of(archive_bytes),
     )
+
+
+def archive_nanos_of(value: DurationLike | None) -> int | None:
+    """Return `value` in nanoseconds, FOREVER_NANOS for "forever"; None if it is None. Raises InvalidArgument."""
+    return FOREVER_NANOS if value == "forever" else duration_of("archive", value, least=1)
+
+
+def archive_bytes_of(value: int | str | None) -> int | None:
+    """Return `value`, a number of bytes or a text such as "200GiB"; None if it is None. Raises InvalidArgument."""
+    if isinstance(value, str):
+        found = _SIZE.fullmatch(value.strip())
+        if found is None:
+            raise InvalidArgument(f'archive_bytes is {value!r}; write a number of bytes, or a size such as "200GiB"')
+        value = int(float(found[1]) * _SIZE_UNITS[found[2]])
+    count = count_of("archive_bytes", value)
+    if count is not None and count < ARCHIVE_BYTES_MIN:
+        raise InvalidArgument(f"archive_bytes is {value!r}; it must be {ARCHIVE_BYTES_MIN} (1 MiB) or more")
+    return count
 
 
 def content_type_of(value: str | None) -> str | None:

@@ -62,6 +62,7 @@ class ReadQuery:
       `cut` is None, the host reads at the present cut.
     - `max_staleness_nanos` and `least_seq`: the read accepts a copy that is at most this old, and that has the item of
       this seq. If both are None, it accepts no copy.
+    - `within_memory`: the read leaves out the items that only the archive of the channel has.
     """
 
     interval: Interval
@@ -76,12 +77,20 @@ class ReadQuery:
     cut: int | None = None
     max_staleness_nanos: int | None = None
     least_seq: int | None = None
+    within_memory: bool = False
 
     def __post_init__(self) -> None:
         for what, value in (
             ("newest_first", self.newest_first), ("payloads", self.payloads), ("complete", self.complete),
         ):  # fmt: skip
             flag_of(what, value)
+
+
+def parse_within(within: str | None) -> bool:
+    """Return whether a read leaves out the archive. Raises InvalidArgument unless `within` is "memory" or None."""
+    if within not in (None, "memory"):
+        raise InvalidArgument(f'within is {within!r}; write "memory", or leave it out to read the archive, too')
+    return within is not None
 
 
 def parse_staleness(max_staleness: DurationLike | None) -> int | None:

@@ -51,6 +51,8 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
         content_type=policy.content_type,
         max_item_bytes=policy.max_item_bytes,
         overlap_nanos=policy.overlap_nanos,
+        archive_nanos=policy.archive_nanos,
+        archive_bytes=policy.archive_bytes,
     )
 
 
@@ -78,6 +80,8 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
         max_item_bytes=spec.max_item_bytes if spec.HasField("max_item_bytes") else None,
         max_age_unconsumed_nanos=retention.max_age_unconsumed_nanos if retention.HasField(unconsumed) else None,
         overlap_nanos=spec.overlap_nanos if spec.HasField("overlap_nanos") else None,
+        archive_nanos=spec.archive_nanos if spec.HasField("archive_nanos") else None,
+        archive_bytes=spec.archive_bytes if spec.HasField("archive_bytes") else None,
     )
 
 

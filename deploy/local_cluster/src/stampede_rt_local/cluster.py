@@ -31,7 +31,8 @@ class LocalCluster:
     run in the namespaces `host_namespaces`, which must reach `listen`. These cannot be used with `tls`, because its
     certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
-    `metrics` has the address of each service, by its title. `on_line` and `on_exit`: see ServiceProcess.
+    `metrics` has the address of each service, by its title. `archive`: the folder in which each
+    host has a folder for recorded channels. `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class LocalCluster:
         log_format: str = "text",
         reflection: bool = False,
         metrics: str = "",
+        archive: Path | None = None,
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
@@ -63,9 +65,8 @@ class LocalCluster:
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
-        self._listen = parse_address(listen)
-        self._durable = durable
-        self._host_namespaces = tuple(host_namespaces)
+        self._listen, self._archive = parse_address(listen), archive
+        self._durable, self._host_namespaces = durable, tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
         self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
@@ -204,6 +205,8 @@ class LocalCluster:
         namespace = self._host_namespaces[number - 1] if number <= len(self._host_namespaces) else None
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
+        if self._archive is not None:
+            arguments += ["--archive", str(self._archive / name)]
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)
 
 

@@ -73,6 +73,10 @@ class DevSettings:
         default=False,
         metadata=setting(help="describe the services of each port to callers with a credential, as for grpcurl"),
     )
+    archive: Path | None = field(
+        default=None,
+        metadata=setting(metavar="FOLDER", help="the folder in which the hosts keep recorded channels over restarts"),
+    )
     log_format: str = field(
         default="text",
         metadata=setting(metavar="FORMAT", choices=FORMATS, help="the form of the log"),
@@ -146,6 +150,7 @@ def _run(settings: DevSettings, began: float) -> int:
         log_format=settings.log_format,
         reflection=settings.reflection,
         metrics=settings.metrics,
+        archive=settings.archive,
         on_line=pass_on,
         on_exit=ended.put,
     )

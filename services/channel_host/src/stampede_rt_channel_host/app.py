@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.transports.machine import this_machine
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -106,11 +107,14 @@ class _Service:
     def _make_host(self) -> ChannelHost:
         settings = self._settings
         identity = HostIdentity(
-            host_id=load_host_id(settings.data_dir),
+            host_id=load_host_id(settings.data_dir or settings.archive),
             name=self._name(),
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
         )
+        archive = None if settings.archive is None else ArchiveFolder(settings.archive)
+        if archive is not None:
+            archive.open(identity.host_id)
         return ChannelHost(
             identity,
             frontends=settings.frontend,
@@ -120,6 +124,7 @@ class _Service:
             clock=SystemClock(),
             memory_bytes_max=settings.memory_bytes_max,
             copy_bytes_per_second=settings.copy_bytes_per_second,
+            archive=archive,
             on_serving=self._serving_changed,
             on_defect=self._end,
             home=self._home,

@@ -13,6 +13,8 @@ from typing import Any
 import grpc
 
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, migration_service_pb2_grpc
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
 from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
@@ -31,6 +33,7 @@ from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Reg
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
@@ -73,7 +76,7 @@ class ChannelHost:
     the server's sockets. `refused_calls` counts the calls that the server refuses. `on_serving` gets True when the host
     starts to serve, and False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the
     host. `explain`: see `Supernodes`. `home` is the cluster of the host. `copy_bytes_per_second`: the most that each
-    copy at this host takes from its source; 0: without a limit.
+    copy at this host takes from its source; 0: without a limit. `archive`: the folder for recorded channels, open.
     """
 
     def __init__(
@@ -93,6 +96,7 @@ class ChannelHost:
         tickets: SocketTickets | None = None,
         refused_calls: RefusedCalls | None = None,
         copy_bytes_per_second: int = 0,
+        archive: ArchiveFolder | None = None,
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
@@ -107,6 +111,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
+        self.store.recordings.archive = None if archive is None else HostArchive(archive, run_of)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
@@ -222,6 +227,7 @@ class ChannelHost:
         for part in (self.groups, self.copies, self.moves_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
+        await self.store.recordings.close()
         await self._supernodes.aclose()
 
     def _start(self, work: Coroutine[Any, Any, None], name: str) -> None:

@@ -33,6 +33,8 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
         own["--advertise"] = _with_own_port(settings.advertise, number)
     if settings.data_dir is not None:
         own["--data-dir"] = str(settings.data_dir / f"process-{number}")
+    if settings.archive is not None:
+        own["--archive"] = str(settings.archive / f"process-{number}")
     for flag, path in (("--tls-certificate", settings.tls_certificate), ("--tls-key", settings.tls_key)):
         if path is not None:
             own[flag] = str(_of_process(path, number))

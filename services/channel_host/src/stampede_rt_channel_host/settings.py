@@ -77,6 +77,14 @@ class HostSettings(ServiceSettings):
             help="the folder that keeps the host's identity over restarts; default: none, each start makes a new host",
         ),
     )
+    archive: Path | None = field(
+        default=None,
+        metadata=setting(
+            metavar="FOLDER",
+            help="the folder in which the host keeps recorded channels (those opened with `archive`), and, without "
+            "--data-dir, its identity; default: none, the host records no channel",
+        ),
+    )
     memory_bytes_max: int = field(
         default=4 * 2**30,
         metadata=setting(

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.moving import Moving
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
@@ -60,6 +61,8 @@ class HostedChannel:
     """The move of the channel away from this host, or to it, while one is under way."""
     is_inherited = False
     """Whether the owner at this host goes on with the items of this copy."""
+    recording: Recording | None = None
+    """The recording of a channel with an archive."""
     largest_run_bytes = 0
     """The length of the largest run that was too large for a ring."""
 
@@ -134,7 +137,25 @@ class HostedChannel:
             self.record, self.epoch = record, record.epoch
             self.changed(now)
         self.record, self.epoch = record, record.epoch
+        if self.recording is not None:
+            self.recording.set_policy(record.policy, record.epoch)
         self._touched()
+
+    def has_same_items(self, record: RecordedChannel) -> bool:
+        """Whether the channel of `record` has the items of this one, and not a later incarnation's."""
+        return self.record.incarnation == record.incarnation
+
+    def record_with(self, recording: Recording) -> None:
+        """From now on record what the channel accepts."""
+        self.recording = recording
+        recording.set_policy(self.record.policy)
+        self._touched()
+
+    def archived(self) -> None:
+        """The archive has got further: memory may collect more items, and waiting puts may have room."""
+        now = self._now()
+        self.collect(now)
+        self.puts.changed(now)
 
     def advance(self, instant: int) -> int:
         """Note a producer's promise that no item before `instant` will come. Returns the latest promised instant.
@@ -197,6 +218,8 @@ class HostedChannel:
         """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
         if self.copy is not None:
             self.copy.on_dropped()
+        if self.recording is not None:
+            self.recording.stop()
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
@@ -266,6 +289,8 @@ class HostedChannel:
 
     def _announce(self, now: int) -> None:
         self.changes += 1
+        if self.recording is not None:
+            self.recording.accepted(now)
         self._repeat_in_ring()
         if self._gets is not None and len(self._gets):
             self._gets.changed(now)

@@ -26,6 +26,7 @@ from stampede_rt_channel_host.channels.limits.creation_shares import CreationSha
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -35,7 +36,6 @@ from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import ChannelCore, Pieces, batched_keys, one_after_another, rest_of
-from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from stampede_rt_runtime.access.control import check_access, current_account, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -88,6 +88,7 @@ class ChannelStore:
         self.memory = memory
         self.copies = HostedCopies(self._channels, self._add, self.forget)
         self.refused_calls = refused_calls or RefusedCalls()
+        self.recordings = Recordings()
         self.sweep = Sweep(self.now)
         self.consumers = IdOwners()
         self.readers = Readers()
@@ -177,14 +178,12 @@ class ChannelStore:
         hosted = self.find(channel_id, epoch)  # not a copy
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
-        check_policy_change(
-            hosted.record.policy, change.stated
-        )  # so that the directory takes no policy impossible here
+        self.recordings.check_change(hosted.record, change.stated)  # so that the directory takes no impossible policy
         registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
         if registrations != self._registrations:
             return await self.bind(channel_id, record.epoch, record.spec_version)
-        return self.adopt(record)
+        return await self.recordings.adopt(record, hosted, self.adopt)
 
     def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
         """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
@@ -220,7 +219,7 @@ class ChannelStore:
         rest of that work to `left`. If the answer was not complete, the store asks the directory at the next `bind`
         instead.
         """
-        if record is not None:
+        if record is not None and not (record.policy.is_recorded and not hosted.has_same_items(record)):
             self.adopt(record)
         elif is_complete:
             logger.warning("channel went elsewhere", extra={"event": "channel_moved", "channel": hosted.record.name})
@@ -299,7 +298,7 @@ class ChannelStore:
             if held is None or not held.is_heir:
                 self.forget(channel_id, error)
             raise elsewhere(held) or error
-        self.adopt(record)
+        await self.recordings.adopt(record, held, self.adopt)
 
     def adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""

@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Coroutine
 from typing import Any
 
-from stampede_rt.errors import ChannelNotFound, Overloaded, StaleBinding, StampedeError
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving, held_too_long
@@ -37,6 +37,11 @@ class OutgoingMoves:
         """Begin a move to the host with that gatekeeper. Raises MOVE_CONFLICT, and Overloaded at MOVES_MAX moves."""
         if hosted.moving is not None:
             raise refusals.move_conflict(hosted.record.name)
+        if hosted.recording is not None:
+            raise InvalidArgument(
+                f"channel {hosted.record.name} is recorded, and its archive stays at host {self.identity.name}, so it "
+                "cannot move; leave it there"
+            )
         if self._under_way >= MOVES_MAX:
             raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
         self._under_way += 1

@@ -37,7 +37,7 @@ _CHANGE_KINDS = {
     ChangeKind.REMOVED: directory_pb2.CHANGE_KIND_REMOVED,
 }
 _LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
-_SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos")
+_SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "archive_nanos", "archive_bytes")
 _POLICIES_MAX = 1024
 
 

@@ -35,7 +35,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
-from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, LOADS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
@@ -110,6 +110,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             await self._calls.check_level(context, "a channel that opens beside another", LOADS_LEVEL)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.name, policy.max_bytes)
+        if policy.is_recorded:
+            await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
         operation = OpenChannel(
             name=request.name,
             policy=policy,
@@ -182,6 +184,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.channel_id.hex(), policy.max_bytes)
+        if policy.is_recorded:
+            await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy)
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))

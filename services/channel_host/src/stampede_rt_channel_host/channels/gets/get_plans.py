@@ -36,6 +36,7 @@ class GetPlan:
     without_payloads: bool
     demand: Freshness | None = None
     group: GroupReadParams | None = None
+    within_memory: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
         without_payloads=request.without_payloads,
         demand=demand_of(request),
         group=group_of(request),
+        within_memory=request.within_memory,
     )
 
 

@@ -16,8 +16,10 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.status import to_error_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
+from stampede_rt_channel_host.channels.gets.archived_gets import read_recorded
 from stampede_rt_channel_host.channels.gets.get_plans import REQUEST_BYTES_MAX, GetCall, GetPlan, GetPlans, check_length
 from stampede_rt_channel_host.channels.gets.get_summaries import kept_bytes_of, summary_of
+from stampede_rt_channel_host.channels.gets.open_get import OpenGet
 from stampede_rt_channel_host.channels.gets.outbox import Outbox
 from stampede_rt_channel_host.channels.gets.waiting_get import Outcome, WaitingGet
 from stampede_rt_channel_host.channels.gets.waiting_gets import GETS_PER_PIECE
@@ -27,7 +29,6 @@ from stampede_rt_channel_host.channels.hosted_copies import refusal_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import (
-    Pending,
     Pieces,
     ReadAnswer,
     Unfinished,
@@ -43,43 +44,6 @@ from stampede_rt_runtime.rpc import Context, answer_at_once
 CALLS_MAX = 1024  # calls under way on one stream
 POLLS_PER_PIECE = 4
 """The most gets that one piece polls again when there is room for their answers. One poll takes up to a millisecond."""
-
-
-class _OpenGet:
-    """One get of a channel, from its start to its answer."""
-
-    __slots__ = ("_begun_at", "_polled_at", "call_id", "hosted", "pending", "plan")
-
-    def __init__(self, call_id: int, plan: GetPlan, hosted: HostedChannel, now: int) -> None:
-        self.call_id = call_id
-        self.plan = plan
-        self.hosted = hosted
-        self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
-        self._begun_at = now
-        self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
-
-    def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
-        """Look for the answer of a blocking get.
-
-        Returns the answer, or when to look again, or, if the work is long, the rest of the work.
-        """
-        assert self.pending is not None, "only a blocking get is polled"
-        self._polled_at = self.hosted.changes
-        return first_of(self.hosted.channel.polling(self.pending, now))
-
-    def released(self) -> None:
-        """Note that a look at an earlier state of the channel may have released the get. Sets `is_outdated` to True."""
-        self._polled_at = None
-
-    @property
-    def is_outdated(self) -> bool:
-        """Whether the channel has changed since the last poll, so that the result of that poll may be out of date."""
-        return self._polled_at != self.hosted.changes
-
-    def wait_nanos(self, now: int) -> int:
-        """How long the get may still wait, in nanoseconds; below 0: without limit."""
-        wait_nanos = self.plan.wait_nanos
-        return wait_nanos if wait_nanos < 0 else max(0, self._begun_at + wait_nanos - now)
 
 
 class GetStream:
@@ -99,7 +63,7 @@ class GetStream:
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         # how many calls the caller's quota counts for this stream
         self._under_way = self._account.charge_for(Quota.WAITING_CALLS)
-        self._held_back: dict[int, _OpenGet] = {}  # released gets that wait for room in the outbox
+        self._held_back: dict[int, OpenGet] = {}  # released gets that wait for room in the outbox
         self._rights = request_rights(self._lose)
         self._is_polling = False  # whether `_polling_again` is under way
 
@@ -173,14 +137,17 @@ class GetStream:
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
-        get = _OpenGet(call_id, plan, hosted, now)
+        get = OpenGet(call_id, plan, hosted, now)
+        if hosted.recording is not None and get.reads_archive(now):
+            self._calls[call_id] = self._stream.spawn(self._read_archive(get))
+            return
         if not plan.wait_nanos:
             self._answer_or_wait(get, first_of(hosted.channel.reading(plan.query, now)), now)
             return
         get.pending = hosted.channel.begin(plan.query, now)
         self._answer_or_wait(get, get.poll(now), now)
 
-    def _answer_or_wait(self, get: _OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
+    def _answer_or_wait(self, get: OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
         """Send the answer, or let the get wait, or start a task that makes a long answer in pieces."""
         if isinstance(found, Unfinished):
             self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
@@ -189,10 +156,29 @@ class GetStream:
             self._rights.hold(get.call_id, AccessVerb.READ, AccessKind.CHANNEL, get.hosted.record.name)
             wait_nanos = get.wait_nanos(now)
             self._calls[get.call_id] = get.hosted.gets.add(get.pending, found, wait_nanos, now, self._releaser(get))
+        elif get.waits_for_archive:
+            self._calls[get.call_id] = self._stream.spawn(self._read_archive(get))
         else:
             self._answer(get, found, now)
 
-    async def _finish(self, get: _OpenGet, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
+    async def _read_archive(self, get: OpenGet) -> None:
+        """Answer a get over the archive and memory, or let it wait until memory has what it waits for."""
+        try:
+            await self._outbox.room()
+            found = await read_recorded(get, self._store.scheduler, self._store.now)
+            self._check_served(get, found)
+            now = self._store.now()
+            self._calls[get.call_id] = None
+            if isinstance(found, ReadAnswer):
+                self._answer(get, found, now)
+            else:
+                self._answer_or_wait(get, get.poll(now), now)
+        except StampedeError as error:
+            self._calls[get.call_id] = None
+            self._refuse(get.call_id, error)
+        self._outbox.kick()
+
+    async def _finish(self, get: OpenGet, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
         try:
             await self._outbox.room()
             found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
@@ -207,7 +193,7 @@ class GetStream:
             self._refuse(get.call_id, error)
         self._outbox.kick()
 
-    def _check_served(self, get: _OpenGet, found: object = None) -> None:
+    def _check_served(self, get: OpenGet, found: object = None) -> None:
         """Check after a wait that this host still serves the channel, and that the caller may still read it.
 
         If not, frees the answer `found`, and raises StaleBinding, Unavailable or PermissionDenied.
@@ -233,7 +219,7 @@ class GetStream:
             self._rights.hold(call_id, AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, params, hosted))
         else:
-            self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
+            self._answer(OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel) -> None:
         def check(group_name: str) -> None:
@@ -256,10 +242,10 @@ class GetStream:
             self._refuse(call_id, error)
         else:
             now = self._store.now()
-            self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
+            self._answer(OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
         self._outbox.kick()
 
-    def _releaser(self, get: _OpenGet) -> Callable[[Outcome], None]:
+    def _releaser(self, get: OpenGet) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             self._calls[get.call_id] = None  # the get waits no more, but its answer is still to be sent
             self._rights.release(get.call_id)
@@ -294,7 +280,7 @@ class GetStream:
         finally:
             self._is_polling = False
 
-    def _poll_again(self, get: _OpenGet) -> None:
+    def _poll_again(self, get: OpenGet) -> None:
         now = self._store.now()
         try:
             self._check_served(get)
@@ -303,7 +289,7 @@ class GetStream:
             self._refuse(get.call_id, error)
         self._outbox.kick()
 
-    def _answer(self, get: _OpenGet, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
+    def _answer(self, get: OpenGet, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
         self._calls[get.call_id] = None
         kept_bytes = kept_bytes_of(answer)
         if not self._account.has_room(Quota.BYTES_IN_FLIGHT, kept_bytes):
@@ -313,6 +299,7 @@ class GetStream:
         summary = summary_of(answer, now, cut)
         if get.hosted.copy is not None:
             summary.staleness_nanos = get.hosted.copy.staleness_nanos
+        summary.continues = get.continues
         messages = get_responses(get.call_id, answer, summary, without_payloads=get.plan.without_payloads)
         self._outbox.add(get.call_id, messages, get.hosted.count_delivered, kept_bytes, answer.slices)
 

@@ -9,7 +9,13 @@ The shell, `stampede_rt_channel_host.archive`, has these duties:
   that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
 """
 
-from stampede_rt_channel_host.core.archive.archived_read import ArchivedRead, WantedWindow, reaches, resolved
+from stampede_rt_channel_host.core.archive.archived_read import (
+    ArchivedRead,
+    WantedWindow,
+    reaches,
+    resolved,
+    resolved_now,
+)
 from stampede_rt_channel_host.core.archive.block import (
     GAP,
     HEAD_BYTES,
@@ -75,6 +81,7 @@ __all__ = [
     "missing_seqs",
     "reaches",
     "resolved",
+    "resolved_now",
     "scan",
     "summary",
     "window_of",

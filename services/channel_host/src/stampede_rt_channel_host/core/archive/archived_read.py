@@ -9,7 +9,8 @@ from typing import NamedTuple
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Wanted
-from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
+from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
+from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces
@@ -26,17 +27,23 @@ ANSWER_BYTES = 4 * 2**20
 def resolved(moment: ChannelSnapshot, span: ArchiveSpan, query: Query) -> ResolvedInterval | None:
     """The interval of a query over archive and memory, or None if it has a meta-time that needs an item."""
     held, _ = moment.look(0)
+    return resolved_now(held, span, query, moment.clock)
+
+
+def resolved_now(
+    held: Holdings | HoldingsSnapshot, span: ArchiveSpan, query: Query, clock: int
+) -> ResolvedInterval | None:
+    """The interval of a query over an archive and the items `held`. `clock` is the host's clock."""
     newest = latest(held.newest, span.newest)
-    now = moment.clock if newest is None else max(moment.clock, newest)
+    now = clock if newest is None else max(clock, newest)
     return query.interval.resolve(now=now, newest=newest, oldest=earliest(held.oldest, span.oldest))
 
 
-def reaches(moment: ChannelSnapshot, within: ResolvedInterval) -> bool:
+def reaches(held: Holdings | HoldingsSnapshot, within: ResolvedInterval) -> bool:
     """Whether the interval may select items that memory has no more."""
-    held, _ = moment.look(0)
-    if held.newest is None or held.newest_collected is None:
-        return True
     split = held.newest_collected  # the bucket of the newest collected item may be in memory in part
+    if held.newest is None or split is None:
+        return held.newest is None
     if within.start <= split or within.start < (held.gone_before or within.start):
         return True
     following = held.next_time(split)
@@ -62,6 +69,7 @@ class ArchivedRead:
 
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
         self.continues = False
+        self.within = within
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
         self._left = query.limit
@@ -69,6 +77,7 @@ class ArchivedRead:
         self._last: ReadAnswer | None = None
         self._reading: Reading | None = None
         self._next_time: int | None = None
+        self._next_times: dict[ItemKey, int] = {}
         self._bytes = 0
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
@@ -80,7 +89,7 @@ class ArchivedRead:
         back, and downwards, because the latest items come first.
         """
         archived, in_memory = self._held.newest_collected, self._held.newest is not None
-        if self._within.is_empty or not reaches(self._moment, self._within):
+        if self._within.is_empty or not reaches(self._held, self._within):
             yield from self.take(ArchiveWindow(ChannelIndex(), None, None, None))
         elif self._query.newest_first and in_memory and archived is not None and archived >= self._within.start:
             yield from self.take(ArchiveWindow(ChannelIndex(), archived, None, None))
@@ -118,6 +127,7 @@ class ArchivedRead:
         query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
         items = RecordedItems(self._held, self._span, window)
         reading = Reading(items, self._retention, self._moment.incarnation, self._moment.lost_before)
+        reading.lost_from = self._moment.lost_from
         reading.advance = self._moment.advanced_to
         answer = yield from reading.answer(query, self._within, self._moment.clock)
         self._windows += 1
@@ -142,6 +152,9 @@ class ArchivedRead:
         if not self._query.newest_first or not self._pages:
             self._next_time = answer.next_time
         self._pages.append(answer.slices)
+        self._next_times.update(answer.next_times)
+        if self._held.overlap_nanos and answer.next_time is not None:
+            self._next_times[answer.slices[-1].last_time, answer.slices[-1].end_seq] = answer.next_time
         self._bytes += sum(len(one.run.body) for one in answer.slices)
         if self._left is not None:
             self._left -= sum(one.items for one in answer.slices)
@@ -176,4 +189,7 @@ class ArchivedRead:
         pages = reversed(self._pages) if self._query.newest_first else self._pages
         slices = [one for page in pages for one in page]
         reason = reading.reason(self._query, self._within, has_items=bool(slices), more=self._more)
-        return last._replace(slices=slices, next_time=self._next_time, more=self._more, reason=reason)
+        following = self._next_time
+        return last._replace(
+            slices=slices, next_time=following, more=self._more, reason=reason, next_times=self._next_times
+        )

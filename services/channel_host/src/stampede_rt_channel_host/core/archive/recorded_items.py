@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow
 from stampede_rt_channel_host.core.channel.channel_snapshot import HoldingsSnapshot
+from stampede_rt_channel_host.core.channel.held_items import ARCHIVE
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
@@ -39,7 +40,7 @@ class RecordedItems:
     `held` are the items in memory at one moment. The caller must not use this object after it has closed the moment.
     """
 
-    collected_by = "archive"
+    collected_by = ARCHIVE
 
     def __init__(self, held: HoldingsSnapshot, span: ArchiveSpan, window: ArchiveWindow) -> None:
         self._held = held

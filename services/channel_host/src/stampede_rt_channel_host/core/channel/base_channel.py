@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from stampede_rt.ring.layout import ABSENT_INSTANT
 from stampede_rt.values.model import Policy
@@ -15,8 +15,9 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.restoring import restore
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.values import Counters
 from stampede_rt_channel_host.core.ring_writer import RingFacts
 
@@ -114,7 +115,11 @@ class BaseChannel:
         Close the snapshot soon: before that, the channel frees no item that the snapshot shows.
         """
         held, retention = self.look(now)
-        return ChannelSnapshot(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
+        snapshot = ChannelSnapshot(
+            held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now)
+        )
+        snapshot.lost_from = self._reading.lost_from
+        return snapshot
 
     def ring_facts(self) -> RingFacts:
         """The facts that a ring in shared memory repeats, as of the last call that took `now`."""
@@ -151,9 +156,18 @@ class BaseChannel:
         if self._clock is not None:
             self._retention.drop_excess(self._clock)
 
-    def stop_recording(self) -> None:
-        """Collect items as in a channel that has no archive."""
-        self._retention.unarchived = None
+    def restore(self, runs: Iterable[Run], *, after: int | None, next_seq: int, lost_from: int | None) -> None:
+        """Take the newest items of an archive into an empty channel.
+
+        `runs` have all items later than `after`, in the order of their seqs.
+        `next_seq`: the seq of the next accepted item. `lost_from`: items from this instant on may be lost, see
+        `Reading`; None: none was lost.
+        """
+        restore(self._held, runs, after=after, next_seq=next_seq)
+        self._reading.lost_from = lost_from
+        if lost_from is None:
+            self.lost_before = None
+            self._reading.forget_loss()
 
     @property
     def footprint_bytes(self) -> int:

@@ -93,7 +93,7 @@ class ChannelCore(ConsumedChannel):
 
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
         """As `read`, in pieces. The answer is as of `now`."""
-        self._check_positions(query)
+        self.check_positions(query)
         clock = self._age_and_free(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
@@ -103,7 +103,7 @@ class ChannelCore(ConsumedChannel):
         Resolves the meta-times of the interval now. If they need an item and the channel has none, the first poll with
         an item resolves them. Raises IncarnationLost if a position comes from another incarnation.
         """
-        self._check_positions(query)
+        self.check_positions(query)
         clock = self._age_and_free(self._tick(now))
         return Pending(query, self._reading.resolve(query, clock))
 
@@ -231,7 +231,8 @@ class ChannelCore(ConsumedChannel):
         self._held.free(FREED_ENTRIES_PER_CALL + self._entries_to_free, self._retention.limits.max_bytes)
         self._entries_to_free = 0
 
-    def _check_positions(self, query: Query) -> None:
+    def check_positions(self, query: Query) -> None:
+        """Raises IncarnationLost if a position of the query comes from another incarnation."""
         self._reading.check_position(query.after)
         self._reading.check_position(query.newer_than)
 

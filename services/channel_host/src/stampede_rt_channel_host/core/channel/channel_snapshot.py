@@ -76,6 +76,7 @@ class ChannelSnapshot:
         """`clock` is the host's clock at which the channel last outdated items."""
         self.incarnation = incarnation
         self.lost_before = lost_before
+        self.lost_from: int | None = None  # see `Reading`
         self.advanced_to = advance
         self.clock = clock
         self._held = HoldingsSnapshot(held)
@@ -88,6 +89,7 @@ class ChannelSnapshot:
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `ChannelCore.polling`. Ignores `now`."""
         reading = Reading(self._held, self._retention, self.incarnation, self.lost_before)
+        reading.lost_from = self.lost_from
         reading.advance, reading.consumed_up_to = self.advanced_to, self._held.newest_consumed
         found = yield from reading.poll(pending, self.clock)
         return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found

@@ -18,6 +18,8 @@ from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.values import Counters
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+ARCHIVE = "archive"
+"""The cause for which a channel that has restarted holds no earlier items: its archive has them."""
 COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
 """The causes for which a channel collects items."""
 

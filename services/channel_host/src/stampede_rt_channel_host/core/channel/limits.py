@@ -82,7 +82,7 @@ class ChannelLimits:
         if cause == "consumption":
             return f"consumers ({self.consumers})" if self.consumers else "an earlier number of consumers"
         if cause == "archive":
-            return "the limit of the archive"
+            return "the end of the archive"
         if cause == "count":
             return f"max_items ({self.max_items})"
         return f"max_bytes ({self.max_bytes})" if cause == "bytes" else f"an earlier max_{cause}"
@@ -104,6 +104,11 @@ def _check(policy: Policy) -> None:
         raise InvalidArgument(
             'on_full is "block" without max_age or consumers: a full channel would block for ever; state one of them, '
             'or use "reject"'
+        )
+    if policy.is_recorded and (policy.consumers or policy.max_age_unconsumed_nanos):
+        raise InvalidArgument(
+            "the policy has an archive and consumers; a recorded channel keeps its items, so nobody can use them up: "
+            "leave one of the two out"
         )
     _check_adaptive(policy)
 

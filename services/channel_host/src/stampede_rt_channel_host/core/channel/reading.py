@@ -30,15 +30,21 @@ class Pending:
 class Reading:
     """Answers queries from held items. `clock` is the host's clock, as of which the held items are not too old."""
 
-    __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to")
+    __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to", "lost_from")
 
     def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
         self._lost_before = lost_before  # all items of a lost earlier incarnation lie before this instant
+        # No item before this instant was lost, because an archive has all of them. None: any may be.
+        self.lost_from: int | None = None
         self.advance: int | None = None  # the highest instant of an advance
         self.consumed_up_to: int | None = None  # the latest time of a consumed item: the channel has passed this time
+
+    def forget_loss(self) -> None:
+        """No item was lost: an archive has all items of the earlier incarnation."""
+        self._lost_before = None
 
     def now(self, clock: int) -> int:
         """The instant of the meta-time NOW: the later of the clock and the newest item's time."""
@@ -177,7 +183,9 @@ class Reading:
         return self._reaches_into_loss(region) or (gone_before is not None and region.start < gone_before)
 
     def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
-        return self._lost_before is not None and region.start < self._lost_before
+        if self._lost_before is None or region.start >= self._lost_before:
+            return False
+        return self.lost_from is None or region.end >= self.lost_from
 
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
@@ -232,7 +240,8 @@ class Reading:
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         """The reason while items of the region may still come."""
-        if self._lost_before is not None and region.end + (not region.end_exclusive) <= self._lost_before:
+        passed = region.end + (not region.end_exclusive)
+        if self._lost_before is not None and passed <= self._lost_before and self._reaches_into_loss(region):
             return self._lost()
         newest = self._held.newest
         held = "the channel holds no items" if newest is None else f"the newest item is at {format_instant(newest)}"

@@ -33,6 +33,8 @@ _RANGES = {  # by field: the least and the greatest value, and the text of this 
     "max_age_unconsumed_nanos": (1, 2**63 - 1, "more than 0"),
     "max_future_nanos": (0, 2**63 - 1, "0 or more"),
     "overlap_nanos": (1, OVERLAP_NANOS_MAX, "more than 0 and at most 1 h"),
+    "archive_nanos": (1, 2**63 - 1, "more than 0"),
+    "archive_bytes": (2**20, 2**64 - 1, "at least 1048576 (1 MiB)"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
 }
 

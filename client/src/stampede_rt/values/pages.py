@@ -1,0 +1,49 @@
+"""One answer that a host gives in several pages, because it reads a long part of an archive. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.values.model import Item, Items
+from stampede_rt.values.reading import ReadQuery
+from stampede_rt.values.timeline import fixed
+
+
+class Pages:
+    """The pages of the answer to `query`. The host resolved its interval with the first page."""
+
+    def __init__(self, query: ReadQuery, first: Items) -> None:
+        self._query = query
+        self._pages = [first]
+
+    @property
+    def rest(self) -> ReadQuery:
+        """The query of the next page: the items after those that have come, as many as the limit leaves."""
+        first = self._pages[0]
+        left = None if self._query.limit is None else self._query.limit - sum(map(len, self._pages))
+        last = next(page for page in reversed(self._pages) if page)[-1]
+        return replace(self._query, interval=fixed(self._query.interval, first.interval), after=last, limit=left)
+
+    def add(self, page: Items) -> None:
+        """Take the next page."""
+        self._pages.append(page)
+
+    @property
+    def whole(self) -> Items:
+        """All pages as one answer."""
+        first, last = self._pages[0], self._pages[-1]
+        if first is last:
+            return first
+        items: list[Item] = [item for page in self._pages for item in page]
+        by_last = self._query.newest_first and first.truncated and not last.more
+        return Items(
+            items,
+            interval=first.interval,
+            complete=first.complete,
+            truncated=first.truncated,
+            more=last.more,
+            reason=last.reason if by_last else first.reason,
+            incarnation=first.incarnation,
+            cut=first.cut,
+            staleness_nanos=first.staleness_nanos,
+        )

@@ -1,0 +1,1 @@
+"""Archives on disk: the folder of a host, the segments of each channel, and the threads that write and read them."""

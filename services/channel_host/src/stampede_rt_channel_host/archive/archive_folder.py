@@ -1,0 +1,69 @@
+"""The archive folder of one host: its owner, and the lock that keeps other processes out."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from typing import IO
+
+from stampede_rt_runtime.settings import SettingsError
+
+_LOCK_FILE, _OWNER_FILE, _CHANNELS = "lock", "owner", "channels"
+
+
+class ArchiveFolder:
+    """Belongs to one host, by its host id, and to one process at a time.
+
+    `open` makes the folder if it is missing. Raises SettingsError, which says what to do: the folder belongs to another
+    host, another process uses it, or it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock: IO[str] | None = None
+
+    def open(self, host_id: bytes) -> None:
+        """Take the folder for this process and host."""
+        try:
+            (self.path / _CHANNELS).mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._lock = (self.path / _LOCK_FILE).open("a")
+        except OSError as error:
+            raise SettingsError(
+                f"--archive: the folder {self.path} cannot be written ({error.strerror}); give one that this user can "
+                "write"
+            ) from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise SettingsError(
+                f"--archive: another host process uses the folder {self.path} now; stop that process, or give this "
+                "host a folder of its own"
+            ) from error
+        self._check_owner(host_id.hex())
+
+    def _check_owner(self, host_id: str) -> None:
+        path = self.path / _OWNER_FILE
+        owner = path.read_text().strip() if path.exists() else ""
+        if not owner:
+            draft = path.with_suffix(".draft")
+            with draft.open("w") as file:
+                file.write(host_id + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            draft.rename(path)
+        elif owner != host_id:
+            raise SettingsError(
+                f"--archive: the folder {self.path} is the archive of host {owner}, and this is host {host_id}; give "
+                "this host a folder of its own, or start it with the --data-dir of that host"
+            )
+
+    def of_channel(self, channel_id: bytes) -> Path:
+        """The folder of one channel's segments."""
+        return self.path / _CHANNELS / channel_id.hex()
+
+    def close(self) -> None:
+        """Let other processes use the folder."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None

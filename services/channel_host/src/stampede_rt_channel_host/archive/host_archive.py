@@ -1,0 +1,150 @@
+"""The archive of one host, on its event loop: writes what the channels accept, and reads windows of it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
+from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment, WantedWindow
+from stampede_rt_channel_host.core.channel import Run
+
+logger = logging.getLogger(__name__)
+
+READERS = 2  # threads
+WRITE_AFTER_SECONDS = 0.2  # small writes are put together for so long
+RETRY_SECONDS = 1.0
+CLOSE_SECONDS_MAX = 5.0  # for the last writes of a host that stops
+_REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
+
+
+class HostArchive:
+    """Writes with one thread, and reads with others, so that the event loop never waits for the disk.
+
+    All channels of a write share its pace: the archive collects what came while the last write was under way, and for
+    WRITE_AFTER_SECONDS. `decode` makes a run of its stored body. `on_written` is called after each write of a channel.
+    """
+
+    def __init__(self, folder: ArchiveFolder, decode: Callable[[bytes], Run]) -> None:
+        self.folder = folder
+        self._decode = decode
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
+        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="archive-reader")
+        self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with what to call after the write
+        self._task: asyncio.Task[None] | None = None
+        self._news = asyncio.Event()
+        self.failure = ""
+        """Why the last write failed; empty: it did not."""
+
+    async def open(self, channel_id: bytes, name: str, epoch: int) -> tuple[SegmentFiles, OpenedArchive]:
+        """The files of a channel, after a look at them. Raises OSError."""
+        files = SegmentFiles(self.folder.of_channel(channel_id), {"channel_id": channel_id.hex(), "channel": name})
+        found = await asyncio.get_running_loop().run_in_executor(self._writer, files.open, epoch)
+        if found.torn_bytes or found.damaged_blocks:
+            logger.warning(
+                "the archive of a channel was damaged",
+                extra={
+                    "event": "archive_damaged",
+                    "channel": name,
+                    "torn_bytes": found.torn_bytes,
+                    "damaged_blocks": found.damaged_blocks,
+                },
+            )
+        return files, found
+
+    def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
+        """There are items of this channel to write."""
+        self._due[recorder] = on_written
+        if self._task is None:
+            self._task = asyncio.create_task(self._write_on(), name="archive")
+        self._news.set()
+
+    def forget(self, recorder: ChannelRecorder) -> None:
+        """Write no more for this channel."""
+        self._due.pop(recorder, None)
+        self._writer.submit(_close, recorder.files, False)
+
+    async def _write_on(self) -> None:
+        """Write while there is something to write."""
+        while True:  # ends with a cancellation
+            await self._news.wait()
+            self._news.clear()
+            await asyncio.sleep(WRITE_AFTER_SECONDS)
+            await self.write_all()
+
+    async def write_all(self) -> None:
+        """Write all that the channels have accepted. After a failure it waits a second; the items stay in memory."""
+        while self._due:
+            jobs = [(recorder, on_written, recorder.take()) for recorder, on_written in [*self._due.items()]]
+            self._due.clear()
+            for recorder, on_written, job in jobs:
+                if job.parts:
+                    await self._write(recorder, on_written, job)
+
+    async def _write(self, recorder: ChannelRecorder, on_written: Callable[[], None], job: WriteJob) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            segments = await loop.run_in_executor(self._writer, job.files.write, job.parts, job.limits)
+        except OSError as error:
+            self._note_failure(error)
+            await asyncio.sleep(RETRY_SECONDS)
+            self._due.setdefault(recorder, on_written)
+            return
+        self._note_success()
+        recorder.written(job, segments)
+        if recorder.backlog_items:
+            self._due.setdefault(recorder, on_written)
+        on_written()
+
+    def _note_failure(self, error: OSError) -> None:
+        if not self.failure:
+            logger.error(
+                "the archive cannot be written; items stay in memory as long as max_bytes allows",
+                extra={"event": "archive_failed", "folder": str(self.folder.path), "why": error.strerror or str(error)},
+            )
+        self.failure = error.strerror or str(error)
+
+    def _note_success(self) -> None:
+        if self.failure:
+            logger.warning(
+                "the archive is written again", extra={"event": "archive_recovered", "folder": str(self.folder.path)}
+            )
+        self.failure = ""
+
+    async def load(self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow) -> ArchiveWindow:
+        """Load a window in a thread. Raises OSError, for example if the archive's limits have removed a segment."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest)
+
+    async def close(self, recorders: list[ChannelRecorder]) -> None:
+        """Write the rest, and note in the folder of each channel that nothing is missing."""
+        if self._task is not None:
+            self._task.cancel()
+        for recorder in recorders:
+            if recorder.backlog_items:
+                self._due.setdefault(recorder, lambda: None)
+        try:
+            async with asyncio.timeout(CLOSE_SECONDS_MAX):
+                await self.write_all()
+        except TimeoutError:
+            logger.error("the host stops before its archive is written", extra={"event": "archive_cut_short"})
+        loop = asyncio.get_running_loop()
+        for recorder in recorders:
+            whole = not recorder.backlog_items and not self.failure
+            await loop.run_in_executor(self._writer, _close, recorder.files, whole)
+        self._writer.shutdown(wait=False)
+        self._readers.shutdown(wait=False)
+        self.folder.close()
+
+
+def _close(files: SegmentFiles, whole: bool) -> None:
+    files.close(stopped_cleanly=whole)
+
+
+def _rest() -> None:
+    time.sleep(_REST_SECONDS)

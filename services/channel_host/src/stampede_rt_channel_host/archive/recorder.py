@@ -1,0 +1,122 @@
+"""Records one channel: it says what the archive writes next, and what the archive has."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import NamedTuple
+
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
+from stampede_rt_channel_host.core.archive import ArchivedRun, ArchiveSpan, Segment
+from stampede_rt_channel_host.core.channel import ChannelCore, Run
+
+RUNS_PER_WRITE = 2048  # to collect so many takes about 2 ms
+BYTES_PER_WRITE = 16 * 2**20
+Part = list[ArchivedRun] | SeqGap
+
+
+class WriteJob(NamedTuple):
+    """What one write appends to the files of one channel. `end_seq`: the seq behind it."""
+
+    files: SegmentFiles
+    parts: list[Part]
+    limits: ArchiveLimits
+    end_seq: int
+    bytes: int
+
+
+class ChannelRecorder:
+    """One recorded channel, on the event loop. Other objects write and read its files.
+
+    `unarchived` counts the items that max_bytes collected before the archive had them.
+    """
+
+    def __init__(self, channel: ChannelCore, files: SegmentFiles, segments: tuple[Segment, ...]) -> None:
+        self.files = files
+        self.segments = segments
+        self.unarchived = 0
+        self.limits = ArchiveLimits(None, None)
+        self._channel = channel
+        self.archived_to = channel.next_seq
+        """All seqs below this one are on stable storage, or lost to the archive."""
+        # The seq after the items of a put, and the instant of their acceptance, for all that is not archived.
+        self._ends: list[int] = []
+        self._instants: list[int] = []
+        channel.record(self.archived_to)
+
+    def note(self, now: int) -> bool:
+        """Note that the channel has accepted items at `now`. Returns whether there is something to write."""
+        end_seq = self._channel.next_seq
+        if self._ends and self._instants[-1] == now:
+            self._ends[-1] = end_seq
+        elif end_seq > (self._ends[-1] if self._ends else self.archived_to):
+            self._ends.append(end_seq)
+            self._instants.append(now)
+        return end_seq > self.archived_to
+
+    @property
+    def waiting_since(self) -> int | None:
+        """The acceptance instant of the first item that is not archived, or None."""
+        return self._instants[0] if self._instants else None
+
+    @property
+    def backlog_items(self) -> int:
+        """The accepted items that are not archived."""
+        return self._channel.next_seq - self.archived_to
+
+    def take(self) -> WriteJob:
+        """The next items to write, in seq order, with gaps where memory has lost items."""
+        parts: list[Part] = []
+        expected, size, last = self.archived_to, 0, None
+        for slice_ in self._channel.accepted_from(self.archived_to):
+            run = slice_.run
+            if run is last:
+                continue
+            if size >= BYTES_PER_WRITE or sum(len(one) for one in parts if isinstance(one, list)) >= RUNS_PER_WRITE:
+                break
+            last = run
+            if run.first_seq > expected:
+                parts.append(SeqGap(expected, run.first_seq))
+            expected = self._add(parts, run)
+            size += len(run.body)
+        else:
+            if expected < self._channel.next_seq:
+                parts.append(SeqGap(expected, self._channel.next_seq))
+                expected = self._channel.next_seq
+        return WriteJob(self.files, parts, self.limits, expected, size)
+
+    def _add(self, parts: list[Part], run: Run) -> int:
+        at = bisect_right(self._ends, run.first_seq)
+        accepted = self._instants[min(at, len(self._instants) - 1)] if self._instants else 0
+        if not parts or isinstance(parts[-1], SeqGap):
+            parts.append([])
+        runs = parts[-1]
+        assert isinstance(runs, list), "the last part is a list of runs"
+        runs.append(ArchivedRun(accepted, run))
+        return run.first_seq + len(run)
+
+    def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
+        """Note that a job is on stable storage."""
+        self.segments = segments
+        self.unarchived += sum(one.end_seq - one.first_seq for one in job.parts if isinstance(one, SeqGap))
+        self.archived_to = job.end_seq
+        done = bisect_right(self._ends, job.end_seq)
+        del self._ends[:done]
+        del self._instants[:done]
+        self._channel.record(job.end_seq)
+
+    @property
+    def span(self) -> ArchiveSpan:
+        """The times between which the archive has items."""
+        return span_of(self.segments)
+
+
+def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
+    """The times between which the segments have items."""
+    lows = [one.low[0] for one in segments if one.low is not None]
+    highs = [one.high[0] for one in segments if one.high is not None]
+    is_cut = bool(segments) and segments[0].first_seq > 1
+    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
+
+
+Touch = Callable[["ChannelRecorder"], None]

@@ -1,0 +1,284 @@
+"""The segments of one channel as files. Its methods block: only the threads of the archive call them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from threading import Lock
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.archive import (
+    HEAD_BYTES,
+    ArchivedRun,
+    ArchiveWindow,
+    BlockHead,
+    PlacedBlock,
+    Segment,
+    WantedWindow,
+    choose,
+    decode_items,
+    encode_gap,
+    encode_items,
+    encode_opening,
+    grown,
+    is_whole,
+    scan,
+    summary,
+    window_of,
+)
+from stampede_rt_channel_host.core.channel import Run
+
+BLOCK_BYTES = 2**18
+SEGMENT_BYTES = 64 * 2**20
+SEGMENTS_KEPT = 64  # of which the block lists stay in memory
+SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
+_SUFFIX = ".segment"
+_CLEAN_FILE = "stopped-cleanly"
+_VECTORS_MAX = 512  # buffers in one call of writev
+
+
+class SeqGap(NamedTuple):
+    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive."""
+
+    first_seq: int
+    end_seq: int
+
+
+class ArchiveLimits(NamedTuple):
+    """How long and how much the archive keeps; None: without a limit."""
+
+    age_nanos: int | None
+    bytes_max: int | None
+
+
+class OpenedArchive(NamedTuple):
+    """What a host finds in the folder of a channel.
+
+    `stopped_cleanly`: the last host process archived all that it had accepted. `torn_bytes` were cut off the end.
+    """
+
+    segments: tuple[Segment, ...]
+    stopped_cleanly: bool
+    torn_bytes: int
+    damaged_blocks: int
+
+
+class SegmentFiles:
+    """Reads and writes the segments of one channel. One thread writes; any threads read at the same time."""
+
+    def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
+        """`facts` go into each new segment, for people who look into the file."""
+        self._folder = folder
+        self._facts = facts
+        self._segments: tuple[Segment, ...] = ()
+        self._file: int | None = None  # the segment to which blocks are appended
+        self._begun_at = 0  # the acceptance instant of its first block
+        self._lock = Lock()
+        self._kept: OrderedDict[int, Sequence[PlacedBlock]] = OrderedDict()
+        self._near = (0, 0)
+        self._epoch = 0
+        self.damaged_blocks = 0
+        """The blocks that reads found damaged."""
+
+    def open(self, epoch: int) -> OpenedArchive:
+        """Find the segments, and cut the torn tail off the last one. `epoch`: of the channel now."""
+        self._epoch = epoch
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        clean = self._folder / _CLEAN_FILE
+        # The directory has raised the epoch once since then: no other host has had the channel.
+        stopped_cleanly = clean.exists() and clean.read_text().strip() in (str(epoch - 1), str(epoch))
+        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{_SUFFIX}"))
+        found, torn_bytes, damaged = [], 0, 0
+        for number in numbers:
+            segment, torn, bad = self._open_one(number, is_last=number == numbers[-1])
+            torn_bytes, damaged = torn_bytes + torn, damaged + bad
+            if segment is not None:
+                found.append(segment)
+        clean.unlink(missing_ok=True)
+        self._segments = tuple(found)
+        return OpenedArchive(self._segments, stopped_cleanly and not torn_bytes, torn_bytes, damaged)
+
+    def _open_one(self, number: int, *, is_last: bool) -> tuple[Segment | None, int, int]:
+        path = self._path(number)
+        file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
+        try:
+            length = os.fstat(file).st_size
+            scanned = scan(lambda offset, size: os.pread(file, size, offset), length, check_contents=is_last)
+            if is_last and scanned.end < length:
+                os.ftruncate(file, scanned.end)
+                os.fsync(file)
+        finally:
+            os.close(file)
+        torn = length - scanned.end if is_last else 0
+        segment = summary(number, scanned.end, scanned.blocks)
+        if segment is None:
+            path.unlink()
+        return segment, torn, len(scanned.damaged)
+
+    def write(self, parts: Sequence[Sequence[ArchivedRun] | SeqGap], limits: ArchiveLimits) -> tuple[Segment, ...]:
+        """Append runs and gaps, in seq order, and bring them to stable storage. Returns all segments.
+
+        Drops whole segments that the limits do not keep. Raises OSError if nothing was written.
+        """
+        before = self._segments
+        try:
+            for part in parts:
+                self._append(part, limits)
+            if self._file is not None:
+                os.fsync(self._file)
+        except OSError:
+            self._undo(before)
+            raise
+        self._drop_old(limits)
+        return self._segments
+
+    def _append(self, part: Sequence[ArchivedRun] | SeqGap, limits: ArchiveLimits) -> None:
+        if isinstance(part, SeqGap):
+            self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, self._begun_at), limits)
+            return
+        waiting: list[ArchivedRun] = []
+        size = 0
+        for one in part:
+            waiting.append(one)
+            size += len(one.run.body)
+            if size >= BLOCK_BYTES:
+                self._append_block(*encode_items(waiting), limits)
+                waiting, size = [], 0
+        if waiting:
+            self._append_block(*encode_items(waiting), limits)
+
+    def _append_block(self, head: BlockHead, buffers: list[bytes], limits: ArchiveLimits) -> None:
+        if self._file is None or self._is_full(head, limits):
+            self._begin_segment(head)
+        file, segment = self._file, self._segments[-1]
+        assert file is not None, "a segment is open"
+        _write_all(file, buffers)
+        self._segments = (*self._segments[:-1], grown(segment, head))
+        self._near = head.high
+
+    def _is_full(self, head: BlockHead, limits: ArchiveLimits) -> bool:
+        segment = self._segments[-1]
+        least = SEGMENT_BYTES if limits.bytes_max is None else min(SEGMENT_BYTES, limits.bytes_max // 8)
+        span = head.last_accepted - self._begun_at
+        is_old = limits.age_nanos is not None and span > limits.age_nanos // SEGMENTS_PER_AGE
+        return segment.length >= least or (is_old and segment.items > 0)
+
+    def _begin_segment(self, head: BlockHead) -> None:
+        """End the present segment, and begin the next one, whose name no other segment has had."""
+        self._end_segment()
+        number = self._segments[-1].number + 1 if self._segments else 1
+        self._file = os.open(self._path(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
+        _sync_folder(self._folder)
+        opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
+        _write_all(self._file, opening)
+        length = sum(map(len, opening))
+        self._begun_at = head.first_accepted
+        fresh = Segment(number, length, 0, head.first_seq, head.first_seq, None, None, 0)
+        self._segments = (*self._segments, fresh)
+
+    def _end_segment(self) -> None:
+        if self._file is not None:
+            os.fsync(self._file)
+            os.close(self._file)
+            self._file = None
+
+    def _undo(self, before: tuple[Segment, ...]) -> None:
+        """Take back what a failed write has appended. The next write begins a new segment."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+        for segment in self._segments[len(before) :]:
+            self._path(segment.number).unlink(missing_ok=True)
+        if before:
+            os.truncate(self._path(before[-1].number), before[-1].length)
+        self._segments = before
+
+    def _drop_old(self, limits: ArchiveLimits) -> None:
+        """Delete the oldest segments as long as the limits are kept without them. Never deletes the last segment."""
+        size = sum(one.length for one in self._segments)
+        newest = self._segments[-1].last_accepted if self._segments else 0
+        while len(self._segments) > 1:
+            oldest = self._segments[0]
+            too_old = limits.age_nanos is not None and oldest.last_accepted < newest - limits.age_nanos
+            if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
+                return
+            size -= oldest.length
+            self._segments = self._segments[1:]
+            self._path(oldest.number).unlink(missing_ok=True)
+
+    def raise_epoch(self, epoch: int) -> None:
+        """The channel has a higher epoch now, at the same host."""
+        self._epoch = max(self._epoch, epoch)
+
+    def close(self, *, stopped_cleanly: bool) -> None:
+        """End the present segment. `stopped_cleanly`: all accepted items are in it."""
+        self._end_segment()
+        if stopped_cleanly and self._folder.is_dir():
+            with (self._folder / _CLEAN_FILE).open("w") as file:
+                file.write(str(self._epoch))
+                file.flush()
+                os.fsync(file.fileno())
+            _sync_folder(self._folder)
+
+    def load(
+        self,
+        segments: Sequence[Segment],
+        wanted: WantedWindow,
+        decode: Callable[[bytes], Run],
+        rest: Callable[[], None],
+    ) -> ArchiveWindow:
+        """Load a window of the segments. Calls `rest` after each block, so that other threads have their turn."""
+        chosen = choose(segments, self._blocks_of, wanted.wanted)
+        runs: list[Run] = []
+        for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
+            runs += self._runs_of(segment, block, decode)
+            rest()
+        return window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
+
+    def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
+        with self._path(segment.number).open("rb", buffering=0) as file:
+            content = os.pread(file.fileno(), block.head.content_bytes, block.offset + HEAD_BYTES)
+        if not is_whole(block.head, content):
+            self.damaged_blocks += 1
+            return []
+        return [one.run for one in decode_items(block.head, content, decode)]
+
+    def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
+        """The blocks of a segment, as far as it had grown when the read began."""
+        with self._lock:
+            blocks = self._kept.get(segment.number)
+            if blocks is not None and blocks and blocks[-1].end >= segment.length:
+                self._kept.move_to_end(segment.number)
+                return blocks if blocks[-1].end == segment.length else [b for b in blocks if b.end <= segment.length]
+        with self._path(segment.number).open("rb", buffering=0) as file:
+            found = scan(lambda at, size: os.pread(file.fileno(), size, at), segment.length, check_contents=False)
+        with self._lock:
+            self._kept[segment.number] = found.blocks
+            if len(self._kept) > SEGMENTS_KEPT:
+                self._kept.popitem(last=False)
+        return found.blocks
+
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number:012}{_SUFFIX}"
+
+
+def _write_all(file: int, buffers: Sequence[bytes]) -> None:
+    """Write all buffers, one after the other. Raises OSError."""
+    for at in range(0, len(buffers), _VECTORS_MAX):
+        part = buffers[at : at + _VECTORS_MAX]
+        written = os.writev(file, part)
+        if written < sum(map(len, part)):  # a signal, or a disk that is nearly full
+            rest = memoryview(b"".join(part))[written:]
+            while rest:
+                rest = rest[os.write(file, rest) :]
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

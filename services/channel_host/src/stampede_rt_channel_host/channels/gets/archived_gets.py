@@ -1,0 +1,29 @@
+"""Gets that reach further back than the items in memory: they read windows of the channel's archive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt_channel_host.channels.gets.open_get import OpenGet
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.channel import Pending, ReadAnswer
+
+
+async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[], int]) -> ReadAnswer | Pending:
+    """The answer of a get over the archive and memory.
+
+    A get that may wait, and whose items have not come, gets its interval instead (`get.pending`): the caller lets it
+    wait for memory, and calls again with the memory's answer.
+    """
+    recording, query = get.hosted.recording, get.plan.query
+    assert recording is not None, "the channel is recorded"
+    within = None if get.pending is None else get.pending.interval
+    read = await recording.read(query, within, scheduler, now)
+    get.continues = read.continues
+    answer = read.answer()
+    is_over = answer.complete or get.waits_for_archive or not get.plan.wait_nanos
+    if is_over or (answer.slices and not query.complete):
+        return answer
+    get.continues, get.waits_for_archive = False, True
+    get.pending = Pending(query, read.within)
+    return get.pending

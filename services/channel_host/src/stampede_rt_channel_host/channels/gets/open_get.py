@@ -1,0 +1,51 @@
+"""One get under way at a host."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.channels.gets.get_plans import GetPlan
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.channel import Pending, ReadAnswer, Unfinished, WakeAt, first_of
+
+
+class OpenGet:
+    """One get of a channel, from its start to its answer."""
+
+    __slots__ = ("_begun_at", "_polled_at", "call_id", "continues", "hosted", "pending", "plan", "waits_for_archive")
+
+    def __init__(self, call_id: int, plan: GetPlan, hosted: HostedChannel, now: int) -> None:
+        self.call_id = call_id
+        self.plan = plan
+        self.hosted = hosted
+        self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
+        self.continues = False  # whether the answer was cut off for its length
+        self.waits_for_archive = False  # whether the answer of memory is to be completed from the archive
+        self._begun_at = now
+        self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
+
+    def reads_archive(self, now: int) -> bool:
+        """Whether the answer may have items that only the archive of the channel has."""
+        recording = self.hosted.recording
+        return recording is not None and not self.plan.within_memory and recording.reaches(self.plan.query, now)
+
+    def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
+        """Look for the answer of a blocking get.
+
+        Returns the answer, or when to look again, or, if the work is long, the rest of the work.
+        """
+        assert self.pending is not None, "only a blocking get is polled"
+        self._polled_at = self.hosted.changes
+        return first_of(self.hosted.channel.polling(self.pending, now))
+
+    def released(self) -> None:
+        """Note that a look at an earlier state of the channel may have released the get. Sets `is_outdated` to True."""
+        self._polled_at = None
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the channel has changed since the last poll, so that the result of that poll may be out of date."""
+        return self._polled_at != self.hosted.changes
+
+    def wait_nanos(self, now: int) -> int:
+        """How long the get may still wait, in nanoseconds; below 0: without limit."""
+        wait_nanos = self.plan.wait_nanos
+        return wait_nanos if wait_nanos < 0 else max(0, self._begun_at + wait_nanos - now)

@@ -1,0 +1,154 @@
+"""The recording of one hosted channel: what it accepts goes to the archive, and reads find it there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.values.model import Policy
+from stampede_rt.values.policy import FOREVER_NANOS
+from stampede_rt.values.timeline import ResolvedInterval
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.archive import (
+    ArchivedRead,
+    ArchiveWindow,
+    Wanted,
+    WantedWindow,
+    reaches,
+    resolved,
+    resolved_now,
+)
+from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Query, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+
+RESTORED_BYTES = 2**20
+_TRIES = 3  # of a read whose segments the limits of the archive remove meanwhile
+
+
+class OpenedChannelArchive:
+    """The archive of a channel that the host is about to serve, and the newest items in it."""
+
+    def __init__(self, files: SegmentFiles, found: OpenedArchive, newest: ArchiveWindow | None) -> None:
+        self.files = files
+        self.found = found
+        self.newest = newest
+
+
+async def open_archive(archive: HostArchive, channel_id: bytes, name: str, epoch: int) -> OpenedChannelArchive:
+    """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written."""
+    try:
+        files, found = await archive.open(channel_id, name, epoch)
+        newest = None
+        if found.segments:
+            wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True)
+            newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
+    except OSError as error:
+        raise Unavailable(
+            f"the archive of channel {name} in {archive.folder.path} cannot be used ({error.strerror}); free the disk, "
+            "or give the host a folder that it can write, and open the channel again"
+        ) from error
+    return OpenedChannelArchive(files, found, newest)
+
+
+class Recording:
+    """Records one channel from its start at this host. `on_archived` is called when the archive has got further."""
+
+    def __init__(
+        self,
+        archive: HostArchive,
+        opened: OpenedChannelArchive,
+        channel: ChannelCore,
+        cut: Callable[[bytes, int, int], bytes],
+        on_archived: Callable[[], None],
+    ) -> None:
+        self.is_stopped = False
+        self._archive = archive
+        self._channel = channel
+        self._on_archived = on_archived
+        if channel.next_seq == 1 and opened.newest is not None:
+            _restore(channel, opened, cut)
+        self.recorder = ChannelRecorder(channel, opened.files, opened.found.segments)
+
+    def set_policy(self, policy: Policy, epoch: int = 0) -> None:
+        """Take over the limits of the archive, and the epoch of the channel at this host."""
+        self.recorder.files.raise_epoch(epoch)
+        age = None if policy.archive_nanos == FOREVER_NANOS else policy.archive_nanos
+        self.recorder.limits = ArchiveLimits(age, policy.archive_bytes)
+
+    def accepted(self, now: int) -> None:
+        """The channel has accepted items at `now`."""
+        if self.recorder.note(now):
+            self._archive.touch(self.recorder, self._on_archived)
+
+    def stop(self) -> None:
+        """Write no more: the host gives the channel up."""
+        if not self.is_stopped:
+            self.is_stopped = True
+            self._archive.forget(self.recorder)
+
+    def reaches(self, query: Query, now: int) -> bool:
+        """Whether a read may want items that only the archive has."""
+        if not self.recorder.segments:
+            return False
+        held, _ = self._channel.look(now)
+        within = resolved_now(held, self.recorder.span, query, now)
+        return within is not None and reaches(held, within)
+
+    async def read(
+        self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: Callable[[], int]
+    ) -> ArchivedRead:
+        """Read over the archive and memory. `within`: the interval as resolved before; None: not yet.
+
+        Raises Unavailable if the archive cannot be read.
+        """
+        self._channel.check_positions(query)
+        for _ in range(_TRIES):
+            try:
+                return await self._read(query, within, scheduler, now())
+            except FileNotFoundError:  # a segment has just left the archive
+                continue
+            except OSError as error:
+                raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
+        raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+
+    async def _read(
+        self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int
+    ) -> ArchivedRead:
+        snapshot, segments = self._channel.snapshot(now), self.recorder.segments
+        try:
+            span = span_of(segments)
+            within = within or resolved(snapshot, span, query)
+            assert within is not None, "there is at least one archived item"
+            read = ArchivedRead(snapshot, span, query, within)
+            await scheduler.do(read.begin())
+            while (wanted := read.next_window()) is not None:
+                window = await self._archive.load(self.recorder.files, segments, wanted)
+                await scheduler.do(read.take(window))
+            return read
+        finally:
+            snapshot.close()
+
+
+def _restore(channel: ChannelCore, opened: OpenedChannelArchive, cut: Callable[[bytes, int, int], bytes]) -> None:
+    """Take the newest archived items into memory, so that the channel goes on where its archive ends."""
+    window, segments = opened.newest, opened.found.segments
+    assert window is not None, "the archive has items"
+    parts = sorted(window.items.slices(FIRST_KEY, LAST_KEY), key=lambda one: one.first_seq)
+    runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
+    after = window.edge
+    first = segments[0].first_seq
+    if after is None and first > 1 and runs:
+        after = min(min(run.times) for run in runs) - 1
+    span = span_of(segments)
+    lost_from = None if opened.found.stopped_cleanly else span.newest
+    channel.restore(runs, after=after, next_seq=max(one.end_seq for one in segments), lost_from=lost_from)
+
+
+def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:
+    """The items of a slice as a run of their own."""
+    run, lo, hi = part
+    durations = None if run.durations is None else run.durations[lo:hi]
+    return make_run(part.first_seq, run.times[lo:hi], durations, run.lengths[lo:hi], cut(run.body, lo, hi))

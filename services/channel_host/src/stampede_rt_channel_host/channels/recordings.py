@@ -1,0 +1,78 @@
+"""The recorded channels of a host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
+from stampede_rt_channel_host.core.channel.limits import check_policy_change
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+
+class Recordings:
+    """Order of use for each channel: `prepare`, which may wait for the disk, and then `attach`.
+
+    `archive` is None if the host has no archive.
+    """
+
+    def __init__(self) -> None:
+        self.archive: HostArchive | None = None
+        self._opened: dict[bytes, OpenedChannelArchive] = {}
+        self._recorded: dict[bytes, Recording] = {}
+
+    async def prepare(self, record: RecordedChannel, hosted: HostedChannel | None) -> None:
+        """Look at the archive of a channel that the host is about to serve as `record` says.
+
+        Raises InvalidArgument if the channel is to be recorded and the host has no archive. Raises Unavailable if the
+        archive cannot be used.
+        """
+        self.check(record.name, is_recorded=record.policy.is_recorded)
+        is_same = hosted is not None and hosted.record.incarnation == record.incarnation
+        if self.archive is None or not record.policy.is_recorded or (is_same and hosted and hosted.recording):
+            return
+        if hosted is not None and hosted.recording is not None:
+            hosted.recording.stop()
+        opened = await open_archive(self.archive, record.channel_id, record.name, record.epoch)
+        self._opened[record.channel_id] = opened
+
+    async def adopt(
+        self,
+        record: RecordedChannel,
+        hosted: HostedChannel | None,
+        adopt: Callable[[RecordedChannel], HostedChannel],
+    ) -> HostedChannel:
+        """Serve a channel as `record` says, and record it if its policy says so. Raises the errors of `prepare`."""
+        await self.prepare(record, hosted)
+        return self.attach(adopt(record))
+
+    def check(self, name: str, *, is_recorded: bool) -> None:
+        """Raises InvalidArgument if a channel is to be recorded and the host has no archive."""
+        if is_recorded and self.archive is None:
+            raise InvalidArgument(
+                f"channel {name} is to be recorded (archive), and its host has no archive; start the host with "
+                "--archive FOLDER, or open the channel under another name with `host`, at a host that has one"
+            )
+
+    def check_change(self, record: RecordedChannel, stated: Policy) -> None:
+        """Raises InvalidArgument if the channel cannot have a policy with the values of `stated`."""
+        check_policy_change(record.policy, stated)
+        self.check(record.name, is_recorded=stated.is_recorded)
+
+    def attach(self, hosted: HostedChannel) -> HostedChannel:
+        """Record the channel from now on, if `prepare` has opened its archive."""
+        opened = self._opened.pop(hosted.record.channel_id, None)
+        if opened is not None and self.archive is not None:
+            recording = Recording(self.archive, opened, hosted.channel, slice_run, hosted.archived)
+            hosted.record_with(recording)
+            self._recorded[hosted.record.channel_id] = recording
+        return hosted
+
+    async def close(self) -> None:
+        """Write the rest of all channels, because the host stops."""
+        if self.archive is not None:
+            await self.archive.close([one.recorder for one in self._recorded.values() if not one.is_stopped])

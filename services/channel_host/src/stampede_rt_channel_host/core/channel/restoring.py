@@ -1,0 +1,30 @@
+"""Takes the newest items of an archive into an empty channel. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt_channel_host.core.channel.held_items import ARCHIVE
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.run import Run
+
+
+def restore(held: Holdings, runs: Iterable[Run], *, after: int | None, next_seq: int) -> None:
+    """Store `runs`, all items later than `after`, in the order of their seqs.
+
+    The items up to `after` count as collected, because the archive has them; None: there are none. `next_seq`: the seq
+    of the next accepted item.
+    """
+    if after is not None:
+        held.floor = (after + 1, 0)
+        held.newest_collected, held.collected_by = after, ARCHIVE
+    for run in runs:
+        _skip_to(held, run.first_seq)
+        held.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
+    _skip_to(held, next_seq)
+    held.collected_end = None if after is None else held.oldest
+
+
+def _skip_to(held: Holdings, next_seq: int) -> None:
+    """Count the seqs up to `next_seq`, exclusive, as missed, unless they are held or were missed before."""
+    held.missed += max(0, next_seq - held.next_seq)

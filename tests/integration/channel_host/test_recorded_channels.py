@@ -1,0 +1,137 @@
+"""Recorded channels at a real host: reads over archive and memory, and the same host after a stop or a crash."""
+
+from __future__ import annotations
+
+import io
+import re
+import time
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+
+ITEMS = 400
+MS = 10**6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("archive")
+
+
+@pytest.fixture(scope="module")
+def cluster(folder: Path) -> Iterator[LocalCluster]:
+    """One host with an archive, and one without."""
+    with LocalCluster(hosts=1, supernodes=1, archive=folder) as running:
+        yield running
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address, secret=cluster.secret.text) as connection:
+        yield connection
+
+
+def fill(channel: st.Channel, began: int, first: int = 0, count: int = ITEMS) -> None:
+    """Put items of one millisecond after the other."""
+    for number in range(first, first + count):
+        channel.put(b"%d" % number, time=began + number * MS)
+
+
+def numbers(items: st.Items) -> list[int]:
+    return [int(item.payload) for item in items]
+
+
+def wait_until_collected(channel: st.Channel, held: int) -> None:
+    """Wait until the archive has so much that memory holds only `held` items."""
+    deadline = time.monotonic() + 20
+    while channel.stats().held > held:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def check_reads(channel: st.Channel, began: int) -> None:
+    """Reads over the border of memory and archive find what all items in memory would give."""
+    whole = channel.get(began, began + ITEMS * MS)
+    assert numbers(whole) == list(range(ITEMS))
+    assert whole.truncated is False
+    assert [item.end for item in whole][:-1] == [began + number * MS for number in range(1, ITEMS)]
+    assert numbers(channel.at(began + 7 * MS + 5)) == [7]
+    assert channel.oldest().payload == b"0"
+    assert channel.newest().payload == b"%d" % (ITEMS - 1)
+    assert channel.before(began + 5 * MS).payload == b"4"
+    page = channel.get(st.OLDEST, st.NEWEST, limit=3)
+    assert numbers(page) == [0, 1, 2]
+    assert page.more
+    assert numbers(channel.get(st.OLDEST, st.NEWEST, after=page[-1], limit=2)) == [3, 4]
+    backwards = channel.get(st.OLDEST, st.NEWEST, newest_first=True, limit=20)
+    assert numbers(backwards) == list(range(ITEMS - 1, ITEMS - 21, -1))
+    gone = channel.get(began, began + 10 * MS, within="memory")
+    assert (len(gone), gone.reason) == (0, "COLLECTED")
+    assert channel.get(began - 5 * MS, began - MS).reason == "NEVER"
+    assert numbers(channel.get(began, began + 10 * MS, timeout=30, complete=True)) == list(range(11))
+
+
+def test_reads_know_no_border_between_archive_and_memory(rt: st.Connection) -> None:
+    channel, began = rt.channel("rig/border", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began)
+    wait_until_collected(channel, 8)
+    check_reads(channel, began)
+
+
+def test_a_long_answer_comes_in_pages_and_arrives_whole(rt: st.Connection) -> None:
+    channel, began = rt.channel("rig/long", max_items=2, archive="forever"), time.time_ns() - 10**9
+    for number in range(60):
+        channel.put(bytes([number]) * 200_000, time=began + number * MS)
+    wait_until_collected(channel, 2)
+    items = channel.get(st.OLDEST, st.NEWEST)
+    assert [item.payload[0] for item in items] == list(range(60))
+    assert not items.more
+    assert [item.payload[0] for item in channel.get(st.OLDEST, st.NEWEST, newest_first=True)] == list(range(59, -1, -1))
+
+
+def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_stop(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = rt.channel("rig/stopped", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began, count=ITEMS - 1)
+    cluster.hosts[0].stop()
+    cluster.hosts[0].restart()
+    channel = rt.channel("rig/stopped")
+    channel.put(b"%d" % (ITEMS - 1), time=began + (ITEMS - 1) * MS)
+    check_reads(channel, began)
+
+
+def test_after_a_crash_only_the_last_stretch_is_lost(cluster: LocalCluster, rt: st.Connection) -> None:
+    channel, began = rt.channel("rig/killed", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began)
+    wait_until_collected(channel, 8)
+    cluster.hosts[0].kill()
+    cluster.hosts[0].restart()
+    channel = rt.channel("rig/killed")
+    kept = channel.get(began, began + 100 * MS)
+    assert numbers(kept) == list(range(101))
+    assert (kept.truncated, kept.reason) == (False, None)
+    newest = channel.newest()
+    assert int(newest.payload) >= ITEMS - 8
+    assert channel.get(newest.time + MS, st.NOW).reason == "LOST"
+
+
+def test_every_example_of_the_guide_prints_what_stands_beside_it(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
+    page = (Path(__file__).resolve().parents[3] / "docs" / "recording.md").read_text()
+    names: dict[str, object] = {}
+    for number, block in enumerate(re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)):
+        printed = io.StringIO()
+        with redirect_stdout(printed):
+            exec(compile(block, "recording.md", "exec"), names)
+        assert printed.getvalue().splitlines() == re.findall(r"print\(.*\)  # (.*)", block)
+        if not number:
+            wait_until_collected(names["imu"], 10)
