@@ -1,4 +1,4 @@
-"""Bare grpcio moving the same bytes: what any gRPC service pays, beside which the product is shown."""
+"""Bare grpcio that moves the same bytes: the cost of any gRPC service, for comparison with the product."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ OPTIONS = (
     ("grpc.max_receive_message_length", -1),
     ("grpc.max_send_message_length", -1),
     ("grpc.so_reuseport", 0),
-    # Its client pings each 5 s, as ours do. By default a third ping within 5 minutes without data ends the connection.
+    # Its client pings each 5 s, like ours. By default a third ping within 5 minutes without data ends the connection.
     ("grpc.http2.min_ping_interval_without_data_ms", Limits().ping_interval_millis_min),
 )
 
 
 class Bare(grpc.GenericRpcHandler):
-    """Acks what it is sent, sends what it is asked for, and relays one stream to another."""
+    """Acks the sent messages, sends the requested ones, and relays one stream to another."""
 
     def __init__(self) -> None:
         self._relayed: asyncio.Queue[bytes] = asyncio.Queue(QUEUE_MESSAGES_MAX)

@@ -62,7 +62,7 @@ class Callers:
 
 @contextmanager
 def callers() -> Iterator[Callers]:
-    """All callers are one caller with quotas, or none has quotas."""
+    """Callers of which all have quotas, or none."""
     found, subject_of = Callers(), control.subject_of
     control.subject_of = found.subject_of
     try:

@@ -60,7 +60,7 @@ class Host:
 
 
 class Shown:
-    """What a group shows of a channel: a `Source` whose cut stands still."""
+    """A channel as a group shows it: a `Source` whose cut does not move."""
 
     def __init__(self, channel: HostedChannel, cut: int) -> None:
         self.horizon = Horizon(cut, str)
@@ -107,7 +107,7 @@ def puts_beside_group_gets(others: int) -> list[float]:
 
 
 def puts_beside_gets_ahead(others: int) -> list[float]:
-    """A replay: gets of what lies between the newest item and the clock."""
+    """A replay: gets of items between the newest item and the clock."""
     host = Host()
     channel = host.open(max_items=100)
     host.put(channel, START)
@@ -121,13 +121,13 @@ def puts_beside_gets_ahead(others: int) -> list[float]:
 
 
 def puts_beside_consumers(others: int) -> list[float]:
-    """All of them have consumed up to here, and owe the item."""
+    """All consumers have consumed the earlier items, and owe this one."""
     host, channel = with_consumers(others)
     return timed(lambda at: host.put(channel, START + at))
 
 
 def consumes_beside_consumers(others: int) -> list[float]:
-    """One of them consumes an item that the others have consumed."""
+    """One consumer consumes an item that the others have consumed."""
     host, channel = with_consumers(others)
     for at in range(PUTS):
         host.put(channel, START + at)
@@ -156,7 +156,7 @@ def with_idle_channels(others: int) -> tuple[Host, HostedChannel]:
 
 
 def sweeps_of_idle_channels(others: int) -> list[float]:
-    """One round of the sweep, after a put into one of them."""
+    """One round of the sweep, after a put into one of the channels."""
     host, channel = with_idle_channels(others)
 
     async def measured() -> list[float]:
@@ -183,7 +183,7 @@ def refusals_for_memory(others: int) -> list[float]:
 
 
 def opens_beside_channels(others: int) -> list[float]:
-    """In wall time, over gRPC: the directory's log, the gatekeeper and the put take part."""
+    """The wall time over gRPC, with the directory's log, the gatekeeper and the put."""
     with connected() as rt:
         for number in range(others):
             rt.channel(f"others/{number}")

@@ -127,7 +127,7 @@ async def fill(stubs: list[Stub], prefix: str, count: int) -> list[Row]:
 
 
 async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
-    """From the write to the last of many watches, each on a stream of its own."""
+    """The time from a write to the last of many watches, each on its own stream."""
     addresses = [one.address for one in cluster.supernodes]
     channels = [dial(addresses[number % len(addresses)], secret=None) for number in range(30)]
     index = (await stub.ResolveChannel(pb.ResolveChannelRequest(name="many/0"), timeout=CALL_SECONDS)).applied_index
@@ -158,7 +158,7 @@ async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
 
 
 async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
-    """All at once, some times over: each has a connection of its own, and makes one confirmed lookup on it."""
+    """All clients together, several times: each opens a connection, and makes one confirmed lookup."""
     with ProcessPoolExecutor(CLIENT_PROCESSES, multiprocessing.get_context("spawn")) as processes:
         runs = [await come_at_once(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
     took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # in the first one everything is imported
@@ -188,7 +188,7 @@ def spread(seconds: Sequence[float]) -> str:
 
 
 def cpu_seconds(cluster: Cluster) -> float:
-    """What the supernodes have used since they were started."""
+    """The CPU time of the supernodes since their start."""
     return sum(one.cpu_seconds() for one in cluster.supernodes)
 
 
@@ -242,7 +242,7 @@ async def restart(cluster: Cluster) -> list[Row]:
 
 
 async def catch_up(cluster: Cluster) -> list[Row]:
-    """A follower was away for so long that the log no longer holds what it lacks, and is sent a snapshot."""
+    """A follower is away until the log no longer has the entries that it lacks. It then gets a snapshot."""
     leader = await cluster.leader()
     follower, other = cluster.others(leader)
     await follower.end(signal.SIGKILL)
@@ -286,7 +286,7 @@ async def measure(channels: int, clients: int) -> None:
 
 
 async def in_a_process(measure: Callable[..., list[Row]], *arguments: Any) -> list[Row]:
-    """What `measure` gives in a process of its own, where nothing else runs."""
+    """The result of `measure` in a separate process without other work."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
         return await asyncio.get_running_loop().run_in_executor(processes, measure, *arguments)
 

@@ -69,13 +69,13 @@ class Alone:
         )
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Nobody listens."""
+        """Do nothing: no other member listens."""
 
     def has_room(self, member_id: str) -> bool:
         return True
 
     def follow(self, roster: object) -> None:
-        """Nobody is there."""
+        """Do nothing: there are no other members."""
 
     def step(self) -> None:
         wall, cpu = time.perf_counter(), time.thread_time()
@@ -88,7 +88,7 @@ class Alone:
             if done():
                 return
             self.step()
-            time.sleep(0.001)  # as a supernode's own thread, which waits for what comes in
+            time.sleep(0.001)  # as a supernode's own thread, which waits for arrivals
         raise AssertionError("it did not happen")
 
     def forget(self) -> None:
@@ -98,7 +98,7 @@ class Alone:
         return f"longest tick {self.longest_wall * 1e3:.0f} ms, {self.longest_cpu * 1e3:.0f} ms of CPU"
 
     def propose(self, operations: list[Operation]) -> list[Any]:
-        """Where the outcomes will be."""
+        """Propose the operations. The outcomes appear in the returned list."""
         outcomes: list[Any] = []
         for operation in operations:
             self.proposed += 1
@@ -162,7 +162,7 @@ def _opening(number: int) -> OpenChannel:
 
 
 def snapshots(folder: Path, channels: int) -> list[Row]:
-    """Blocks for a while: opens so many channels in a directory of its own, and times what snapshots of it take."""
+    """Open `channels` channels in a directory, and measure its snapshots. Blocks for a while."""
     one = Alone(folder / "one")
     one.found()
     one.open_channels(channels)
@@ -190,7 +190,7 @@ def _taken(one: Alone, name: str) -> Row:
 
 
 def _received(folder: Path, leader: Alone) -> Row:
-    """What a follower takes, from the last piece on, that a leader sends its snapshot to."""
+    """The time of a follower that gets a snapshot, from its last piece on."""
     stored = leader.replica._log.snapshot
     assert stored is not None
     keeper = SnapshotKeeper(leader.replica._log, leader.machine, lambda member_id: True)

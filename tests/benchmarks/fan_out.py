@@ -37,7 +37,7 @@ STALLS_AFTER = 30  # items that the stalled reader takes, so that the host sends
 WARM_S = 2.0
 WORKS = {"18 KB": (1, 18_000), "64 x 64 B": (64, 64)}
 MIB = 2**20
-LONGER_MAX, GROWN_BYTES_MAX = 1.10, 16 * MIB  # the goal: what a stalled reader may cost
+LONGER_MAX, GROWN_BYTES_MAX = 1.10, 16 * MIB  # the goal for the cost of a stalled reader
 TICKS_PER_SECOND, PAGE_BYTES = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
 AS_READERS, AS_STALLED = "--as-readers", "--as-stalled"
 
@@ -78,7 +78,7 @@ class Host:
         return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
 
     def resident_bytes(self) -> int:
-        """Its memory."""
+        """The resident memory, in bytes."""
         return int((self._folder / "statm").read_text().split()[1]) * PAGE_BYTES
 
 

@@ -55,13 +55,13 @@ class FedHost(ChannelHost):
 
 
 class Messages:
-    """Counts what links send."""
+    """Counts the messages of links."""
 
     sent = 0
 
     @classmethod
     def count(cls) -> None:
-        """From now on, in this process."""
+        """Count from now on, in this process."""
         gather = HostLink._gather
 
         def counted(link: HostLink) -> Any:

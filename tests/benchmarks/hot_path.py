@@ -30,7 +30,8 @@ SIZES = (64, 18_000, 300_000)
 INTERVAL_ITEMS = {64: 1000, 18_000: 200, 300_000: 20}
 RUN_ITEMS = {64: 256, 18_000: 3, 300_000: 1}
 RUNS = 8  # on their way from a producer to a subscriber, before the first of them is read
-CHANNEL_ITEMS = 4096  # more than are ever on their way: what is collected unread would be waited for in vain
+# more items than are ever under way: a reader would wait in vain for an item collected before it was read
+CHANNEL_ITEMS = 4096
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def newest(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable[[
 
 
 def interval(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable[[], int], Callable[[], int]]:
-    """Some items in one get; bare, the same bytes in messages of up to 1 MiB."""
+    """Get some items in one get. On the bare server: the same bytes in messages of up to 1 MiB."""
     count = INTERVAL_ITEMS[size]
     with channel.producer() as producer:
         for _ in range(count):

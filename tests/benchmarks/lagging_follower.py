@@ -114,7 +114,7 @@ async def leader_of(supernodes: list[Supernode]) -> Supernode:
 
 
 async def open_channels(supernodes: list[Supernode], count: int) -> list[Any]:
-    """So many, at one host. Waits for whoever leads to take over."""
+    """Open `count` channels at one host. Waits for a leader."""
     async for _ in processes.attempts():
         with contextlib.suppress(grpc.aio.AioRpcError):
             await register_host(supernodes[0].stub)
@@ -174,7 +174,7 @@ async def restart_and_watch(leader: Supernode, follower: Supernode, load: Load, 
 
 
 async def level(leader: Supernode, follower: Supernode) -> None:
-    """Wait until the follower has what the leader has, with the patience of a start."""
+    """Wait until the follower has all entries of the leader, as long as a start may take."""
     async for _ in processes.attempts():
         if await lag(leader, follower) < CAUGHT_UP_ENTRIES:
             return

@@ -22,7 +22,7 @@ PAYLOAD = b"x" * 64
 
 
 def blocking(address: str, counts: list[int], table: Table) -> None:
-    """One row for each number of channels."""
+    """Print one row for each number of channels."""
     with st.connect(address) as rt:
         channels = [rt.channel(f"many/{number}", max_items=10) for number in range(counts[-1])]
         for count in counts:

@@ -40,7 +40,7 @@ def read(taken: Iterator[int], rest_s: float, until_s: float, ages_s: list[float
 
 
 def readers(channel: Any, group: Any) -> dict[str, tuple[Any, Callable[[Any], int]]]:
-    """Each with the time that what it gives tells of."""
+    """The kinds of readers. Each comes with a function that returns the time of the things that it gives."""
     return {
         'subscribe(mode="newest")': (channel.subscribe(mode="newest"), lambda item: item.time),
         "subscribe()": (channel.subscribe(), lambda item: item.time),

@@ -37,7 +37,7 @@ class FedHosts:
         self._processes = processes
 
     def feed(self, seconds: float, group: st.Group | None = None) -> list[Fed]:
-        """Feed every channel for so long, with an eye on the group's cut; what each host did meanwhile."""
+        """Feed every channel for `seconds`, and observe the group's cut. Returns the work of each host meanwhile."""
         watched = NO_GROUP if group is None else group.info.group_id.hex()
         for process in self._processes:
             assert process.stdin is not None
@@ -80,7 +80,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 @dataclass(frozen=True)
 class Cost:
-    """All hosts of one run together; the cut's lag is that of the host that is furthest behind."""
+    """The sum over all hosts of one run. The lag of the cut is that of the slowest host."""
 
     items_per_second: float
     cpu_us_per_item: float

@@ -1,4 +1,4 @@
-"""A client that knows proto/ and nothing else does what the Python client does (contract: docs/wire.md)."""
+"""A client that knows only proto/ can do the same as the Python client (contract: docs/wire.md)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ClientIn = Callable[[str], Client]
 
 
 def report(client: Client, cluster: LocalCluster, channel: str, *texts: str) -> dict[str, Any]:
-    """What the client printed: the seqs that it put, the items of the last 30 s, the items it was sent."""
+    """The output of the client: the seqs of its puts, the items of the last 30 s, and the items of its subscription."""
     done = client.run(cluster.address, str(cluster.secret_file), channel, *texts)
     assert done.returncode == 0, done.stderr
     printed: dict[str, Any] = json.loads(done.stdout)

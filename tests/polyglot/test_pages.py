@@ -1,4 +1,4 @@
-"""What docs/wire.md shows is what the contract says."""
+"""The examples in docs/wire.md agree with the contract."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""docs/wire.md says what is served: those RPCs are answered somewhere, all others are UNIMPLEMENTED everywhere."""
+"""docs/wire.md lists the served RPCs.
+
+Some service answers each of them, and all other RPCs are UNIMPLEMENTED everywhere.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A skip says why, and only what a machine lacks is a reason to skip."""
+"""A skipped test says why. Only a tool that the machine lacks is a reason to skip."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Make the clients of other languages ready to run: their tools and packages come from the languages' own registries.
+"""Prepares the clients of other languages. Their tools and packages come from the languages' own registries.
 
-Everything is kept below `.make/polyglot`, so that only the first run needs the network. Go's build cache alone is the
-user's own: it often has the standard library already, and all checkouts share it. What a machine lacks is told apart
-from what is wrong: a missing toolchain or an unreachable registry is `Unavailable`, all else `BuildFailed`.
+Everything is kept below `.make/polyglot`, so that only the first run needs the network. Only Go's build cache is the
+user's own: it often has the standard library already, and all checkouts share it. A missing toolchain or an unreachable
+registry raises `Unavailable`, every other failure `BuildFailed`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ GO_PLUGINS = (
 GO_PACKAGE = "stampede-rt.example/polyglot/v1"
 GO_BUILD_FLAGS = ("-gcflags=google.golang.org/...=-N -l",)  # an optimised gRPC takes longer to compile than to run
 
-# What Go and npm say when they cannot get through. A wrong version or checksum says something else, and is a failure.
+# The words of Go and npm when they cannot reach a registry. A wrong version or checksum has other words, and is a
+# failure.
 NO_WAY_THROUGH = re.compile(
     r"dial tcp|no such host|connection refused|i/o timeout|TLS handshake timeout|network is unreachable"
     r"|module lookup disabled by GOPROXY=off"
@@ -38,7 +39,7 @@ NO_WAY_THROUGH = re.compile(
 
 
 class Unavailable(Exception):
-    """This machine cannot run the client: its text says why. A reason to skip."""
+    """This machine cannot run the client. The text says why. A reason to skip a test."""
 
 
 class BuildFailed(Exception):
@@ -98,12 +99,15 @@ def step(command: list[str], folder: Path, environment: dict[str, str]) -> None:
 
 
 def once(stamp: Path, key: str) -> bool:
-    """Whether what `key` describes was not fetched yet. Whoever gets True writes `key` into the stamp when done."""
+    """Whether the files of `key` have yet to be fetched.
+
+    A caller that gets True writes `key` into the stamp afterwards.
+    """
     return not (stamp.is_file() and stamp.read_text() == key)
 
 
 def digest(*texts: str) -> str:
-    """One short name for all that a fetch depends on."""
+    """A short hash of all texts on which a fetch depends."""
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""What the faults did, as a page: figures with the command and the machine they come from."""
+"""The page about the effects of the faults: figures, with the command and the machine of the run."""
 
 from __future__ import annotations
 

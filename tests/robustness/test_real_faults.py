@@ -33,7 +33,7 @@ async def test_a_directory_whose_leader_is_killed_and_removed_loses_nothing(tmp_
 
 
 def check_that_planted_violations_are_found(history: list[Operation]) -> None:
-    """One of each kind, planted in a history that really happened."""
+    """Plant one violation of each kind in a real history. The checks must find it."""
     for plant in (lost_write, stale_read, doubled_claim):
         _, wrong = violations(plant(history))
         assert wrong, plant.__name__
@@ -49,7 +49,7 @@ def lost_write(history: list[Operation]) -> list[Operation]:
 
 
 def stale_read(history: list[Operation]) -> list[Operation]:
-    """A reader is shown what was there before a change that another one was shown already."""
+    """A reader gets a value from before a change that another reader has already seen."""
     seen = [one for one in history if isinstance(one.call, Resolve) and isinstance(one.answer, Seen)]
     newer = next(one for one in seen if isinstance(one.answer, Seen) and one.answer.version > 1)
     assert isinstance(newer.answer, Seen)

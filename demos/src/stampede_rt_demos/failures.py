@@ -6,7 +6,7 @@ _RULERS = " |+-^"
 
 
 class DemoFailed(Exception):
-    """The demo cannot go on. The message is one sentence for the user: what failed, why, and what to do."""
+    """The demo cannot go on. The message is one sentence for the user with the failure, its reason, and the way out."""
 
 
 def one_sentence(story: str) -> str:

@@ -1,1 +1,1 @@
-"""What one hostile caller can take from the others: `python -m tests.benchmarks.attacks [NAME...]`."""
+"""The harm that one hostile caller can do to others: `python -m tests.benchmarks.attacks [NAME...]`."""

@@ -43,7 +43,10 @@ class Measured:
 
 
 def row(measured: Measured, attack: str) -> list[str]:
-    """Of the table. `attack`: the text of its first cell. Memory, failures and the log are the worse of both trials."""
+    """A row of the table.
+
+    `attack`: the text of its first cell. Memory, failures and the log are the worse of both trials.
+    """
     found, same_cores = measured.apart, measured.same_cores
     trials = (found, same_cores)
     worse = max(trials, key=lambda one: one.most_mib)

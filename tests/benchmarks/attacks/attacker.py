@@ -19,7 +19,7 @@ UNDER_WAY = "under way"
 
 
 async def attack(name: str, ground: Ground) -> None:
-    """Until standard input ends."""
+    """Run the attack until standard input ends."""
     work = asyncio.create_task(_attack(name, ground))
     ended = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
     await asyncio.wait({work, ended}, return_when=asyncio.FIRST_COMPLETED)
@@ -35,7 +35,7 @@ async def _attack(name: str, ground: Ground) -> None:
 
 
 def main() -> None:
-    """Be the attacker whose name the first argument is. With another argument it takes only what nobody else wants."""
+    """Run the attacker with the name of the first argument. With another argument it takes only idle processor time."""
     if len(sys.argv) > 2:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     open_files.raise_limit()

@@ -34,7 +34,7 @@ _SERVE = "serve"
 
 
 class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
-    """Does what a host does with the calls of the floods, and nothing more. Echoes what the good clients send."""
+    """Does as little as a host must do with the calls of the floods. Echoes the messages of the good clients."""
 
     def service(self, details: Any) -> Any:
         """See grpc."""
@@ -68,7 +68,7 @@ async def serve() -> None:
 
 
 def measure(name: str, seconds: float, kind: str) -> Found:
-    """One trial, in a process of its own."""
+    """Run one trial in a process of its own."""
     limit_s = RUN_SECONDS_MAX + 4 * seconds
     apart = Setup(apart=True, transport=TRANSPORT)
     if kind == "host":

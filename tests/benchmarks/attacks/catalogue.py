@@ -13,7 +13,10 @@ Part = Literal["host", "supernode"]
 
 @dataclass(frozen=True)
 class Case:
-    """One attack. `before`: what a review found before the defence. `watched`: the part whose memory is told."""
+    """One attack.
+
+    `before`: the finding of a review before the defence. `watched`: the part whose memory the table shows.
+    """
 
     attack: Attack
     before: str = "not tried"
@@ -21,7 +24,7 @@ class Case:
 
     @property
     def text(self) -> str:
-        """What is done, in a sentence."""
+        """The attack in a sentence."""
         return " ".join((self.attack.__doc__ or "").split()).rstrip(".")
 
 

@@ -1,4 +1,4 @@
-"""Where an attack takes place, and what every attacker needs."""
+"""The cluster that an attack uses, and the common parts of attackers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OPTIONS = [
     ("grpc.http2.bdp_probe", 0),
 ]
 
-CHANNELS: list[grpc.aio.Channel] = []  # one that nobody holds is closed
+CHANNELS: list[grpc.aio.Channel] = []  # channels without a reference would be closed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Ground:
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:
-        """What lets a caller in."""
+        """The metadata with the caller's credential."""
         return (("authorization", f"Bearer {self.secret}"),)
 
     def connect(self) -> Any:
-        """The client that everybody uses."""
+        """Connect as a usual client."""
         return st.aio.connect(self.frontend, secret=self.secret, transport=TRANSPORT)
 
     def channel(self, target: str) -> grpc.aio.Channel:
@@ -62,7 +62,7 @@ class Ground:
         return made
 
     async def bound(self, name: str) -> dict[str, Any]:
-        """What names a channel in requests to its host. The channel exists."""
+        """The fields that name a channel in requests to its host. Creates the channel."""
         async with self.channel(self.supernode) as supernode, self.channel(self.host) as host:
             resolve: Any = DirectoryServiceStub(supernode).ResolveChannel
             record = (await resolve(pb.ResolveChannelRequest(name=name), metadata=self.metadata)).channel
@@ -89,7 +89,7 @@ class Uploads:
 
     def __init__(self, ground: Ground, method: str) -> None:
         self._ground, self._method = ground, method
-        self._calls: list[Any] = []  # a call that nobody holds is cancelled
+        self._calls: list[Any] = []  # a call without a reference would be cancelled
         self._sent = 0
         self._tasks: list[asyncio.Task[None]] = []
 
@@ -113,10 +113,10 @@ class Uploads:
 
 
 async def for_ever() -> None:
-    """Hold what is held until the attack is over."""
+    """Wait until the attack is over."""
     await asyncio.Event().wait()
 
 
 async def all_of(*work: Awaitable[Any]) -> None:
-    """All at once; refusals are what an attacker lives with."""
+    """Run all of them together. Ignores refusals, as an attacker does."""
     await asyncio.gather(*work, return_exceptions=True)

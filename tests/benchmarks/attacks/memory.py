@@ -1,4 +1,4 @@
-"""Attacks on a host's memory by clients, who bring the secret."""
+"""Attacks on a host's memory by clients with the secret."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ FIELD_999 = bytes(((999 << 3 | 2) & 127 | 128, (999 << 3 | 2) >> 7))  # bytes of
 
 
 def stub(ground: Ground, kind: Any) -> Any:
-    """With a connection of its own to the host."""
+    """The stub of the host, over a connection of its own."""
     return kind(ground.channel(ground.host))
 
 
 async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any, *, runs_per_request: int = 1) -> None:
-    """One stream of puts, of which nothing waits; what is refused is refused."""
+    """Put runs on one stream, without puts that wait. Ignores refusals."""
     known = await ground.bound(name)
 
     async def requests() -> AsyncIterator[bytes]:
@@ -111,7 +111,7 @@ async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> Non
 
 
 async def queue_known(ground: Ground) -> dict[str, Any]:
-    """What names the queue in requests to its host."""
+    """The fields that name the queue in requests to its host."""
     async with ground.channel(ground.supernode) as channel:
         resolve: Any = QueueDirectoryServiceStub(channel).ResolveQueue  # type: ignore[no-untyped-call]
         request = queue_directory_service_pb2.ResolveQueueRequest(name=NAME)
@@ -129,7 +129,7 @@ async def _put_and_wait(ground: Ground, method: str, request: Any, under_way: Ca
 
 
 async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
-    """60 subscriptions, with credit without end, whose readers never read what comes."""
+    """60 subscriptions with unlimited credit, whose readers never read."""
     async with ground.connect() as rt:
         await _held(await rt.channel(NAME, max_age="1h"))
         opened = pb.SubscribeOpen(**await ground.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
@@ -141,7 +141,7 @@ async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) ->
 
 
 async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
-    """60 streams with 16 gets of everything each, whose answers nobody reads."""
+    """60 streams with 16 gets of all items each, whose answers no reader reads."""
     async with ground.connect() as rt:
         await _held(await rt.channel(NAME, max_age="1h"))
         known = await ground.bound(NAME)
@@ -154,7 +154,7 @@ async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def silent_takers(ground: Ground, under_way: Callable[[], None]) -> None:
-    """60 takers of a queue, with credit for all of it, who never read what comes."""
+    """60 takers of a queue, with credit for all messages, that never read."""
     async with ground.connect() as rt:
         queue = await rt.queue(NAME, copies=STREAMS)
         for _ in range(HELD_ITEMS):

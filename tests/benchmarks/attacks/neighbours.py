@@ -1,4 +1,4 @@
-"""Attacks by clients who ask for nothing that is forbidden, only for much of it."""
+"""Attacks by clients that do only allowed things, but very many of them."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ async def _register(ground: Ground, numbers: itertools.count[int]) -> None:
 
 
 async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
-    """2000 watches of the directory and 2000 of its peers that nobody reads, while channels are made and deleted."""
+    """2000 watches of the directory and 2000 of its peers, without a reader, while channels are created and deleted."""
     calls: list[Any] = []
     for _ in range(2):
         watch: Any = DirectoryServiceStub(ground.channel(ground.supernode)).Watch
@@ -159,7 +159,7 @@ async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def silent_cuts(ground: Ground, under_way: Callable[[], None]) -> None:
-    """60 streams of a group's cut events and 60 of its matches, with credit without end, that nobody reads."""
+    """60 streams of a group's cut events and 60 of its matches, with unlimited credit, without a reader."""
     async with ground.connect() as rt:
         members = [await rt.channel(f"{NAME}/{side}", max_age="5s") for side in ("left", "right")]
         await rt.group(NAME, members)
@@ -193,11 +193,11 @@ def _silent_readers(ground: Ground, found: Any) -> list[Any]:
     return writes
 
 
-READERS: list[Any] = []  # a call that nobody holds is ended
+READERS: list[Any] = []  # a call without a reference would be ended
 
 
 async def health_watches(ground: Ground, under_way: Callable[[], None]) -> None:
-    """4096 Watch streams of the health service, with the secret, that nobody reads."""
+    """4096 Watch streams of the health service, with the secret, without a reader."""
     calls = []
     for _ in range(5):
         watch = ground.channel(ground.target).unary_stream("/grpc.health.v1.Health/Watch")

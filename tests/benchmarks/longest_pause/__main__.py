@@ -77,7 +77,7 @@ CASES: dict[str, tuple[Case, int]] = {
 
 
 async def measure(names: Sequence[str], share: float) -> None:
-    """One host for each case, so that none leaves the next one anything."""
+    """Measure each case at a host of its own."""
     table = Table(("longest pause, ms", "all, ms", "work"))
     for name in names:
         case, items = CASES[name]

@@ -1,4 +1,4 @@
-"""The client, in a process of its own: what it asks of the host."""
+"""The client in a separate process, and its calls to the host."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ async def opened(rig: Rig, **spec: object) -> tuple[Opened, HostedChannel]:
 
 
 def fill(hosted: HostedChannel, now: int, times: Sequence[int]) -> None:
-    """One run, as a put stores it."""
+    """Store one run, as a put does."""
     run = encode_run([b"x"] * len(times), times=times)
     offer = Offer(times=times, durations=None, lengths=[1] * len(times))
     hosted.channel.put(offer, now, lambda first_seq, kept, stamped: seal_run(run, first_seq))

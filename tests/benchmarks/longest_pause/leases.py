@@ -84,5 +84,5 @@ def queue(number: int, epoch: int = 1) -> RecordedQueue:
 
 
 async def idle(rig: Rig) -> None:
-    """All work that was begun is done."""
+    """Wait until all begun work is done."""
     await until(lambda: not rig.host.store.scheduler._begun)

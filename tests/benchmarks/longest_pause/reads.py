@@ -22,7 +22,7 @@ async def large_get(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def given_up_get(rig: Rig, items: int) -> tuple[str, Work]:
-    """Its answer is gathered, and the reader goes when the first message of it has come."""
+    """The host gathers the answer. The reader leaves when the first message has come."""
     channel, hosted = await opened(rig)
     interleaved(hosted, rig, items)
 

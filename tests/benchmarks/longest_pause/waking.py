@@ -33,7 +33,7 @@ async def reach(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def release(rig: Rig, gets: int) -> tuple[str, Work]:
-    """All of them wait for the next item."""
+    """All gets wait for the next item."""
     channel, _ = await opened(rig)
     calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
     for call in calls:
@@ -55,7 +55,7 @@ async def release(rig: Rig, gets: int) -> tuple[str, Work]:
 
 
 async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
-    """The callers go, and nobody waits for the answers."""
+    """The callers leave, and nobody waits for the answers."""
     channel, _ = await opened(rig)
     calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
     for call in calls:

@@ -34,6 +34,6 @@ class Watch:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Nothing is done meanwhile but what others do."""
+    """Wait until the condition holds. Does nothing meanwhile but let other work run."""
     while not condition():  # noqa: ASYNC110  (there is no event for it)
         await asyncio.sleep(0)

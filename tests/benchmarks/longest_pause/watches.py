@@ -41,7 +41,7 @@ async def watches(_: Rig, count: int) -> tuple[str, Work]:
 
 
 async def watch(target: str, count: int) -> None:
-    """So many watches, each of which hears of all changes."""
+    """Open `count` watches, each of which gets all changes."""
 
     async def one(connection: grpc.aio.Channel) -> None:
         heard = 0

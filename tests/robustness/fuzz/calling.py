@@ -43,7 +43,7 @@ class Calling:
         return await result if inspect.isawaitable(result) else result
 
     async def step(self, iterator: Any) -> Any:
-        """What an iterator of the client gives next; ENDED behind its end."""
+        """The next result of an iterator of the client; ENDED after its end."""
         if self._pool is not None:
             return await self.plain(next, iterator, ENDED)
         return await anext(iterator, ENDED)
@@ -69,7 +69,7 @@ class Calling:
         task.cancel()
 
     async def ended(self, what: str, task: asyncio.Future[Any], own_s: float) -> Any:
-        """What became of it."""
+        """The outcome of the call."""
         await asyncio.wait([task], timeout=own_s + BOUND_S)
         if not task.done():
             stack = task.get_stack() if isinstance(task, asyncio.Task) else ""

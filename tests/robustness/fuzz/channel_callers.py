@@ -15,12 +15,12 @@ LAST = b"the last"
 
 
 def payload_of(calling: Calling, who: str, number: int) -> bytes:
-    """One that no other put has."""
+    """A payload that no other put has."""
     return f"{who} {number} ".encode() + bytes(calling.rng.choice(SIZES))
 
 
 async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
-    """One put after the other."""
+    """Put items one after the other."""
     number = 0
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
@@ -63,7 +63,7 @@ async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
 
 
 async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
-    """All items up to LAST, one after the other, with steps that are cancelled in between."""
+    """Get all items up to LAST one after the other. Some steps are cancelled."""
     subscription = await subscribed(calling, channel)
     items: list[st.Item] = []
     while not items or items[-1].payload != LAST:

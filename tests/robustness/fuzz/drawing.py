@@ -28,7 +28,7 @@ class ByteSource:
         return taken
 
     def rest(self) -> bytes:
-        """All that is left."""
+        """The remaining bytes."""
         return self.take(self.left)
 
     def below(self, bound: int) -> int:
@@ -41,7 +41,7 @@ class ByteSource:
         return self.below(100) >= 100 - percent
 
     def choice(self, among: Sequence[T]) -> T:
-        """One of them."""
+        """One of the options."""
         return among[self.below(len(among))]
 
 

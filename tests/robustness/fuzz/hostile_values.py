@@ -51,21 +51,21 @@ TEXTS = (
 
 
 def integer(source: ByteSource) -> int:
-    """Any, and often a strange one."""
+    """Any integer, often an unusual one."""
     if source.chance(25):
         return int.from_bytes(source.take(8), signed=True)
     return source.choice(INTEGERS) + (source.below(5) - 2 if source.chance(20) else 0)
 
 
 def text(source: ByteSource) -> str:
-    """Any, without lone surrogates."""
+    """Any text without lone surrogates."""
     if source.chance(20):
         return source.take(source.below(40)).decode("utf-8", errors="replace")
     return source.choice(TEXTS) + (source.choice(TEXTS) if source.chance(15) else "")
 
 
 def blob(source: ByteSource) -> bytes:
-    """Any bytes; now and then more than one expects."""
+    """Any bytes, sometimes very many."""
     if source.chance(50):
         return source.take(source.choice((16, 0, 1, 8, 15, 17, 32, 200)))
     return source.choice((b"", b"\0", b"\0" * 16, b"\xff" * 16, b"x" * 300, b"y" * 7000, b"\x80\x04K\x01."))

@@ -25,7 +25,7 @@ _BITS = {
 
 
 class KnownValues:
-    """What a caller has learnt of a cluster: ids, names, epochs, ..., by the name of the field that carries them."""
+    """The values that a caller has learnt of a cluster: ids, names, epochs and others, by the names of their fields."""
 
     def __init__(self) -> None:
         self._values: dict[str, list[Any]] = {}
@@ -36,21 +36,21 @@ class KnownValues:
         self._spared.update(values)
 
     def add(self, name: str, *values: Any) -> None:
-        """Names a field and what is worth saying in it."""
+        """Add values for the field `name`."""
         known = self._values.setdefault(name, [])
         for value in values:
             if value in known:
-                known.remove(value)  # what was learnt last is kept longest
+                known.remove(value)  # the latest values are kept longest
             if value not in self._spared:
                 known.append(value)
         del known[:-KEPT_OF_EACH]
 
     def of(self, name: str) -> Sequence[Any]:
-        """In the order in which they were learnt."""
+        """The values of a field in the order in which they were learnt."""
         return self._values.get(name, ())
 
     def learn(self, message: Message) -> None:
-        """All that an answer tells."""
+        """Learn all values of an answer."""
         for field, value in message.ListFields():
             for one in value if isinstance(value, Iterable) and not isinstance(value, (str, bytes)) else (value,):
                 if isinstance(one, Message):
@@ -60,7 +60,7 @@ class KnownValues:
 
 
 def drawn_message(source: ByteSource, descriptor: Descriptor, known: KnownValues, depth: int = 0) -> Message:
-    """One that any caller in any language could make. Most are aimed: they state what is known."""
+    """A message that any caller in any language could make. Most messages use known values."""
     message: Message = GetMessageClass(descriptor)()
     aimed, share = not source.chance(30), source.choice((70, 90, 45, 20))
     for field in descriptor.fields:
@@ -177,7 +177,7 @@ def drawn_request(source: ByteSource, descriptor: Descriptor, known: KnownValues
 
 
 def drawn_stream(source: ByteSource, descriptor: Descriptor, known: KnownValues, count: int) -> list[bytes]:
-    """So many for one stream: most begin as such streams do, and say it once."""
+    """The messages of one stream. Most begin as such streams do, and send the opening once."""
     messages = [drawn_message(source, descriptor, known) for _ in range(count)]
     for name in ("hello", "open"):
         if name in descriptor.fields_by_name and not source.chance(15):
@@ -215,7 +215,7 @@ def varint(value: int) -> bytes:
 
 
 def _records(raw: bytes) -> list[bytes]:
-    """The fields of a message, tag and value each; what cannot be taken apart is the last."""
+    """The fields of a message, each with tag and value. A rest that cannot be parsed is the last one."""
     found, at = [], 0
     while at < len(raw):
         end = _end_of_record(raw, at)
@@ -273,7 +273,7 @@ def _without(source: ByteSource, raw: bytes) -> bytes:
 
 
 def _inside(source: ByteSource, raw: bytes) -> bytes:
-    """The same with what a field holds, its length corrected."""
+    """The same message with another value in a field, and a corrected length."""
     records, place = _some_record(source, raw)
     tag, start = _varint_at(records[place], 0)
     if tag & 7 == LENGTH_DELIMITED:

@@ -1,4 +1,4 @@
-"""Callers of queues and groups, and those who come and go."""
+"""Callers of queues and groups, and peers that come and go."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOBODY = (None, FAILED, INTERRUPTED)
 
 
 async def enqueues(calling: Calling, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
-    """One put after the other."""
+    """Put messages one after the other."""
     number = 0
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
@@ -25,7 +25,7 @@ async def enqueues(calling: Calling, queue: Any, ledger: Ledger, who: str, over:
 
 
 class Takers:
-    """Those who take from one queue, and what they acknowledged."""
+    """The takers of one queue, and the messages that they acknowledged."""
 
     def __init__(self) -> None:
         self.acknowledged: Counter[bytes] = Counter()
@@ -41,7 +41,7 @@ class Takers:
                 await self._settle(calling, message)
 
     async def take_the_rest(self, calling: Calling, queue: Any) -> None:
-        """Until nothing is held."""
+        """Take messages until the queue holds none."""
         async with asyncio.timeout(60):
             while (await calling.plain(queue.stats)).held:
                 message = await calling.plain(queue.get, 0.5)
@@ -112,7 +112,7 @@ async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> 
 
 
 async def stepped(calling: Calling, made: Any, over: asyncio.Event) -> list[Any]:
-    """What an iterator gave until it was over."""
+    """The results of an iterator until its end."""
     seen: list[Any] = []
     ending = asyncio.ensure_future(_close_when(over, made))
     while True:

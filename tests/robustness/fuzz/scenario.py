@@ -1,4 +1,4 @@
-"""One scenario: callers of all kinds on one connection, cuts meanwhile, and a judgement in the end."""
+"""One scenario: callers of all kinds on one connection, cut connections meanwhile, and checks at the end."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Scenario:
         self._complaints: list[str] = []
 
     async def play(self) -> str:
-        """What happened, in a line. Raises AssertionError."""
+        """Run the scenario. Returns a line about it. Raises AssertionError."""
         asyncio.get_running_loop().set_exception_handler(self._complain)
         tasks, threads = asyncio.all_tasks(), set(threading.enumerate())
         name = f"fuzz/{self._client}/{self._seed}-{st.now()}"
@@ -73,7 +73,10 @@ class Scenario:
         )
 
     async def _call_all(self, calling: Calling, rt: Any, name: str) -> None:
-        """All callers at once, while connections are cut; then what they say is compared with what is there."""
+        """Run all callers together while connections are cut.
+
+        Then compare their results with the cluster's contents.
+        """
         where = {"host": self._world.host}
         a, b = [
             await calling.plain(rt.channel, f"{name}/{one}", max_age="1h", max_bytes=2**30, **where) for one in "ab"
@@ -149,7 +152,7 @@ class Scenario:
                 await calling.ended("put beside a close", put, 1)
 
     async def _close_under_load(self, calling: Calling, rt: Any, name: str) -> None:
-        """Whoever waits hears of it."""
+        """Check that waiting callers get an error when the connection is closed."""
         channel = await calling.plain(rt.channel, f"{name}/a")
         queue = await calling.plain(rt.queue, name)
         makes = [
@@ -185,7 +188,7 @@ def channel_end() -> int:
 
 
 def _joined(threads: list[threading.Thread]) -> list[threading.Thread]:
-    """Those that have not ended after END_S."""
+    """The threads that have not ended after END_S."""
     ends_s = time.monotonic() + END_S
     for thread in threads:
         _join(thread, ends_s)
@@ -218,7 +221,7 @@ def _of_clients(before: set[threading.Thread]) -> list[threading.Thread]:
 
 
 async def _stats_of_all(rt: Any) -> Any:
-    """Once for each channel, when nobody waits or subscribes there any more."""
+    """The stats of each channel, once no caller waits or subscribes there any more."""
     for info in await rt.channels("fuzz/*"):
         channel = await rt.channel(info.name, create=False)
         while (stats := await channel.stats()).subscriptions or stats.waiting_gets or stats.waiting_puts:

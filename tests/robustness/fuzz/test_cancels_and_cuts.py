@@ -1,6 +1,6 @@
-"""Nothing hangs, nothing acknowledged is lost or doubled, and nothing is left over, whatever is cut or cancelled.
+"""Whatever is cut or cancelled: nothing hangs, no acknowledged item is lost or doubled, and nothing is left over.
 
-`make fuzz` plays other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
+`make fuzz` runs other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
 STAMPEDE_FUZZ_SEED on.
 """
 

@@ -1,4 +1,4 @@
-"""A channel host that was stopped for longer than its lease: what it finds in its inbox when it goes on, it refuses."""
+"""A channel host that was stopped for longer than its lease refuses the requests that wait in its inbox."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def _kill(process: ServiceProcess, prometheus: Prometheus) -> float:
 
 
 def complaints(prometheus: Prometheus, minutes: float, kills: list[tuple[str, float]]) -> list[str]:
-    """What is wrong after the soak."""
+    """The errors after the soak."""
     window = f"[{_window(minutes)}]"
     found = [f"{name} was back after {seconds:.1f} s" for name, seconds in kills if seconds > BACK_SECONDS_MAX]
     of_running = f"(scrape_duration_seconds and on(instance) up == 1){window[:-1]}:1s]"

@@ -1,4 +1,4 @@
-"""What grows, and the cost of a put and a get as it grows."""
+"""The dimensions of growth, and the cost of a put and a get at each size."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BYTES_PER_RUN = 2**28  # the payload bytes of one run of puts, so that runs with
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 Costs = dict[int, dict[str, Spread]]
-"""By the size of what grows, the cost of each operation in microseconds of CPU time."""
+"""By size of a dimension, the cost of each operation in microseconds of CPU time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Dimension:
-    """Something that grows. `what` names it on the axis; `about` says what the figures are."""
+    """A dimension that grows. `what` names it on the axis; `about` describes the figures."""
 
     title: str
     what: str

@@ -62,7 +62,7 @@ class _Stream:
 
 
 class _Store:
-    """What a subscription needs of the store of a host."""
+    """The parts of a host's store that a subscription uses."""
 
     def __init__(self, own: OwnChannels) -> None:
         self.scheduler = own.scheduler

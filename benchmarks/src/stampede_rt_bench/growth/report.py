@@ -20,7 +20,7 @@ LINEAR_RANGE = 10  # costs within this factor are drawn on a linear scale
 
 @dataclass(kw_only=True)
 class GrowthReport:
-    """The costs measured so far, by the name of what grows."""
+    """The costs measured so far, by the name of the dimension."""
 
     command: str
     machine: Mapping[str, str]

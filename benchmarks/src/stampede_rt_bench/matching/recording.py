@@ -19,7 +19,7 @@ REFERENCE = "lidar"
 
 
 class Arrival(NamedTuple):
-    """One item of a stream: its time, and when it arrived."""
+    """One item of a stream: its time, and the time of its arrival."""
 
     arrived: int
     stream: str

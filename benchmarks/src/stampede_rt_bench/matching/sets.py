@@ -10,7 +10,7 @@ from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival, n
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundSet:
-    """One set: when it was returned, the reference's time, and the time of the item of each other stream."""
+    """One set: the time of its return, the reference's time, and the time of the item of each other stream."""
 
     given: int
     reference: int

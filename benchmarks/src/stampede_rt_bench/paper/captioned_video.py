@@ -122,7 +122,7 @@ def _put_all(
         channel.put(bytes(payload_bytes), time=at, duration=f"{end - at}ns" if lasting else None)
 
 
-# In a consumer's process: its connection, and what it reads.
+# Used in a consumer's process: its connection, and the things that it reads.
 _prepared: list[tuple[st.Connection, st.Channel | st.GroupChannel]] = []
 
 

@@ -46,7 +46,7 @@ class Zenoh:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the work that it cannot do: Zenoh acknowledges no put, and without a router nobody keeps items."""
+        """Return the work that it cannot do: Zenoh acknowledges no put, and keeps items only with a router."""
         without = {"put": "it acknowledges no put"}
         return without if self.way == "router" else {**without, "newest": NO_SERVER, "interval": NO_SERVER}
 

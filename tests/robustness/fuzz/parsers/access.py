@@ -1,4 +1,4 @@
-"""What decides who may do what: client tokens, and rules as operators write them."""
+"""Parsers that decide about rights: client tokens, and rules as operators write them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KNOWN.add("kind", 0, 1, 2, 3, 4)
 
 
 def client_token(source: ByteSource) -> None:
-    """Only what the cluster has signed is a token, whatever is changed of it."""
+    """Check that only a text signed by the cluster is a token, whatever the input changes."""
     claims = TokenClaims(cluster_id="c", name="a", roles=(Role.CLIENT,), serial="1", ends_unix_nano=10**18)
     real = make_token(KEY, claims)
     at = source.below(len(real))
@@ -35,14 +35,14 @@ def client_token(source: ByteSource) -> None:
 
 
 def proof(source: ByteSource) -> None:
-    """Whatever a header brings, nobody is let in who brings no secret."""
+    """Check that no header without a secret admits its caller."""
     brought = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
     caller = identify(AcceptedProofs(secrets=("the secret of the cluster",)), brought, None)
     raise AssertionError(f"{caller} was let in with {brought!r}")
 
 
 def rule(source: ByteSource) -> None:
-    """What is taken for a rule comes back the same, and judges every caller and name at once."""
+    """Check that an accepted rule comes back the same, and judges every caller and name in short time."""
     drawn = [drawn_message(source, access_pb2.AccessRule.DESCRIPTOR, KNOWN) for _ in range(1 + source.below(4))]
     rules = [rule_from(one) for one in drawn]  # type: ignore[arg-type]
     for one in rules:

@@ -1,4 +1,7 @@
-"""What services answer, as clients read it: of a hostile or newer one nothing worse comes than our own errors."""
+"""Answers of services, as clients read them.
+
+An answer of a hostile or newer service raises only errors of the product.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +69,7 @@ class _Failed(Exception):
 
 
 def error(source: ByteSource) -> None:
-    """Any status becomes an error of the product's, with a text that can be shown."""
+    """Check that any status becomes an error of the product, with a printable text."""
     import grpc
 
     message = drawn_message(source, error_pb2.Error.DESCRIPTOR, KNOWN)

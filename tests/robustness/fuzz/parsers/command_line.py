@@ -24,7 +24,7 @@ WORDS = (
 
 
 def arguments(source: ByteSource) -> None:
-    """What is misused is said without a byte that a terminal takes for a command."""
+    """Check that errors about arguments contain no byte that a terminal takes for a command."""
     words = [source.choice(WORDS) if source.chance(60) else composed(source) for _ in range(source.below(7))]
     with _printed() as printed, contextlib.suppress(SystemExit):
         PARSER.parse_args(words)

@@ -1,4 +1,4 @@
-"""What the replicated log carries: messages between members, entries, commands, snapshots."""
+"""Parsers of the replicated log: messages between members, entries, commands, snapshots."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def command(source: ByteSource) -> None:
 
 
 def directory(source: ByteSource) -> None:
-    """Whatever commands come, two replicas stay alike, and a third that begins with a snapshot is like them."""
+    """Check that after any commands two replicas are equal, and a third that begins with a snapshot is like them."""
     one, other = DirectoryReplica(), DirectoryReplica()
     for index in range(1, COMMANDS + 1):
         raw = drawn_request(source, command_pb.DirectoryCommand.DESCRIPTOR, KNOWN)
@@ -72,7 +72,7 @@ def directory(source: ByteSource) -> None:
 
 
 def directory_snapshot(source: ByteSource) -> None:
-    """One that is no snapshot of ours is refused; what is taken can be written again."""
+    """Check that only valid snapshots are accepted, and that an accepted one can be written again."""
     replica = DirectoryReplica()
     replica.prepare_restore(drawn_request(source, command_pb.DirectorySnapshot.DESCRIPTOR, KNOWN))()
     replica.begin_snapshot()()

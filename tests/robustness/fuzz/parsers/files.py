@@ -1,4 +1,4 @@
-"""Files that services read: stores, backups, identities, secrets and certificates, damaged or made by somebody else."""
+"""Parsers of files that services read: stores, backups, identities, secrets and certificates, damaged or foreign."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _record() -> bytes:
 
 
 def backup(source: ByteSource) -> None:
-    """Half of them with the right checksum: anybody can compute it."""
+    """Half of the inputs have the right checksum, because anybody can compute it."""
     header = BackupHeader(member_id="s1", cluster_id="c", log_index=2, time_unix_nano=1)
     sound = b"".join(make_backup(header, _record()).parts())
     data = content(source, sound)
@@ -146,7 +146,7 @@ def _authority() -> IssuedCertificate:
 
 
 def _reencoded(source: ByteSource, pem: bytes) -> bytes:
-    """The same with what lies under the armour changed: one finds the errors of a parser there."""
+    """The same file with changed bytes below the PEM encoding. That finds the errors of the inner parser."""
     der = bytearray(base64.b64decode(b"".join(pem.splitlines()[1:-1])))
     for _ in range(1 + source.below(3)):
         der[source.below(len(der))] = source.below(256)

@@ -33,7 +33,7 @@ def run_guided(name: str, *, inputs: int, seconds: int, seed: int) -> bool:
 
 
 def fuzz(words: list[str]) -> None:
-    """In the process of its own: never returns."""
+    """Run the fuzzer in a separate process. Never returns."""
     import atheris
 
     with atheris.instrument_imports(include=INSTRUMENTED):

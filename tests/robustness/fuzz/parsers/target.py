@@ -1,4 +1,4 @@
-"""What a parser is asked: any bytes, and it answers, or refuses in one of the ways that it promises."""
+"""The calls of a parser: it gets any bytes, and must answer or refuse with one of its documented errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Target:
     refusals: tuple[type[BaseException], ...]
 
     def __call__(self, data: bytes) -> bool:
-        """Whether the input was taken; raises what must not be raised."""
+        """Whether the parser accepted the input. Raises a finding."""
         try:
             self.parse(ByteSource(data))
         except self.refusals:

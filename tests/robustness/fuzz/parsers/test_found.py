@@ -1,4 +1,6 @@
-"""What the targets have found, each as what it was: damaged files, hostile words, and answers of newer services."""
+"""The findings of the targets, each as its original input: damaged files, hostile values, and answers of newer
+services.
+"""
 
 from __future__ import annotations
 

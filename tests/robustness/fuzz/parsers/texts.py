@@ -32,7 +32,7 @@ def composed(source: ByteSource) -> str:
 
 
 def _each(*parsers: Callable[[str], Any]) -> Callable[[ByteSource], None]:
-    """One of them, chosen by the input."""
+    """One of the parsers, which the input chooses."""
 
     def parse(source: ByteSource) -> None:
         source.choice(parsers)(composed(source))
@@ -65,7 +65,7 @@ def _identity(text: str) -> None:
 
 
 def page_token(source: ByteSource) -> None:
-    """What is taken for a token leads somewhere; what was given out leads back to where it was."""
+    """Check that an accepted page token names a position, and that a made token leads back to its position."""
     name, token = composed(source), composed(source)
     assert page_tokens.read_name(page_tokens.write_name(name)) == name
     for read in (page_tokens.read_name, page_tokens.read_host):
@@ -77,7 +77,7 @@ def page_token(source: ByteSource) -> None:
 
 
 def glob(source: ByteSource) -> None:
-    """No pattern takes long, and each matches what it says."""
+    """Check that no pattern takes long, and that each matches the names that it describes."""
     pattern, name = composed(source), composed(source)
     matches = matcher(pattern)
     matches(name)
@@ -86,7 +86,7 @@ def glob(source: ByteSource) -> None:
 
 
 def join_token(source: ByteSource) -> None:
-    """Only the token itself opens the door; whatever else is said is refused, not failed at."""
+    """Check that only the token itself is accepted, and that every other text is refused without a defect."""
     tokens, newcomer = JoinTokens(b"k" * 32), Member(member_id="s9", address="localhost:1")
     real = tokens.make(b"r" * 16, newcomer, valid_until_unix_nano=10**18, log_cluster_id=composed(source))
     assert tokens.check(real, newcomer, now_unix_nano=1)

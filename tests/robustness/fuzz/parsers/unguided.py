@@ -10,11 +10,11 @@ from tests.robustness.fuzz.drawing import drawn_bytes
 from tests.robustness.fuzz.parsers.catalogue import BY_NAME
 
 FOUND_MAX = 5
-INPUT_SECONDS_MAX = 5.0  # for one input: 10,000 times what the slowest takes
+INPUT_SECONDS_MAX = 5.0  # for one input: 10,000 times the time of the slowest one
 
 
 def run_unguided(name: str, *, inputs: int, seconds: float, seed: int) -> bool:
-    """Whether nothing was found; prints what was, and what was done."""
+    """Returns whether nothing was found. Prints the findings and the number of inputs."""
     target, random_source = BY_NAME[name], random.Random(f"{seed}/{name}")
     began, taken, done, found, slowest = time.monotonic(), 0, 0, 0, 0.0
     while done < inputs and found < FOUND_MAX and time.monotonic() - began < seconds:

@@ -1,1 +1,1 @@
-"""All RPCs of a real host, supernode and front-end, called with what no client of ours would send."""
+"""All RPCs of a real host, supernode and front-end, called with messages that no client of the product sends."""

@@ -1,4 +1,4 @@
-"""The cluster whose ports are called: one host, one supernode, one front-end, and what they log."""
+"""The cluster with the called ports: one host, one supernode, one front-end, and their logs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ OPTIONS = [("grpc.use_local_subchannel_pool", 1), ("grpc.max_receive_message_len
 
 
 class FuzzedCluster:
-    """Its processes, how callers get in, and what they find in its log. With `tls` certificates let callers in."""
+    """The processes, the credentials of callers, and the findings in the logs.
+
+    With `tls`, callers need certificates.
+    """
 
     def __init__(self, outcome: Outcome, *, tls: bool) -> None:
         self.outcome = outcome
@@ -38,7 +41,7 @@ class FuzzedCluster:
 
     @property
     def metadata(self) -> Metadata:
-        """What lets a caller in, beside its certificate."""
+        """The metadata with the caller's credential, beside its certificate."""
         return () if self._tls else (("authorization", f"Bearer {self.processes.secret.text}"),)
 
     def channel(self, address: str, role: Role) -> grpc.aio.Channel:
@@ -50,7 +53,7 @@ class FuzzedCluster:
         return grpc.aio.secure_channel(address, grpc.ssl_channel_credentials(ca, key, certificate), options=OPTIONS)
 
     def connect(self) -> Any:
-        """The client that everybody uses, as one who may do everything: hostile operators make rules of access."""
+        """Connect as a client with all rights, because hostile operators make rules of access."""
         if self._tls:
             return st.aio.connect(self.processes.address, tls=self.processes.tls_files("good", Role.OPERATOR))
         return st.aio.connect(self.processes.address, secret=self.processes.secret.text)
@@ -65,7 +68,7 @@ class FuzzedCluster:
         return {"STAMPEDE_URL": self.processes.address, **credentials}
 
     def stop(self) -> None:
-        """Everything; ends from here on are wanted."""
+        """Stop all processes. From here on their ends are no findings."""
         self._stopping = True
         self.processes.stop()
 

@@ -1,4 +1,4 @@
-"""The command line after hostile callers were at work: what they left behind must do nothing to a terminal."""
+"""The command line after hostile callers: the names that they left must not send commands to a terminal."""
 
 from __future__ import annotations
 

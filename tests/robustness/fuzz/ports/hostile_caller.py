@@ -22,15 +22,15 @@ STREAM_SECONDS = 0.05
 CALL_SECONDS = 20.0  # a busy machine answers later than a quiet one, but not never
 ANSWERS_MAX = 20
 LEARNT_PERCENT = 25
-# What may wait for as long as its caller does.
+# Calls that may wait as long as their caller does.
 WAITING = ("/GetCut", "/AddSupernode", "/RemoveSupernode", "/TakeSnapshot")
-WRITTEN_TOO_LATE = "Internal error from Core"  # what this side's gRPC says if a call has ended before a request is sent
+WRITTEN_TOO_LATE = "Internal error from Core"  # the error of this side's gRPC if a call ended before a request was sent
 
 Metadata = tuple[tuple[str, str], ...]
 
 
 class HostileCaller:
-    """Plays one call after the other. What an answer tells it says in later calls."""
+    """Makes one call after the other. Later calls use the values of earlier answers."""
 
     def __init__(
         self, methods: Sequence[Method], known: KnownValues, credential: Metadata, outcome: Outcome, *, seed: str
@@ -44,7 +44,7 @@ class HostileCaller:
         """The Unix socket of the port; half of the streams go there. Empty: there is none."""
 
     async def play(self, channel: grpc.aio.Channel) -> None:
-        """One call."""
+        """Make one call."""
         source = ByteSource(self._random_source.randbytes(DRAWN_BYTES))
         method = source.choice(self._methods)
         metadata = self._metadata(source)

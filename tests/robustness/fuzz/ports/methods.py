@@ -29,7 +29,7 @@ class Method:
 
     @property
     def weight(self) -> int:
-        """How often it is called: what makes an end of things, and what nobody serves, seldom."""
+        """How often the method is called: seldom if it ends things, or if no service has it."""
         return 1 if any(word in self.path for word in _SELDOM) else 8
 
     @property
@@ -38,7 +38,7 @@ class Method:
 
 
 def methods_of(port: str) -> list[Method]:
-    """Those of one port, and those of others that somebody may call there by mistake are left out."""
+    """The methods of one port. Leaves out methods of other ports, which callers may call there by mistake."""
     return [
         Method(
             path=f"/{service.full_name}/{method.name}",

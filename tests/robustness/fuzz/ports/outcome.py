@@ -1,4 +1,4 @@
-"""What a run against one port has seen, and what of it must not be."""
+"""The observations of a run against one port, and its findings."""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ from tests.robustness.fuzz.ports.outcome import Finding, Outcome
 from tests.robustness.fuzz.ports.socket_calls import socket_target
 
 GOOD = "good"
-MEMORY_GROWTH_MIB_MAX = 164  # the budget, and what the allocator may keep and gRPC may buffer (docs/security.md)
+# the budget, and the memory that the allocator may keep and gRPC may buffer (docs/security.md)
+MEMORY_GROWTH_MIB_MAX = 164
 CALLERS = 32
 ROLES = (Role.CLIENT, Role.HOST, Role.OPERATOR, Role.SUPERNODE)  # of the connections, where there are certificates
 GOOD_SECONDS = 0.1
@@ -125,7 +126,7 @@ async def _good_client(rt: st.aio.Connection, outcome: Outcome) -> None:
 
 
 async def _check_serves(cluster: FuzzedCluster) -> None:
-    """Somebody new can still use what the real host serves: hostile callers with the secret may register hosts, too.
+    """Check that a new client can still use the real host. Hostile callers with the secret may register hosts, too.
 
     It tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer than
     `connect` waits.
@@ -150,7 +151,7 @@ async def _failure_to_serve(cluster: FuzzedCluster) -> st.StampedeError | None:
 
 
 async def _check_memory(cluster: FuzzedCluster) -> None:
-    """Once it has not changed for a while."""
+    """Check the memory once it has not changed for a while."""
     outcome = cluster.outcome
     if not cluster.target.alive:
         return

@@ -1,4 +1,4 @@
-"""A short run of what `make fuzz` does at length: all RPCs of a real host, supernode and front-end."""
+"""A short run of the ports' part of `make fuzz`: all RPCs of a real host, supernode and front-end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How `stampede bench paper --figure skew` judges what two consumers got."""
+"""How `stampede bench paper --figure skew` compares the items of two consumers."""
 
 from __future__ import annotations
 

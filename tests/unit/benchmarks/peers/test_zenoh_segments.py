@@ -1,4 +1,4 @@
-"""What ended Zenoh processes leave in shared memory is removed, and nothing else."""
+"""The benchmark removes the shared memory that ended Zenoh processes left, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What publishers send, and when."""
+"""The payloads of publishers, and their times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What readers count, and what they refuse."""
+"""The counts of readers, and their refusals."""
 
 from __future__ import annotations
 

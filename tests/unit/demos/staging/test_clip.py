@@ -1,4 +1,4 @@
-"""The real film decodes to what it holds; what is no film is told in a sentence."""
+"""The real film decodes to its known contents. A file that is no film gives an error in one sentence."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""A role's process: it starts when told, reports what happened, and never outlives the orchestrator."""
+"""A role's process starts on command, reports the outcome, and never outlives the orchestrator."""
 
 import json
 import signal

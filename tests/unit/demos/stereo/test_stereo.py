@@ -1,4 +1,4 @@
-"""The stereo demo's plan, its views and their disparity, and what its report says."""
+"""The stereo demo's plan, its views and their disparity, and the text of its report."""
 
 from __future__ import annotations
 

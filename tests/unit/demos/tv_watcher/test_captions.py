@@ -1,4 +1,4 @@
-"""The captions say what is to be seen at their place in the clip."""
+"""The captions describe the pictures at their places in the clip."""
 
 from stampede_rt_demos.tv_watcher.captions import SCENES, caption_text, planned_captions, timecode
 

@@ -1,4 +1,4 @@
-"""The table and its sentences say what was measured, the bad along with the good."""
+"""The table and its sentences report all measurements, also bad ones."""
 
 from dataclasses import replace
 

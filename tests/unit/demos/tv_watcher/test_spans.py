@@ -1,4 +1,4 @@
-"""What a cut event brought is divided at its captions: every item in one span, none in two."""
+"""The items of a cut event are divided at its captions: every item is in one span, and none in two."""
 
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ def item(time: int, duration: int, payload: bytes = b"") -> Item:
 
 
 def event(start: int, seconds: int) -> Span:
-    """Everything that becomes visible when the cut goes on by so many captions."""
+    """The items that become visible when the cut advances by so many captions."""
     end = start + seconds * SECOND
     frames = [item(time, FRAME) for time in range(start, end, FRAME)]
     blocks = [item(time, BLOCK) for time in range(start, end, BLOCK)]
@@ -49,7 +49,7 @@ def cut(*, behind: str = "", truncated: str = "", late: Item | None = None) -> C
 
 
 def channel(stream: StreamPlan) -> SimpleNamespace:
-    """What a cut event knows a channel by."""
+    """The channel with the fields that a cut event uses."""
     return SimpleNamespace(info=SimpleNamespace(name=stream.channel, channel_id=stream.name.encode()))
 
 

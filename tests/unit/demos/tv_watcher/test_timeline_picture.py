@@ -1,4 +1,4 @@
-"""The picture is a PNG that shows what it was given, and stays small enough for a page."""
+"""The picture is a PNG that shows the given items, and stays small enough for a page."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ def item(time: int, duration: int, payload: bytes) -> Item:
 
 
 def span_items(number: int) -> dict[str, list[Item]]:
-    """One second of everything, on synthetic media: a picture that brightens, a tone, a cut in span 1."""
+    """One second of all streams on synthetic media: a picture that brightens, a tone, a cut in span 1."""
     begin = number * SECOND
     frames = [begin + n * FRAME for n in range(25)]
     blocks = [begin + n * BLOCK for n in range(8)]
