@@ -264,3 +264,28 @@ def test_a_replay_with_wrong_usage_puts_nothing(run: Command, tmp_path: Path, wo
     except SystemExit as ended:
         status = ended.code
     assert status == 2
+
+
+def test_what_channels_hold_is_exported(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+    channel = rt.channel("export/json", codec="json", max_age="60s")
+    rt.channel("export/arrays", codec="numpy", max_age="60s").put([[1, 2], [3, 4]])
+    for number in range(3):
+        channel.put({"n": number})
+    status, out, _ = run("export", "export/json", "-o", tmp_path / "a.csv")
+    assert (status, out.splitlines()[1].split()) == (0, [str(tmp_path / "a.csv"), "3"])
+    assert (tmp_path / "a.csv").read_text().splitlines()[0] == "time,duration,seq,attributes,value.n"
+    assert run("export", "export/*", "-o", tmp_path / "both", "--format", "parquet")[0] == 0
+    assert sorted(one.name for one in (tmp_path / "both").iterdir()) == ["export_arrays.parquet", "export_json.parquet"]
+    assert run("export", "export/*", "-o", tmp_path / "a.mcap")[0] == 0
+    assert seqs_of(read(tmp_path / "a.mcap")[0], "export/json") == [1, 2, 3]
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.csv", "a.mcap", "both"]
+    status, out, _ = run("export", tmp_path / "a.mcap", "--channel", "*/json", "-o", tmp_path / "b.csv")
+    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
+
+
+def test_an_export_without_a_format_or_a_source_says_so(run: Command, tmp_path: Path) -> None:
+    status, _, told = run("export", "cam", "-o", tmp_path / "a.txt")
+    assert (status, "give --format" in told) == (2, True)
+    status, _, told = run("export", "nobody", "-o", tmp_path / "a.csv")
+    assert (status, "there is no file and no channel nobody" in told) == (2, True)
+    assert not list(tmp_path.iterdir())

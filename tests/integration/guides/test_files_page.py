@@ -34,6 +34,7 @@ def before(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         for number in range(3):
             rt.channel("imu", max_age="60s").put(b"%d" % number)
             rt.channel("rig/camera", max_age="60s")
+            rt.channel("readings/imu", codec="json").put({"x": number})
             rt.channel("narrow", max_items=1).put(b"%d" % number)
         yield
 

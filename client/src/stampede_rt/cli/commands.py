@@ -24,7 +24,7 @@ OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk r
 
 VERB_MODULES = (
     "discovery", "hosts", "data", "group", "queue", "mailbox", "proxy", "rates", "top", "lag", "record", "replay",
-    "file", "doctor", "acl", "quota", "token",
+    "export", "file", "doctor", "acl", "quota", "token",
 )  # fmt: skip
 """The modules with the verbs of clients, in the order of the help."""
 

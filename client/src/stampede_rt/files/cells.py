@@ -1,0 +1,119 @@
+"""Values of items as cells of a table. Pure, but for numpy, which is imported for arrays only."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from stampede_rt.errors import FileError
+
+JSON = "application/json"
+NPY = "application/x-npy"
+DEPTH_MAX = 8  # of nested objects that become columns; deeper ones become JSON text
+COLUMNS_MAX = 1000
+INT_MAX = 2**63 - 1
+BOOL, INT, FLOAT, TEXT, INTS, FLOATS = "bool", "int", "float", "text", "ints", "floats"
+Cell = Any
+Row = dict[str, Cell]
+
+
+def cells_of(payload: bytes, content_type: str) -> Row:
+    """Return the cells of a payload by column. Raises FileError if it is neither JSON nor an array of numpy."""
+    media = content_type.partition(";")[0].strip().lower()
+    try:
+        if media == JSON:
+            return dict(_flat("value", json.loads(payload), 0))
+        if media == NPY:
+            return _array_cells(payload)
+    except (ValueError, RecursionError, TypeError, SyntaxError) as error:
+        raise FileError(f"it cannot be decoded as {media}: {error}") from error
+    raise FileError(
+        f"it has the content type {content_type or 'none'!r}; tables take {JSON} and {NPY}; export it as MCAP, or "
+        "choose other channels"
+    )
+
+
+def _flat(name: str, value: Any, depth: int) -> Iterator[tuple[str, Cell]]:
+    if isinstance(value, dict) and value and depth < DEPTH_MAX:
+        for key, inner in value.items():
+            yield from _flat(f"{name}.{_encodable(key)}", inner, depth + 1)
+    else:
+        yield name, value
+
+
+def _encodable(text: str) -> str:
+    """Return text that UTF-8 can encode. JSON may have halves of surrogate pairs."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _array_cells(payload: bytes) -> Row:
+    """Return the numbers of an array in one row, and its shape. Checks the length first: headers may lie."""
+    import numpy as np
+
+    file = io.BytesIO(payload)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(payload) - file.tell():
+        raise ValueError("its header does not fit its length")
+    array = np.lib.format.read_array(io.BytesIO(payload), allow_pickle=False)
+    return {"value": array.ravel().tolist(), "shape": list(array.shape)}
+
+
+def kind_of(cell: Cell) -> str | None:
+    """Return the kind of a cell; None for an empty one."""
+    if cell is None:
+        return None
+    if isinstance(cell, bool):
+        return BOOL
+    if isinstance(cell, int):
+        return INT if abs(cell) <= INT_MAX else TEXT
+    if isinstance(cell, float):
+        return FLOAT
+    if isinstance(cell, list) and all(type(one) in (int, float) for one in cell):
+        if any(type(one) is float for one in cell):
+            return FLOATS
+        return INTS if all(abs(one) <= INT_MAX for one in cell) else TEXT
+    return TEXT
+
+
+def joined_kind(first: str | None, second: str | None) -> str | None:
+    """Return the kind of a column that has cells of both kinds."""
+    if first == second or second is None:
+        return first
+    if first is None:
+        return second
+    both = {first, second}
+    return FLOAT if both == {INT, FLOAT} else FLOATS if both == {INTS, FLOATS} else TEXT
+
+
+def as_kind(cell: Cell, kind: str) -> Cell:
+    """Return a cell as its column takes it. In a column of text, everything but text is JSON."""
+    if cell is None:
+        return None
+    if kind == TEXT:
+        return _encodable(cell if isinstance(cell, str) else json.dumps(cell, ensure_ascii=False, default=str))
+    if kind == FLOAT:
+        return float(cell)
+    return [float(one) for one in cell] if kind == FLOATS else cell
+
+
+class Columns:
+    """The columns of a table, and the kind of each."""
+
+    def __init__(self) -> None:
+        self.kinds: dict[str, str | None] = {}
+
+    def learn(self, row: Mapping[str, Cell]) -> None:
+        """Look at a row. Raises FileError if there are too many columns."""
+        for name, cell in row.items():
+            self.kinds[name] = joined_kind(self.kinds.get(name), kind_of(cell))
+        if len(self.kinds) > COLUMNS_MAX:
+            raise FileError(f"its items have more than {COLUMNS_MAX} different keys, too many for a table")
+
+    def cells(self, row: Mapping[str, Cell]) -> Sequence[Cell]:
+        """Return the cells of a row in the order of the columns."""
+        return [as_kind(row.get(name), kind or TEXT) for name, kind in self.kinds.items()]

@@ -1,0 +1,203 @@
+"""Writes the items of a file as tables: CSV, or Parquet with pyarrow. One table for each topic."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from stampede_rt.errors import FileError
+from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, Columns, cells_of
+from stampede_rt.files.entries import FileEntry
+from stampede_rt.files.names import channel_name
+from stampede_rt.files.sources import FileSource
+from stampede_rt.files.writing import opened_new, write_fault
+from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
+
+ROWS_AT_ONCE = 4096
+BYTES_AT_ONCE = 8 * 1024 * 1024  # of payloads
+FORMATS = ("csv", "parquet")
+HEADS = ("time", "duration", "seq", "attributes")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExportSummary:
+    """The rows of each table by its file, and the first 1000 gaps of the exported channels."""
+
+    rows: Mapping[str, int]
+    gaps: Sequence[RecordingGap]
+
+
+class TableWriter(Protocol):
+    """Writes one table."""
+
+    def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
+        """Write rows."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class CsvTable:
+    """A table as CSV in UTF-8. Times and durations are nanoseconds. Lists and attributes are JSON."""
+
+    def __init__(self, path: Path, columns: Columns, *, overwrite: bool) -> None:
+        opened_new(path, overwrite=overwrite).close()
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._file)
+        self._writer.writerow([*HEADS, *columns.kinds])
+
+    def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
+        """Write rows."""
+        for entry, row in zip(entries, cells, strict=True):
+            attributes = json.dumps(dict(entry.attributes), ensure_ascii=False) if entry.attributes else ""
+            texts = [json.dumps(cell) if isinstance(cell, list | bool) else cell for cell in row]
+            self._writer.writerow([entry.time, entry.duration, _seq(entry), attributes, *texts])
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+
+class ParquetTable:
+    """A table as Parquet. Times are timestamps in UTC, durations nanoseconds, attributes a map."""
+
+    def __init__(self, path: Path, columns: Columns, *, overwrite: bool) -> None:
+        try:
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+        except ImportError as error:
+            raise FileError("Parquet needs pyarrow; run: pip install 'stampede-rt[parquet]'") from error
+        types = {
+            BOOL: pa.bool_(), INT: pa.int64(), FLOAT: pa.float64(), INTS: pa.list_(pa.int64()),
+            FLOATS: pa.list_(pa.float64()),
+        }  # fmt: skip
+        of_heads = (pa.timestamp("ns", "UTC"), pa.int64(), pa.uint64(), pa.map_(pa.string(), pa.string()))
+        heads = zip(HEADS, of_heads, strict=True)
+        values = [(name, types.get(kind or "", pa.string())) for name, kind in columns.kinds.items()]
+        self._pa, self._schema = pa, pa.schema([*heads, *values])
+        opened_new(path, overwrite=overwrite).close()
+        self._writer = pq.ParquetWriter(str(path), self._schema, compression="zstd")
+
+    def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
+        """Write rows."""
+        heads: list[list[Any]] = [
+            [entry.time for entry in entries],
+            [entry.duration for entry in entries],
+            [_seq(entry) for entry in entries],
+            [list(entry.attributes.items()) for entry in entries],
+        ]
+        columns = [*heads, *(list(column) for column in zip(*cells, strict=True))]
+        arrays = [self._pa.array(column, field.type) for column, field in zip(columns, self._schema, strict=True)]
+        self._writer.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+def _seq(entry: FileEntry) -> int:
+    return entry.sequence if entry.seq is None else entry.seq
+
+
+_TABLES: dict[str, Callable[..., TableWriter]] = {"csv": CsvTable, "parquet": ParquetTable}
+
+
+def export_tables(
+    source: FileSource,
+    output: str | os.PathLike[str],
+    form: str,
+    *,
+    chosen: Callable[[str], bool],
+    start: int,
+    end: int,
+    overwrite: bool = False,
+) -> ExportSummary:
+    """Write a table for each chosen topic of JSON or arrays. `form` is "csv" or "parquet".
+
+    One topic becomes the file `output`. Several become files in the folder `output`, by their names. Reads the source
+    twice for each topic, and keeps at most 4096 rows in memory. Raises FileError.
+    """
+    names = [topic.name for topic in source.topics() if chosen(topic.name)]
+    if not names:
+        raise FileError(f"the file {source.path!r} has no topic that was chosen")
+    rows: dict[str, int] = {}
+    gaps: list[RecordingGap] = []
+    for name, path in zip(names, _paths(names, Path(output), form), strict=True):
+        try:
+            rows[str(path)] = _export(_Topic(source, name, start, end, gaps), path, form, overwrite)
+        except OSError as error:
+            raise write_fault(path, error) from error
+    return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]))
+
+
+def _paths(names: Sequence[str], output: Path, form: str) -> list[Path]:
+    if len(names) == 1:
+        return [output]
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_fault(output, error) from error
+    paths = [output / f"{channel_name(name).replace('/', '_')}.{form}" for name in names]
+    if len(set(paths)) < len(paths):
+        raise FileError(
+            f"two of the channels {', '.join(map(repr, names[:10]))} would have one file; export one by one"
+        )
+    return paths
+
+
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """The items of one topic."""
+
+    source: FileSource
+    name: str
+    start: int
+    end: int
+    gaps: list[RecordingGap]
+
+    def entries(self, *, note: bool = False) -> Iterator[FileEntry]:
+        for _, event in self.source.events(lambda name: name == self.name, self.start, self.end):
+            if isinstance(event, FileEntry):
+                yield event
+            elif isinstance(event, RecordingGap) and note and len(self.gaps) < GAPS_KEPT_MAX:
+                self.gaps.append(event)
+
+    def cells(self, entry: FileEntry) -> dict[str, Any]:
+        try:
+            return cells_of(entry.data, entry.content_type)
+        except FileError as error:
+            raise FileError(f"channel {self.name!r}, item {_seq(entry)} at {entry.time}: {error.message}") from error
+
+
+def _export(topic: _Topic, path: Path, form: str, overwrite: bool) -> int:
+    columns = Columns()
+    for entry in topic.entries(note=True):
+        columns.learn(topic.cells(entry))
+    table, rows = _TABLES[form](path, columns, overwrite=overwrite), 0
+    try:
+        for part in _parts(topic.entries()):
+            table.write(part, [columns.cells(topic.cells(entry)) for entry in part])
+            rows += len(part)
+    finally:
+        table.close()
+    return rows
+
+
+def _parts(entries: Iterator[FileEntry]) -> Iterator[list[FileEntry]]:
+    part: list[FileEntry] = []
+    length_bytes = 0
+    for entry in entries:
+        part.append(entry)
+        length_bytes += len(entry.data)
+        if len(part) >= ROWS_AT_ONCE or length_bytes >= BYTES_AT_ONCE:
+            yield part
+            part, length_bytes = [], 0
+    if part:
+        yield part

@@ -1,0 +1,151 @@
+"""Tables of items."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from stampede_rt.errors import FileError
+from stampede_rt.files import cells
+from stampede_rt.files.entries import Topic, item_entry
+from stampede_rt.files.exporting import ExportSummary, export_tables
+from stampede_rt.files.sources import McapSource
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+from tests.support.files.recordings import INCARNATION, MS, START, gap, item, write
+
+JSON, NPY = "application/json", "application/x-npy"
+
+
+def npy(value: Any) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.asarray(value))
+    return file.getvalue()
+
+
+def file_of(path: Path, payloads: list[bytes], kind: str, name: str = "imu") -> Path:
+    topic = Topic(name, kind, INCARNATION)
+    items = [item(seq, payload, content_type=kind) for seq, payload in enumerate(payloads, 1)]
+    return write(path, [item_entry(topic, one) for one in items])
+
+
+def export(path: Path, output: Path, form: str, chosen: Callable[[str], bool] = lambda _: True) -> ExportSummary:
+    source = McapSource(path)
+    try:
+        return export_tables(source, output, form, chosen=chosen, start=MIN_INSTANT, end=MAX_INSTANT)
+    finally:
+        source.close()
+
+
+def test_json_objects_become_columns_of_csv(tmp_path: Path) -> None:
+    payloads = [b'{"a":1,"pose":{"x":0.5,"n":[1,2]}}', b'{"a":"two","ok":true}', b"7"]
+    path = file_of(tmp_path / "a.mcap", payloads, JSON)
+    summary = export(path, tmp_path / "a.csv", "csv")
+    assert summary.rows == {str(tmp_path / "a.csv"): 3}
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["time"] == str(START + MS)
+    names = ("seq", "value.a", "value.pose.x", "value.pose.n", "value.ok", "value")
+    assert [[row[name] for name in names] for row in rows] == [
+        ["1", "1", "0.5", "[1, 2]", "", ""], ["2", "two", "", "", "true", ""], ["3", "", "", "", "", "7"],
+    ]  # fmt: skip
+
+
+def test_json_becomes_parquet_with_types_that_fit_all_items(tmp_path: Path) -> None:
+    payloads = [b'{"n":1,"f":1,"b":true,"s":"x","l":[1],"m":1}', b'{"n":2,"f":0.5,"b":null,"l":[0.5],"m":"y"}']
+    topic = Topic("imu", "json", INCARNATION)
+    items = [
+        item(1, payloads[0], content_type=JSON, duration=5, k="v"),
+        item(2**40, payloads[1], content_type=JSON, time=START + 7),
+    ]
+    path = write(tmp_path / "a.mcap", [item_entry(topic, one) for one in items])
+    export(path, tmp_path / "a.parquet", "parquet")
+    table = pq.read_table(tmp_path / "a.parquet")
+    assert {field.name: str(field.type).split(" (")[0] for field in table.schema} == {
+        "time": "timestamp[ns, tz=UTC]", "duration": "int64", "seq": "uint64", "attributes": "map<string, string",
+        "value.n": "int64", "value.f": "double", "value.b": "bool", "value.s": "string", "value.m": "string",
+        "value.l": "list<element: double>",
+    }  # fmt: skip
+    rows = table.drop_columns(["time"]).to_pylist()
+    assert rows[0] == {
+        "duration": 5, "seq": 1, "attributes": [("k", "v")], "value.n": 1, "value.f": 1.0, "value.b": True,
+        "value.s": "x", "value.l": [1.0], "value.m": "1",
+    }  # fmt: skip
+    assert (rows[1]["seq"], rows[1]["value.s"], rows[1]["value.m"], rows[1]["duration"]) == (2**40, None, "y", None)
+    assert table["time"].cast("int64").to_pylist() == [START + MS, START + 7]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_arrays_become_rows_with_their_shape(tmp_path: Path, form: str) -> None:
+    path = file_of(tmp_path / "a.mcap", [npy([[1, 2], [3, 4]]), npy([0.5])], NPY)
+    export(path, tmp_path / f"a.{form}", form)
+    if form == "parquet":
+        table = pq.read_table(tmp_path / "a.parquet").to_pylist()
+        assert [(row["value"], row["shape"]) for row in table] == [([1, 2, 3, 4], [2, 2]), ([0.5], [1])]
+    else:
+        with (tmp_path / "a.csv").open(newline="") as file:
+            assert [row["shape"] for row in csv.DictReader(file)] == ["[2, 2]", "[1]"]
+
+
+def test_several_channels_become_files_of_a_folder(tmp_path: Path) -> None:
+    topics = [Topic(name, "json", INCARNATION) for name in ("rig/a", "rig/b")]
+    one = item(1, b"1", content_type=JSON)
+    path = write(tmp_path / "a.mcap", [item_entry(topic, one) for topic in topics])
+    export(path, tmp_path / "out", "csv")
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["rig_a.csv", "rig_b.csv"]
+
+
+def test_gaps_of_the_file_are_told(tmp_path: Path) -> None:
+    one = item_entry(Topic("imu", "json", INCARNATION), item(1, b"1", content_type=JSON))
+    path = write(tmp_path / "a.mcap", [one, gap("imu", 2, 5)])
+    assert export(path, tmp_path / "a.csv", "csv").gaps == (gap("imu", 2, 5),)
+
+
+@pytest.mark.parametrize(
+    ("payload", "kind", "why"),
+    [
+        (b"\xff\xd8", "image/jpeg", "content type 'image/jpeg'; tables take"),
+        (b"{", JSON, "cannot be decoded as application/json"),
+        (b"[" * 100_000, JSON, "cannot be decoded"),
+        (b"\x93NUMPY\x01\x00", NPY, "cannot be decoded as application/x-npy"),
+        (npy(np.zeros(3))[:-20], NPY, "does not fit its length"),
+        (npy(0).replace(b"()", b"(9" + b"9" * 12 + b",)").replace(b" " * 14, b"", 1), NPY, "does not fit its length"),
+    ],
+)
+def test_what_no_table_takes_is_named_with_its_channel_and_seq(
+    tmp_path: Path, payload: bytes, kind: str, why: str
+) -> None:
+    path = file_of(tmp_path / "a.mcap", [payload], kind)
+    with pytest.raises(FileError, match=f"channel 'imu', item 1 at .*{why}"):
+        export(path, tmp_path / "a.csv", "csv")
+    assert not (tmp_path / "a.csv").exists()
+
+
+def test_halves_of_surrogates_and_great_numbers_do_not_end_an_export(tmp_path: Path) -> None:
+    path = file_of(tmp_path / "a.mcap", [b'{"\\ud800":"\\udfff","n":%d,"l":[%d]}' % (2**70, 2**70)], JSON)
+    for form in ("csv", "parquet"):
+        export(path, tmp_path / f"a.{form}", form)
+    (row,) = pq.read_table(tmp_path / "a.parquet").to_pylist()
+    assert row["value.\\ud800"] == "\\udfff"
+    assert row["value.n"] == str(2**70)
+
+
+def test_too_many_different_keys_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells, "COLUMNS_MAX", 10)
+    path = file_of(tmp_path / "a.mcap", [b'{"%d":1}' % number for number in range(20)], JSON)
+    with pytest.raises(FileError, match="too many for a table"):
+        export(path, tmp_path / "a.csv", "csv")
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
+    path = file_of(tmp_path / "a.mcap", [b"1"], JSON)
+    (tmp_path / "a.csv").write_text("precious")
+    with pytest.raises(FileError, match="exists"):
+        export(path, tmp_path / "a.csv", "csv")
+    assert (tmp_path / "a.csv").read_text() == "precious"
