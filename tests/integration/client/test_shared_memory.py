@@ -19,6 +19,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt._sync import shared_rings
+from stampede_rt.ring.ring_view import RingView
 from stampede_rt.transports import futexes, ring_mapping
 from stampede_rt.transports.ring_mapping import RingMapping
 from stampede_rt_local.cluster import LocalCluster
@@ -81,6 +82,23 @@ def test_reads_of_the_newest_part_ask_nobody(cluster: LocalCluster, monkeypatch:
         assert calls == []
         assert channel.get(st.OLDEST, items[2].time)
         assert calls == ["read"]
+
+
+def test_a_newest_item_that_has_not_changed_is_copied_once(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copies: list[int] = []
+    copy = RingView.copy_payload
+    monkeypatch.setattr(RingView, "copy_payload", lambda view, slot: copies.append(slot.seq) or copy(view, slot))
+    with channel_of(cluster, "ring/unchanged") as channel:
+        for number in range(1, 5):
+            item = channel.put(b"%d" % number)
+            copies.clear()
+            found = [channel.newest() for _ in range(100)]
+            assert found == [item._replace(end=None)] * 100
+            assert found[0].attributes is not found[1].attributes  # type: ignore[union-attr]
+            assert set(copies) == {item.seq}
+            assert len(copies) < 50, "the host's clock is shown anew five times a second"
 
 
 def test_the_default_shares_memory_after_some_reads_and_says_so(cluster: LocalCluster) -> None:

@@ -41,6 +41,9 @@ def read_newest(
     mapping = session.rings.find(state)
     if mapping is None:
         return ASK_HOST
+    session.check()
+    if after is None and (unchanged := mapping.unchanged_newest()) is not None and mapping.is_open(boottime_nanos()):
+        return newest_item(state, mapping, unchanged)
     position: tuple[int, int] | None = None
     if isinstance(after, Item):
         check_item(after)
@@ -49,7 +52,6 @@ def read_newest(
         position = after.time, after.seq
     elif after is not None:
         position = after, 2**64
-    session.check()
     while True:
         changes = mapping.view.words[CHANGES_WORD]
         facts = mapping.view.facts()
@@ -57,6 +59,8 @@ def read_newest(
         if found is True or not mapping.is_open(boottime_nanos()):
             return ASK_HOST
         if found is not False:
+            if after is None and facts is not None:
+                mapping.keep_newest(facts, found)
             return newest_item(state, mapping, found)
         left_s = float("inf") if deadline_s is None else deadline_s - monotonic_s()
         if left_s <= 0:

@@ -11,7 +11,8 @@ import time
 from collections.abc import Iterable
 
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.ring.layout import CHANGES_WORD, OPEN, RING_BYTES_MAX, STATE_WORD, WORD_BYTES
+from stampede_rt.ring.layout import CHANGES_WORD, OPEN, RING_BYTES_MAX, SEQUENCE_WORD, STATE_WORD, WORD_BYTES
+from stampede_rt.ring.newest import FoundNewest
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking, futexes
@@ -29,6 +30,7 @@ _GET_SEALS = getattr(fcntl, "F_GET_SEALS", 1034)
 _RECEIVE_BYTES = 4096
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 _FILES_MAX = 4
+KEPT_BYTES_MAX = 2**20  # of the newest item of a ring; a connection has at most 64 rings
 
 
 class ChannelNotShared(StampedeError):
@@ -52,9 +54,20 @@ class RingMapping:
         self._listened_nanos = 0
         self._mutex = threading.Lock()  # held by the thread that listens
         self._is_ended = False
+        self._newest: tuple[int, FoundNewest] | None = None  # the sequence number of the facts, and what they led to
         self._forks = forking.forks()
         connected.setblocking(False)
         forking.keep_out_of_children(connected)
+
+    def keep_newest(self, facts: list[int], found: FoundNewest) -> None:
+        """Keep the newest item, so that it is not copied again while the facts are the same."""
+        if len(found.body) <= KEPT_BYTES_MAX:
+            self._newest = facts[0], found
+
+    def unchanged_newest(self) -> FoundNewest | None:
+        """Return the kept newest item if it still is the newest one. Call `is_open` afterwards."""
+        kept = self._newest
+        return kept[1] if kept is not None and kept[0] == self.view.words[SEQUENCE_WORD] else None
 
     @property
     def may_be_open(self) -> bool:
