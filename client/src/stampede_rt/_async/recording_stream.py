@@ -21,7 +21,7 @@ WINDOW_BYTES = 1024 * 1024  # that the host may send ahead of the recording, for
 
 @dataclass(slots=True)
 class RecordedBatch:
-    """What came since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
+    """The events since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
 
     `read_to` is the last seq that this batch and those before have, or name as missing; None if this changes nothing.
     """

@@ -27,7 +27,10 @@ EVENTS_AT_ONCE = 64  # that are read from the file in one step
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayRequest:
-    """What to play, and how. `start` and `end` are times of the file, `end` exclusive. `speed` 0: without pauses."""
+    """The file's part to play, and how.
+
+    `start` and `end` are times of the file, `end` exclusive. `speed` 0: without pauses.
+    """
 
     prefix: str
     chosen: Callable[[str], bool]

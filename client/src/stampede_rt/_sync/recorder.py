@@ -40,7 +40,7 @@ class Recorder(BackgroundStart, BoundToProcess):
     """Records channels to a file, from its making until `stop` (see `Connection.record`). A context manager.
 
     `summary` is None until the file is finished. `error` is the error that ended the recording, such as a full disk;
-    the file then has what was written before.
+    the file then has everything written before.
     """
 
     def __init__(

@@ -59,7 +59,7 @@ def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], 
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Print what the index of a file says."""
+    """Print the index of a file."""
     from stampede_rt.files.reading import FileReader
 
     with FileReader(arguments.path) as reader:

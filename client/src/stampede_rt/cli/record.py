@@ -89,7 +89,7 @@ def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> i
 
 
 def print_summary(summary: RecordingSummary, form: str) -> None:
-    """Print what a file has, and what is missing."""
+    """Print the contents of a file, and the missing items."""
     if form != "table":
         value = {
             "file": summary.path,

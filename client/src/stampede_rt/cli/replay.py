@@ -59,7 +59,7 @@ def _speed(text: str) -> float:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Play a file, and print what was put."""
+    """Play a file, and print the numbers of items put."""
     with connected(arguments) as rt:
         player = rt.replay_file(
             arguments.path,
@@ -75,7 +75,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Import a file, and print what was put."""
+    """Import a file, and print the numbers of items put."""
     with connected(arguments) as rt:
         player = rt.import_file(
             arguments.path,

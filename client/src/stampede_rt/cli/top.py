@@ -70,7 +70,7 @@ def _print_lines(rt: Connection, arguments: argparse.Namespace) -> None:
 
 
 class View:
-    """What the user has chosen by keys."""
+    """The choices that the user has made by keys."""
 
     def __init__(self, sort: str) -> None:
         self.sort = sort

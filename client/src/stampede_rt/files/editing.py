@@ -22,7 +22,7 @@ DAMAGES_KEPT_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileReport:
-    """What a whole reading of a file has found.
+    """The findings of a whole reading of a file.
 
     `damages` has the first 1000 stretches that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
@@ -39,12 +39,12 @@ class FileReport:
 
     @property
     def intact(self) -> bool:
-        """Whether every byte could be read, and the file has what its summary says."""
+        """Whether every byte could be read, and the file agrees with its summary."""
         return self.finished and not self.damages and not self.unknown and not self.contradictions
 
     @property
     def contradictions(self) -> list[str]:
-        """The channels of which the file does not have what its summary says."""
+        """The channels whose items in the file disagree with its summary."""
         found = {(one.channel, one.incarnation): one for one in self.summary.channels}
         wrong = []
         for told in self.stated.channels if self.stated else ():
@@ -84,7 +84,7 @@ def check_other(path: str | os.PathLike[str], output: str | os.PathLike[str]) ->
 
 
 def writer_of(writer: FileWriter) -> Callable[[Event | Attachment | Metadata], None]:
-    """Return a function that writes what a reader gives. It leaves out summaries, which the caller writes anew."""
+    """Return a function that writes the events of a reader. It leaves out summaries, which the caller writes anew."""
 
     def write(event: Event | Attachment | Metadata) -> None:
         if isinstance(event, FileEntry):
@@ -151,7 +151,7 @@ def _stated(reader: FileReader) -> RecordingSummary | None:
 
 
 class _Cut:
-    """Keeps what lies in an interval of time. A gap stays unless all items beside it lie outside, on the same side."""
+    """Keeps the events in an interval of time. A gap stays unless all items beside it lie outside, on the same side."""
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], None]) -> None:
         self._start, self._end, self._chosen, self._take = start, end, chosen, take

@@ -1,4 +1,4 @@
-"""What a file has: topics, messages, gaps and advances, and the facts that MCAP has no field for. Pure.
+"""The contents of a file: topics, messages, gaps and advances, and the facts that MCAP has no field for. Pure.
 
 The facts of the messages in a chunk are one more message of that chunk, in JSON, on the topic `stampede/facts`.
 docs/files.md describes it.

@@ -1,4 +1,4 @@
-"""Counts what a file has of each channel, and what damage has taken. Pure."""
+"""Counts the items of each channel in a file, and the items lost to damage. Pure."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class XdfSource:
 
 
 class _Complaints(logging.Handler):
-    """Gathers what a library logs as an error while it skips damaged parts. The log itself gets nothing."""
+    """Gathers the errors that a library logs while it skips damaged parts. The log itself gets nothing."""
 
     def __init__(self, name: str) -> None:
         super().__init__(logging.ERROR)

@@ -44,7 +44,7 @@ DECODE_ERRORS = (
     McapError, ValueError, struct.error, KeyError, IndexError, OverflowError, MemoryError, RuntimeError, EOFError,
     zstandard.ZstdError,
 )  # fmt: skip
-"""What a decoder raises for bytes that are no record."""
+"""The errors that a decoder raises for bytes that are no record."""
 
 
 @dataclass(frozen=True, slots=True)

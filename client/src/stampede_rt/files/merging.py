@@ -72,7 +72,7 @@ def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event]
 
 
 def _merged(event: Event, seen: Ranges, held: Ranges) -> Iterator[Event]:
-    """Yield what stays of one event: nothing of an item that came before, and of a gap what no file has."""
+    """Yield the rest of one event: nothing of an item that came before, and the part of a gap that no file has."""
     if isinstance(event, FileEntry):
         foreign = event.seq is None or event.topic.incarnation is None
         key = (event.topic.name, event.topic.incarnation or 0)

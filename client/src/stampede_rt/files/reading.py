@@ -1,4 +1,4 @@
-"""Reads files chunk by chunk: messages with their facts, gaps, advances, and what is damaged."""
+"""Reads files chunk by chunk: messages with their facts, gaps, advances, and damaged parts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ Event = FileEntry | RecordingGap | FileAdvance
 
 @dataclass(slots=True)
 class Content:
-    """What one chunk has. `unknown` counts messages whose topic the file does not name, `bare` those without facts."""
+    """The contents of one chunk.
+
+    `unknown` counts messages whose topic the file does not name, `bare` those without facts.
+    """
 
     offset: int
     end: int
@@ -81,7 +84,7 @@ class Content:
 
 @dataclass(slots=True)
 class FileIndex:
-    """What the end of a whole file says: counts, chunks, topics and metadata, without reading the messages."""
+    """The facts at the end of a whole file: counts, chunks, topics and metadata, without reading the messages."""
 
     statistics: Statistics | None = None
     chunks: list[ChunkIndex] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Counts what a recording has of one channel, and finds out what is missing. Pure."""
+"""Counts the items of one channel in a recording, and finds the missing ones. Pure."""
 
 from __future__ import annotations
 

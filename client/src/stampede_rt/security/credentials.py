@@ -110,7 +110,7 @@ class SecretReader:
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
-    """What differs when the file has changed; None: there is no file."""
+    """Values that differ after each change of the file; None: there is no file."""
     try:
         found = path.stat()
     except OSError:

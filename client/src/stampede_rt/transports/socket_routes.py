@@ -42,7 +42,7 @@ class SocketRoute:
         """Whether the host shares memory over its sockets."""
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
-        """Keep what the gatekeeper has answered: at most TARGETS_MAX paths of the form that hosts make."""
+        """Keep the gatekeeper's answer: at most TARGETS_MAX paths of the form that hosts make."""
         local = [one for one in endpoints if _OF_HOSTS.fullmatch(one.target)]
         sockets = tuple(islice((one for one in local if one.transport == pb.TRANSPORT_SOCKET), TARGETS_MAX))
         self.ticket = sockets[0].ticket[:TICKET_BYTES_MAX] if sockets else b""

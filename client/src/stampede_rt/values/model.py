@@ -197,7 +197,7 @@ def read_only(column: array[int]) -> memoryview:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Policy:
-    """The policy of a channel (paper, section 3.4). None means that nobody has stated the setting.
+    """The policy of a channel (paper, section 3.4). None: the setting was not stated.
 
     `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
     `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.

@@ -26,7 +26,7 @@ REASON_BYTES_MAX = 1024  # for the `reason` of `Message.term`
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueuePolicy:
-    """The policy of a queue (see `Connection.queue`). None means that nobody has stated the setting."""
+    """The policy of a queue (see `Connection.queue`). None: the setting was not stated."""
 
     max_items: int | None = None
     max_bytes: int | None = None

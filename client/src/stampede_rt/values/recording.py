@@ -132,7 +132,7 @@ class RecordingSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplaySummary:
-    """What a replay or an import has put into channels.
+    """The items that a replay or an import has put into channels.
 
     - `items` counts the accepted items by channel, `refused` the items that the hosts have refused; `first_refusal` is
       the error text of the first one.

@@ -34,14 +34,14 @@ REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
 def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
-    """Return the message for a queue's policy. A setting that nobody has stated stays unset."""
+    """Return the message for a queue's policy. A setting that was not stated stays unset."""
     stated = {name: getattr(policy, name) for name in _OPTIONAL}
     on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
     return queue_pb2.QueueSpec(on_full=on_full, **stated)
 
 
 def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
-    """Return a queue's policy, from its message. A setting that nobody has stated is None."""
+    """Return a queue's policy, from its message. A setting that was not stated is None."""
     stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
     return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
 

@@ -43,7 +43,7 @@ REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "o
 
 
 def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """Return the message for a channel's policy. A setting that nobody has stated stays unset."""
+    """Return the message for a channel's policy. A setting that was not stated stays unset."""
     return channel_pb2.ChannelSpec(
         retention=_retention_of(policy),
         on_full=_ON_FULL[policy.on_full] if policy.on_full else channel_pb2.ON_FULL_UNSPECIFIED,
@@ -67,7 +67,7 @@ def _retention_of(policy: Policy) -> channel_pb2.RetentionPolicy:
 
 
 def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
-    """Return a channel's policy, from its message. A setting that nobody has stated is None."""
+    """Return a channel's policy, from its message. A setting that was not stated is None."""
     retention, unconsumed = spec.retention, "max_age_unconsumed_nanos"
     return Policy(
         max_age_nanos=retention.max_age_nanos if retention.HasField("max_age_nanos") else None,
@@ -133,7 +133,7 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
 def channel_stats(
     status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None, transport: str | None = None
 ) -> ChannelStats:
-    """Return a channel's counters, as callers see them, and what the caller itself has found out."""
+    """Return a channel's counters, as callers see them, and the caller's own findings."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,

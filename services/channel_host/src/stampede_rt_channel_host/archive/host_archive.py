@@ -1,4 +1,4 @@
-"""The archive of one host, on its event loop: writes what the channels accept, and reads windows of it."""
+"""The archive of one host, on its event loop: writes the items that the channels accept, and reads windows of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records one channel: it says what the archive writes next, and what the archive has."""
+"""Records one channel: it chooses the next items for the archive, and knows the archived ones."""
 
 from __future__ import annotations
 

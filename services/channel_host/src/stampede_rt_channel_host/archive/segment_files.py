@@ -55,7 +55,7 @@ class ArchiveLimits(NamedTuple):
 
 
 class OpenedArchive(NamedTuple):
-    """What a host finds in the folder of a channel.
+    """The archive that a host finds in the folder of a channel.
 
     `stopped_cleanly`: the last host process archived all that it had accepted. `torn_bytes` were cut off the end.
     """
@@ -186,7 +186,7 @@ class SegmentFiles:
             self._file = None
 
     def _undo(self, before: tuple[Segment, ...]) -> None:
-        """Take back what a failed write has appended. The next write begins a new segment."""
+        """Take back the bytes that a failed write has appended. The next write begins a new segment."""
         if self._file is not None:
             os.close(self._file)
             self._file = None

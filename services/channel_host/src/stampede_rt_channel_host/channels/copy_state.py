@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.core.group import CutFloor
 
 SERVED_STALENESS_NANOS_MAX = 5_000_000_000
-"""A copy that is older than this serves nobody."""
+"""A copy that is older than this serves no reader."""
 # a subscription that continues here waits this long at most, until the copy has the items that its reader has
 REACH_SECONDS_MAX = 2.0
 

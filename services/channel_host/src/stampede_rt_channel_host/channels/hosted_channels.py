@@ -37,7 +37,7 @@ SUBSCRIPTIONS_MAX = 4096
 class NewCopy(NamedTuple):
     """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were.
 
-    `knows_owner`: it is fed with what only the owner knows, too, so that it can become the owner.
+    `knows_owner`: it is fed with the facts that only the owner knows, too, so that it can become the owner.
     """
 
     state: CopyState
@@ -81,9 +81,9 @@ class HostedChannel:
         """Set up the channel of `record`. `begun`: it is a copy of that channel, or goes on with the items of a copy.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
-        long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
-        and `deliveries` has the messages that readers of the host share.
-        Raises InvalidArgument if the record's policy is not possible.
+        long work for which no caller waits (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
+        and `deliveries` has the messages that readers of the host share. Raises InvalidArgument if the record's policy
+        is not possible.
         """
         self.record = record
         self.epoch: int = record.epoch
@@ -251,7 +251,7 @@ class HostedChannel:
         return self.moving
 
     def end_move(self) -> None:
-        """The move is over, and this host owns the channel: perform what waits. Idempotent."""
+        """End the move, because this host owns the channel now: perform the waiting calls. Idempotent."""
         moving, self.moving = self.moving, None
         if moving is not None:
             moving.end()

@@ -35,12 +35,12 @@ class Moving:
         self._puts.hold()
 
     def end(self) -> None:
-        """The move is over, and this host owns the channel: perform what waits."""
+        """End the move, because this host owns the channel now: perform the waiting calls."""
         self._over.set()
         self._puts.release()
 
     def gone(self, elsewhere: StampedeError) -> None:
-        """Another host owns the channel: send there what waits."""
+        """Send the waiting calls to another host, which owns the channel now."""
         self.elsewhere = elsewhere
         self._over.set()
 

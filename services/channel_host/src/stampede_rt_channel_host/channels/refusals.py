@@ -20,7 +20,7 @@ def fenced(host: str) -> StampedeError:
 
 
 def not_here(host: str, channel_id: bytes) -> StampedeError:
-    """The error for a channel that nobody has bound at this host, or that another host owns now."""
+    """The error for a channel that no caller has bound at this host, or that another host owns now."""
     shown = channel_id.hex()
     return error_for(
         "NOT_HERE",

@@ -72,7 +72,7 @@ def wait_nanos_of(request: pb.GetRequest) -> int:
 
 
 def demand_of(request: pb.GetRequest) -> Freshness | None:
-    """What the get demands of a copy; None: it accepts no copy. Raises InvalidArgument for a negative staleness."""
+    """The get's demands on a copy; None: it accepts no copy. Raises InvalidArgument for a negative staleness."""
     stale = request.max_staleness_nanos if request.HasField("max_staleness_nanos") else None
     least = request.least_seq if request.HasField("least_seq") else None
     if stale is not None and stale < 0:

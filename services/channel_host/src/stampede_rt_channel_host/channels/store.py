@@ -1,6 +1,6 @@
 """The channels of this host.
 
-The store makes a channel when somebody first binds it. It serves no channel without the lease. It drops a channel that
+The store makes a channel when a caller first binds it. It serves no channel without the lease. It drops a channel that
 was deleted or that another host owns.
 """
 

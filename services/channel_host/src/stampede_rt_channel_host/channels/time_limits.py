@@ -20,7 +20,7 @@ TimeLimit = tuple[float, int, Callable[[], None]]
 class TimeLimits:
     """The time limits of all blocked gets of a host.
 
-    `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+    `begin` does long work for which no caller waits (`PieceScheduler.begin`).
     """
 
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:

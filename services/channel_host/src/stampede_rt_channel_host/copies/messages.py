@@ -31,7 +31,7 @@ def place_to(place: FeedPlace, epoch: int) -> pb.FeedPlace:
 def place_of(message: pb.FeedPlace, epoch: int) -> FeedPlace:
     """The place of a copy, from a message to the source at `epoch`. Raises InvalidArgument for a place without a seq.
 
-    What the copy has of another owner's clock is of no use.
+    A reading of another owner's clock is of no use.
     """
     if not message.next_seq:
         raise InvalidArgument("the feed's place has no next_seq; leave the place out for a copy that holds nothing")
@@ -58,7 +58,7 @@ def cleared_of(state: pb.FeedState) -> ItemKey | None:
 
 
 def collection_of(state: pb.FeedState) -> Collection | None:
-    """What retention has taken; None: as before. Raises InvalidArgument for an unknown cause."""
+    """The items that retention has collected; None: as before. Raises InvalidArgument for an unknown cause."""
     if not state.HasField("collection"):
         return None
     message = state.collection

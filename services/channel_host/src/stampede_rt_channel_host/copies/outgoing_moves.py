@@ -119,7 +119,7 @@ class OutgoingMove:
             self._moves.store.forget(self._hosted.record.channel_id, self._moving.elsewhere)
 
     def feed_ended(self) -> None:
-        """The stream to the destination has ended. Unless the move is over, find out what became of it."""
+        """The stream to the destination has ended. Unless the move is over, learn its outcome."""
         self._moves.over()
         if self._timer is not None:
             self._timer.cancel()
@@ -155,7 +155,7 @@ class OutgoingMove:
                 await asyncio.sleep(RETRY_SECONDS)
 
     async def _learn_owner(self) -> None:
-        """Another owner was committed, or this host has got another epoch."""
+        """Learn that another owner was committed, or that this host has another epoch."""
         try:
             present = await self._moves.directory.resolve(self._hosted.record.channel_id)
         except StampedeError:

@@ -1,4 +1,4 @@
-"""Converts what only a channel's owner knows to and from protobuf (`OwnerFacts` in `replica_service.proto`).
+"""Converts the facts that only a channel's owner knows to and from protobuf (`OwnerFacts` in `replica_service.proto`).
 
 Times become durations on the wire, because the clocks of two hosts differ.
 """

@@ -1,4 +1,4 @@
-"""The feed of a retry window: what it has recorded, for the window of a copy. Pure."""
+"""The feed of a retry window: its records, for the window of a copy. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_channel_host.core.dedup import KeptRun, KnownProducer, RetryWin
 
 
 class WindowFeed:
-    """Takes from a window what it has recorded since the last take, so that another window can follow it.
+    """Takes from a window its records since the last take, so that another window can follow it.
 
     `since`: the other window has all records before this time of the host's clock; None: it has none.
     """

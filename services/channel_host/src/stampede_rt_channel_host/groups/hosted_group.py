@@ -51,7 +51,7 @@ class HostedGroup:
         """Set up the group.
 
         The group calls `on_moved` whenever the cut has moved, and `on_idle` with each member of this host that becomes
-        idle. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+        idle. `begin` does long work for which no caller waits (`PieceScheduler.begin`).
         """
         self.cut = GroupCut(resolved.group.definition, board)
         self.cut_observers = Observers(begin)

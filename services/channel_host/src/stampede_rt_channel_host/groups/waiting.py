@@ -17,7 +17,7 @@ class Waiter(ChangeObserver):
         self._error: StampedeError | None = None
 
     def wake(self) -> None:
-        """There may be news."""
+        """Note that something may have changed."""
         self._news.set()
 
     def end(self, error: StampedeError) -> None:

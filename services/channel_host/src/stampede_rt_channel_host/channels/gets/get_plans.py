@@ -26,7 +26,7 @@ class GetPlan:
     """The decoded fields of a get, without its call id.
 
     `wait_nanos`: 0 means that the get may not wait; below 0 means that it may wait without limit. `group`: the group
-    through which the get reads, if any. `demand`: what the read demands of a copy; None: it accepts none.
+    through which the get reads, if any. `demand`: the read's demands on a copy; None: it accepts none.
     """
 
     channel_id: bytes

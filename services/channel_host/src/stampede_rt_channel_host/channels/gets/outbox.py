@@ -53,9 +53,9 @@ class Outbox:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         account: Account | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`).
+        """`begin` does long work for which no caller waits (`PieceScheduler.begin`).
 
-        The queued bytes count as in flight for `account`; None: for nobody.
+        The queued bytes count as in flight for `account`; None: for no caller.
         """
         self._context = context
         self._in_flight = (account or unlimited()).charge_for(Quota.BYTES_IN_FLIGHT)

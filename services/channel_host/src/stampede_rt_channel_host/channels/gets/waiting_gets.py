@@ -67,7 +67,7 @@ class WaitingGets:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`).
+        """`begin` does long work for which no caller waits (`PieceScheduler.begin`).
 
         `limits` bounds the waits of all gets of the host; None: these gets have a `TimeLimits` of their own.
         """

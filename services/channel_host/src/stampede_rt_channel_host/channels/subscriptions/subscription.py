@@ -117,7 +117,7 @@ class Subscription(ChangeObserver):
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 
     def wake(self) -> None:
-        """There may be items to send."""
+        """Note that there may be items to send."""
         if self._credit.left > 0:
             self._look()
 

@@ -84,7 +84,7 @@ def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tu
 
 
 def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:
-    """The first block of a segment. `facts`: what the shell wants to find there again."""
+    """The first block of a segment. `facts`: the shell's own facts, which it finds there again."""
     key = (0, 0)
     head = BlockHead(OPENING, crc32(facts), len(facts), 0, 0, first_seq, first_seq, key, key, 0, 0)
     return [encode_head(head), facts]

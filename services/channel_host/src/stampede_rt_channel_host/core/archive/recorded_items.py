@@ -11,7 +11,9 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 
 
 class ArchiveSpan:
-    """What an archive knows without a look at the disk: `oldest` and `newest` are times, or None if it is empty.
+    """The facts that an archive knows without a look at the disk:
+
+    `oldest` and `newest` are times, or None if it is empty.
 
     `is_cut`: items before the oldest one were archived once, and are gone.
     """

@@ -36,7 +36,7 @@ class PlacedBlock(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """The blocks of a segment. `end` is the offset after its last whole block: what follows is a torn tail.
+    """The blocks of a segment. `end` is the offset after its last whole block: the bytes after it are a torn tail.
 
     `damaged` are the stretches of bytes in which no block could be found, and the blocks whose content is damaged.
     """

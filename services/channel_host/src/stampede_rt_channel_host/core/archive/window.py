@@ -21,7 +21,7 @@ BlocksOf = Callable[[Segment], Sequence[PlacedBlock]]
 
 
 class Wanted(NamedTuple):
-    """What a read wants of an archive: the items from `start` on, with the bucket before it, below `high`.
+    """The items that a read wants from an archive: the items from `start` on, with the bucket before it, below `high`.
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: earlier items are not wanted, because the read
     continues there. `down`: the latest items first. `bytes_max`: about so many bytes at once.

@@ -31,7 +31,10 @@ class FedChannel(ChannelCore):
         self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None,
         cut: Cut | None = None, knows_owner: bool = False,
     ) -> None:  # fmt: skip
-        """As `ChannelCore`. `knows_owner`: the copy holds what only the owner knows, and can become the owner."""
+        """As `ChannelCore`.
+
+        `knows_owner`: the copy holds the facts that only the owner knows, and can become the owner.
+        """
         held = FedHoldings(cut)
         super().__init__(
             _without_places(policy), incarnation=incarnation, name=name, lost_before=lost_before, held=held

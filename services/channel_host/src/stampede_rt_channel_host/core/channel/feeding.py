@@ -34,7 +34,7 @@ class FeedPlace(NamedTuple):
 
 
 class Collection(NamedTuple):
-    """What retention has taken from a channel (see the attributes of `HeldItems`).
+    """The items that retention has collected from a channel (see the attributes of `HeldItems`).
 
     All items below the key `floor` are collected. `came_up_to` bounds the frontier while the channel holds no item.
     """
@@ -98,7 +98,7 @@ class ChannelFeed:
     ) -> None:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
-        With `window`, the retry window of the channel's owner, the feed has what only the owner knows, too.
+        With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
@@ -170,7 +170,7 @@ def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None) -> 
 
 
 def collection_of(held: Holdings) -> Collection:
-    """What retention has taken from a channel."""
+    """The items that retention has collected from a channel."""
     return Collection(
         held.floor,
         held.floor_resets,

@@ -98,7 +98,10 @@ class HeldItems:
         return self.accepted + self.missed + 1
 
     def inherit_counts(self, counters: Counters) -> None:
-        """Continue the counts of another owner. What it has counted and this host did not get counts as collected."""
+        """Continue the counts of another owner.
+
+        Items that it has counted, and that this host did not get, count as collected.
+        """
         self.accepted, self.missed = self.next_seq - 1, 0
         more = self.accepted - self.items - sum(counters.collected.values())
         self.collected = {**counters.collected, self.last_cause: max(0, counters.collected[self.last_cause] + more)}

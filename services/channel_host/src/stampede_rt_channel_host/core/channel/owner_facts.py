@@ -1,4 +1,6 @@
-"""What only the owner of a channel knows, in its feed: the runs of producers, and the places of consumers. Pure.
+"""The facts that only the owner of a channel knows, in its feed: the runs of producers, and the places of consumers.
+
+Pure.
 
 A copy that may become the owner holds these facts, too (`OwnerFacts`). A proxy does not need them.
 
@@ -39,7 +41,7 @@ class FedPlaces(NamedTuple):
 class OwnerPart(NamedTuple):
     """The owner's facts in one part of a feed.
 
-    `runs`: what producers have put, the earliest first. `places`: None if the places have not changed. `until`: with
+    `runs`: the runs of producers, the earliest first. `places`: None if the places have not changed. `until`: with
     this part the copy has all runs that the owner judged before this time of its clock; None: more runs follow.
     """
 
@@ -152,7 +154,7 @@ class OwnerFacts:
             self._take_places(part.places, now)
 
     def places(self, now: int) -> list[ConsumerPlace]:
-        """The consumer places, with what is left of their leases at `now`."""
+        """The consumer places, with the rest of their leases at `now`."""
         passed = max(0, now - self._arrived)
         return [one._replace(lease_nanos=max(0, one.lease_nanos - passed)) for one in self._places]
 

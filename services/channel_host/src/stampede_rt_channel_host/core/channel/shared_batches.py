@@ -11,7 +11,7 @@ PLACES_MAX = 4
 
 
 class SharedBatch(NamedTuple):
-    """A batch without a gap: its items, what they cost a reader's credit, and the seq after the last of them."""
+    """A batch without a gap: its items, their cost in a reader's credit, and the seq after the last of them."""
 
     batch: SubscriptionBatch
     items: int
