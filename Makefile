@@ -77,6 +77,7 @@ check: setup  ## lint, types, import rules, names, sizes, signposts, protobuf ru
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
 	$(RUN)/python tools/private_names.py
+	$(RUN)/python tools/plain_words.py
 	$(RUN)/python tools/sizes.py
 	$(RUN)/python tools/unit_tests.py
 	$(RUN)/python tools/log_events.py

@@ -1,4 +1,4 @@
-"""What it costs a host to count the work of calls for their callers (decisions 0130 and 0139).
+"""The cost for a host to count the work of calls for their callers (decisions 0130 and 0139).
 
     python -m tests.benchmarks.charged_calls [--calls 400] [--rounds 60]
 

@@ -1,4 +1,4 @@
-"""What one put costs a host, in CPU, beside many others: `python -m tests.benchmarks.crowded_host [--runs 5]`.
+"""The CPU cost of one put for a host, beside many others: `python -m tests.benchmarks.crowded_host [--runs 5]`.
 
 Others are gets that are blocked on the channel and that the put cannot release, channels in which nothing happens, and
 consumers. The channels are a host's own, called as its streams call them; no gRPC is between.

@@ -1,4 +1,4 @@
-"""What one directory of three supernodes carries: `python -m tests.benchmarks.directory_load`.
+"""The load that one directory of three supernodes carries: `python -m tests.benchmarks.directory_load`.
 
 Real processes on this machine, with stores on its disk; the clients share its processors with the supernodes. Prints
 one table. `--channels` and `--clients` make it smaller.

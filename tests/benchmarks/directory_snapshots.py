@@ -1,4 +1,4 @@
-"""What starting from, taking and receiving a snapshot costs a supernode: part of `tests.benchmarks.directory_load`.
+"""The cost of a start from a snapshot, of taking and of receiving one: part of `tests.benchmarks.directory_load`.
 
 One replica with its store on disk, in this process and stepped by hand, so that every step, or tick, can be timed: by
 wall, which counts the disk and what other threads and processes take, and by CPU of its own thread. Snapshots are

@@ -1,4 +1,4 @@
-"""What 32 readers of one channel cost its host, and what one stalled reader costs the others.
+"""The cost of 32 readers of one channel for its host, and of one stalled reader for the others.
 
 `python -m tests.benchmarks.fan_out [--readers 32] [--rounds 8] [--seconds 3]` takes three minutes. A producer puts 30
 times a second: one item of 18 KB, or a run of 64 items of 64 B. The readers are spread over four processes. A round has

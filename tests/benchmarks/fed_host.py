@@ -33,7 +33,7 @@ NO_GROUP = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class Fed:
-    """What this process did meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
+    """The work of this process meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
 
     `behind_ms` is None without a group, and if it showed nothing.
     """

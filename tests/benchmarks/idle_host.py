@@ -1,4 +1,4 @@
-"""What a host pays for channels in which nothing happens: `python -m tests.benchmarks.idle_host [--channels 100000]`.
+"""The cost of idle channels for a host: `python -m tests.benchmarks.idle_host [--channels 100000]`.
 
 A cluster of processes: one front-end, one supernode and one host. The host fills its own store, step by step, and puts
 one item into each channel, because clients would take an hour for so many. The rest of the host is as ever. After each

@@ -1,4 +1,6 @@
-"""What a put costs a client with many channels: `python -m tests.benchmarks.many_puts [--channels 1024] [--awaited]`.
+"""The cost of a put for a client with many channels:
+
+`python -m tests.benchmarks.many_puts [--channels 1024] [--awaited]`.
 
 One thread, or one event loop, puts an item into each channel in turn, again and again. The channels are opened before.
 """

@@ -1,4 +1,4 @@
-"""What a wide group costs its hosts: `python -m tests.benchmarks.wide_groups`.
+"""The cost of a wide group for its hosts: `python -m tests.benchmarks.wide_groups`.
 
 64 channels at 100 items/s each, spread over 1, 2, 3, 4 and 6 hosts, without a group and in one group on `oldest`. Each
 host is a process (see `fed_host`), a supernode and a front-end stand beside them. The difference of CPU time is the

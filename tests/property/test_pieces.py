@@ -148,7 +148,7 @@ def polled(
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_get_that_is_looked_at_later_finds_what_it_would_have_found_at_the_moment(name: str) -> None:
-    """Of the channel alone, and through a group."""
+    """Gets of the channel alone, and through a group."""
     released = {False: 0, True: 0}
     for seed in range(300):
         busy = Busy(POLICIES[name], seed)

@@ -42,14 +42,14 @@ TOKEN_NANOS = 3600 * 10**9
 
 @dataclass
 class Good:
-    """What good clients met with: how long each put took, and how many calls failed, and why."""
+    """The calls of good clients: the time of each put, the number of failed calls, and the reasons."""
 
     puts_ms: list[float] = field(default_factory=list)
     calls: int = 0
     failures: list[str] = field(default_factory=list)
 
     def quantile_ms(self, percent: int) -> float:
-        """Of a put; infinite if no put came to an end."""
+        """The time of a put; infinite if no put ended."""
         if len(self.puts_ms) < 2:
             return max(self.puts_ms, default=math.inf)
         return statistics.quantiles(self.puts_ms, n=100, method="inclusive")[percent - 1]
@@ -62,7 +62,7 @@ class Good:
 
 @dataclass
 class Found:
-    """What one attack did. Memory is the resident set of the watched process, in MiB.
+    """The effects of one attack. Memory is the resident set of the watched process, in MiB.
 
     `competing`: beside a program that takes as much processor time as the attacker took, and calls nobody.
     """
@@ -95,7 +95,7 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Who calls whom. `transport`: of the good clients.
+    """The callers and their servers. `transport`: of the good clients.
 
     `bare`: the address of a bare server that the attack floods instead of the host, and with `good_go_there` the good
     clients call it, too; see `bare.py`. `apart`: the attacker gets only processor time that nobody else wants, as if it

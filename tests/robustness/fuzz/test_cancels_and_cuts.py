@@ -1,4 +1,4 @@
-"""Whatever is cut or cancelled: nothing hangs, no acknowledged item is lost or doubled, and nothing is left over.
+"""After any cuts and cancellations, nothing hangs, no acknowledged item is lost or doubled, and nothing is left over.
 
 `make fuzz` runs other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
 STAMPEDE_FUZZ_SEED on.

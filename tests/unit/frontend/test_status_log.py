@@ -1,4 +1,4 @@
-"""What a front-end writes into its log about supernodes: each change once."""
+"""The log lines of a front-end about supernodes: one for each change."""
 
 from __future__ import annotations
 

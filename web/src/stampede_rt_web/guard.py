@@ -1,4 +1,4 @@
-"""Who may see the page: the login token, the check of the Host header, and the headers that limit scripts.
+"""Decides who may see the page: the login token, the check of the Host header, and the headers that limit scripts.
 
 On loopback the page needs no login. A script of another site could reach the page by a name that leads to 127.0.0.1
 (DNS rebinding). So the server answers only requests whose Host header is a name of loopback. On other addresses the

@@ -14,7 +14,7 @@ from stampede_rt.transports.grpc_async import PutExchange
 STREAMS_MAX = 512  # of one connection
 LINES_MAX = 16  # streams of one owner and thread at the same time, for puts with different deadlines
 Owner = int | tuple[object, str]
-"""Who has a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""
+"""The owner of a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""
 _handle_ids = itertools.count(1)
 
 

@@ -1,4 +1,4 @@
-"""Whose cluster a caller is of, and when it goes over to another one."""
+"""The cluster of a caller, and the moment at which it changes to another one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file gives back, and what other readers of MCAP make of it."""
+"""The contents of a file, as our reader and other readers of MCAP see them."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ Part = list[ArchivedRun] | SeqGap
 
 
 class WriteJob(NamedTuple):
-    """What one write appends to the files of one channel. `end_seq`: the seq behind it."""
+    """The items that one write appends to the files of one channel. `end_seq`: the seq behind it."""
 
     files: SegmentFiles
     parts: list[Part]

@@ -51,7 +51,7 @@ class SocketTickets:
         return ticket
 
     def proof_of(self, ticket: bytes) -> Proof:
-        """What the caller with this ticket has shown; nothing for a ticket that this service has not issued."""
+        """The proof of the caller with this ticket; nothing for a ticket that this service has not issued."""
         found = self._proofs.get(ticket)
         return {} if found is None else found[0]
 

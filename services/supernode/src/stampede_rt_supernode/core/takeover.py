@@ -65,7 +65,7 @@ def _lost_nothing(tables: Tables, channel: ChannelRecord, heir: HostRecord) -> b
 
 
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
-    """Of the live hosts with a copy in sync, the one with the fewest channels; None if there is no such host.
+    """The live host with a copy in sync that has the fewest channels; None if there is no such host.
 
     Among equals, returns the host whose copy was added first. The former owner of a channel that has just moved comes
     before all others: the present owner has acknowledged nothing yet.

@@ -164,7 +164,7 @@ def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> Non
 
 
 def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 200,000 items consumed in another order than that in which they leave, one status once collected 6 x 256."""
+    """With 200,000 items consumed out of their order, one status once collected 6 x 256 items."""
     channel = backwards(ITEMS, consumers=2)
     for consumer in (1, 2):
         channel.consume(consumer, [], CLOCK)

@@ -10,7 +10,7 @@ from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessTable:
-    """What the directory knows about access. `version`: the log position of the last change; 0 if there was none.
+    """The directory's facts about access. `version`: the log position of the last change; 0 if there was none.
 
     `token_key` signs client tokens. No caller ever gets it. It is empty until a leader begins a tenure at feature level
     2 or above, or somebody creates it by CreateTokenKey.

@@ -29,7 +29,7 @@ many as the others on average, and this number more."""
 
 
 def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[HostRecord], int]) -> HostRecord | None:
-    """Of `hosts` the one with the lowest load; None if there is none.
+    """The host of `hosts` with the lowest load; None if there is none.
 
     Full hosts come last, before them those without room, and before these the hosts that own far more than the others
     (SHARE_FACTOR). Among hosts with about the same load it is the one with the lowest `count`, and among these the
