@@ -84,7 +84,7 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
-from stampede_rt.values.proxying import CopyStats, MoveInfo, ProxyInfo
+from stampede_rt.values.proxying import CopyStats, DrainInfo, MoveInfo, ProxyInfo
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
@@ -130,6 +130,7 @@ __all__ = [
     "CutSubscription",
     "DeadLetterOrigin",
     "DeadlineExceeded",
+    "DrainInfo",
     "DurationLike",
     "Enqueued",
     "FileError",

@@ -7,10 +7,11 @@ from stampede_rt._async.reader import Reader
 from stampede_rt.errors import HostNotFound
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt.values.proxying import MoveInfo
+from stampede_rt.values.proxying import DrainInfo, MoveInfo
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
+ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
 
 
 class Moves(Proxies):
@@ -41,3 +42,20 @@ class Moves(Proxies):
             held_bytes=answer.held_bytes,
             blackout_nanos=answer.blackout_nanos,
         )
+
+    async def drain(self, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> DrainInfo:
+        """Move all channels of a host to other hosts, while they are in use. For operators.
+
+        Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most
+        60 s, with the channels that have not moved and why. Queues and mailboxes stay. The host goes on to serve, and
+        may get other channels. Raises HostNotFound, PermissionDenied, Unavailable.
+        """
+        nanos = parse_duration(timeout, "timeout")
+        hosts = {one.name: one for one in await self.hosts()}
+        if host not in hosts or not hosts[host].endpoints:
+            raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
+        endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
+        request = pb.DrainHostRequest(timeout_nanos=nanos)
+        answer = await endpoint.call(endpoint.moves.DrainHost, request, nanos / 1e9 + ANSWER_S)
+        left = {one.name: one.reason for one in answer.left}
+        return DrainInfo(host=host, moved=answer.moved, left=left, left_count=answer.left_count)

@@ -89,6 +89,10 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
         from stampede_rt.cli.supernode import administer
 
         return administer(arguments)
+    if verb == "host" and arguments and arguments[0] == "drain":
+        from stampede_rt.cli.draining import drain
+
+        return drain(arguments)
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
         extra = verb if verb in ("demo", "bench", "web") else "server"

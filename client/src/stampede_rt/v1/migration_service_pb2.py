@@ -25,17 +25,23 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\"%\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\"|\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\x32\x61\n\x10MigrationService\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\")\n\x10\x44rainHostRequest\x12\x15\n\rtimeout_nanos\x18\x01 \x01(\x03\"e\n\x11\x44rainHostResponse\x12\r\n\x05moved\x18\x01 \x01(\r\x12-\n\x04left\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.ChannelNotMoved\x12\x12\n\nleft_count\x18\x03 \x01(\r\"/\n\x0f\x43hannelNotMoved\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"%\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\"|\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\x32\xb3\x01\n\x10MigrationService\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12P\n\tDrainHost\x12 .stampede_rt.v1.DrainHostRequest\x1a!.stampede_rt.v1.DrainHostResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MOVEHEREREQUEST']._serialized_start=88
-  _globals['_MOVEHEREREQUEST']._serialized_end=125
-  _globals['_MOVEHERERESPONSE']._serialized_start=127
-  _globals['_MOVEHERERESPONSE']._serialized_end=251
-  _globals['_MIGRATIONSERVICE']._serialized_start=253
-  _globals['_MIGRATIONSERVICE']._serialized_end=350
+  _globals['_DRAINHOSTREQUEST']._serialized_start=88
+  _globals['_DRAINHOSTREQUEST']._serialized_end=129
+  _globals['_DRAINHOSTRESPONSE']._serialized_start=131
+  _globals['_DRAINHOSTRESPONSE']._serialized_end=232
+  _globals['_CHANNELNOTMOVED']._serialized_start=234
+  _globals['_CHANNELNOTMOVED']._serialized_end=281
+  _globals['_MOVEHEREREQUEST']._serialized_start=283
+  _globals['_MOVEHEREREQUEST']._serialized_end=320
+  _globals['_MOVEHERERESPONSE']._serialized_start=322
+  _globals['_MOVEHERERESPONSE']._serialized_end=446
+  _globals['_MIGRATIONSERVICE']._serialized_start=449
+  _globals['_MIGRATIONSERVICE']._serialized_end=628
 # @@protoc_insertion_point(module_scope)

@@ -42,6 +42,11 @@ class MigrationServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
                 _registered_method=True)
+        self.DrainHost = channel.unary_unary(
+                '/stampede_rt.v1.MigrationService/DrainHost',
+                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostResponse.FromString,
+                _registered_method=True)
 
 
 class MigrationServiceServicer(object):
@@ -61,6 +66,15 @@ class MigrationServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def DrainHost(self, request, context):
+        """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
+        host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        SHUTTING_DOWN. What could not be moved is in the answer.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_MigrationServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -68,6 +82,11 @@ def add_MigrationServiceServicer_to_server(servicer, server):
                     servicer.MoveHere,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.SerializeToString,
+            ),
+            'DrainHost': grpc.unary_unary_rpc_method_handler(
+                    servicer.DrainHost,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -100,6 +119,33 @@ class MigrationService(object):
             '/stampede_rt.v1.MigrationService/MoveHere',
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DrainHost(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationService/DrainHost',
+            stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -43,6 +43,11 @@ class MigrationServiceStub:
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
     ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
+    DrainHost: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]
+    """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
+    host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    SHUTTING_DOWN. What could not be moved is in the answer.
+    """
 
 @_typing.type_check_only
 class MigrationServiceAsyncStub(MigrationServiceStub):
@@ -58,6 +63,11 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
     ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    """
+    DrainHost: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]  # type: ignore[assignment]
+    """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
+    host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    SHUTTING_DOWN. What could not be moved is in the answer.
     """
 
 class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -77,6 +87,17 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
         ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
+    def DrainHost(
+        self,
+        request: _migration_service_pb2.DrainHostRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_service_pb2.DrainHostResponse, _abc.Awaitable[_migration_service_pb2.DrainHostResponse]]:
+        """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
+        host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        SHUTTING_DOWN. What could not be moved is in the answer.
         """
 
 def add_MigrationServiceServicer_to_server(servicer: MigrationServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -42,6 +43,20 @@ class MoveInfo:
     held: int
     held_bytes: int
     blackout_nanos: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DrainInfo:
+    """A host whose channels were to move to other hosts.
+
+    `moved`: the number of channels that have moved. `left`: the others by name, with the reasons; at most 1000 of the
+    `left_count` channels.
+    """
+
+    host: str
+    moved: int
+    left: Mapping[str, str]
+    left_count: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -205,6 +205,7 @@ class LocalCluster:
         namespace = self._host_namespaces[number - 1] if number <= len(self._host_namespaces) else None
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
+        arguments += ["--drain-seconds", "0"]  # all hosts end together, so there is nowhere to go
         if self._archive is not None:
             arguments += ["--archive", str(self._archive / name)]
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)

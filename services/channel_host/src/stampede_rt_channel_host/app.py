@@ -7,6 +7,7 @@ import logging
 import socket
 import sys
 from collections.abc import Sequence
+from functools import partial
 
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.transports.machine import this_machine
@@ -77,7 +78,9 @@ class _Service:
 
     async def _run(self, host: ChannelHost, address: str, advertise: str, local: str) -> int:
         """Enter the cluster, and serve until a stop signal. Returns the exit code."""
-        running = asyncio.create_task(self._server.run(host.leave))  # from here on the host handles stop signals
+        seconds = self._settings.drain_seconds
+        before = partial(host.draining.run, seconds) if seconds else None
+        running = asyncio.create_task(self._server.run(host.leave, before))  # from here on it handles stop signals
         entering = asyncio.create_task(host.enter(advertise, local_target=local))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None

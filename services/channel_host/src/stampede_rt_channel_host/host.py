@@ -31,6 +31,7 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
+from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.messages import run_of
@@ -150,6 +151,7 @@ class ChannelHost:
             self.identity, self.store, self._move_directory, self.copies, self._dial, bytes_per_second
         )
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
+        self.draining = Draining(self.store, self._move_directory, self.groups.ids_of, self._dial)
 
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
@@ -182,7 +184,7 @@ class ChannelHost:
         QueueServicer(self.queues, self._streams).add_to(server)
         ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away).add_to(server)
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(
-            MigrationServicer(self.moves_here, self._move_directory), server
+            MigrationServicer(self.moves_here, self._move_directory, self.draining), server
         )
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:

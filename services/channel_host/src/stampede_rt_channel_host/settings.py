@@ -113,6 +113,15 @@ class HostSettings(ServiceSettings):
             "limit",
         ),
     )
+    drain_seconds: int = field(
+        default=5,
+        metadata=setting(
+            metavar="SECONDS",
+            minimum=0,
+            maximum=3600,
+            help="after SIGTERM, move the channels to other hosts for at most this time, and then end; 0: do not",
+        ),
+    )
     processes: int = field(
         default=1,
         metadata=setting(

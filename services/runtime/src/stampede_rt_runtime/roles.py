@@ -54,6 +54,7 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "GroupService/ExchangeTimes": _HOSTS,
     "MembershipService/CreateJoinToken": _OPERATORS,
     "MembershipService/TakeSnapshot": _OPERATORS,
+    "MigrationService/DrainHost": _OPERATORS,
     "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
     "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,
 }

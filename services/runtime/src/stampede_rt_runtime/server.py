@@ -139,13 +139,22 @@ class ServiceServer:
         """Set the answer of the standard health service."""
         await self._health.set_serving(serving)
 
-    async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
-        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal ends calls."""
+    async def run(
+        self,
+        end_streams: Callable[[], Awaitable[Any]] | None = None,
+        leave: Callable[[], Awaitable[Any]] | None = None,
+    ) -> None:
+        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal ends calls.
+
+        `leave` runs before `stop`, while the server still serves. It must end by itself; a second signal ends it.
+        """
         with _signals_set(self.stopping):
             await self.stopping.wait()
         logger.info("stopping", extra={"event": "stopping", "address": self.address})
         hurry = asyncio.Event()
         with _signals_set(hurry):
+            if leave is not None:
+                await _until(leave(), hurry)
             drain = asyncio.create_task(self.stop(end_streams))
             cut = asyncio.create_task(hurry.wait())
             await asyncio.wait({drain, cut}, return_when=asyncio.FIRST_COMPLETED)
@@ -165,6 +174,15 @@ class ServiceServer:
         if end_streams is not None:
             await _bounded(end_streams())
         await asyncio.gather(self.grpc.stop(DRAIN_SECONDS), self.sockets.stop(DRAIN_SECONDS))
+
+
+async def _until(work: Awaitable[Any], hurry: asyncio.Event) -> None:
+    """Do `work`, but only until `hurry` is set."""
+    working, cut = asyncio.ensure_future(work), asyncio.create_task(hurry.wait())
+    await asyncio.wait((working, cut), return_when=asyncio.FIRST_COMPLETED)
+    for each in (working, cut):
+        each.cancel()
+    await asyncio.gather(working, cut, return_exceptions=True)
 
 
 async def _bounded(work: Awaitable[Any]) -> None:

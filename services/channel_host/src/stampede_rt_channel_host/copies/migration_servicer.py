@@ -1,4 +1,4 @@
-"""MigrationService on the wire: moves of channels to this host."""
+"""MigrationService on the wire: moves of channels to this host, and the drain of this host."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -8,19 +8,24 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
+from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_runtime.access.control import check_access, check_known, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 
+DRAIN_NANOS_MAX = 60 * 10**9
+NAMES_MAX = 1000
+
 
 class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
     """Serves MigrationService."""
 
-    def __init__(self, moves: IncomingMoves, directory: MoveDirectory) -> None:
+    def __init__(self, moves: IncomingMoves, directory: MoveDirectory, draining: Draining) -> None:
         self._moves = moves
         self._directory = directory
+        self._draining = draining
 
     @errors_as_status
     async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:
@@ -39,3 +44,14 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
             held_bytes=counters.held_bytes,
             blackout_nanos=blackout_nanos,
         )
+
+    @errors_as_status
+    async def DrainHost(self, request: pb.DrainHostRequest, context: Context) -> pb.DrainHostResponse:
+        """Move all channels of this host away."""
+        timeout_nanos = min(request.timeout_nanos or DRAIN_NANOS_MAX, DRAIN_NANOS_MAX)
+        if timeout_nanos < 0:
+            raise InvalidArgument(f"timeout_nanos is {timeout_nanos}; give more than 0, or 0 for 60 s")
+        current_account().change()
+        moved, left = await self._draining.run(timeout_nanos / 1e9)
+        named = [pb.ChannelNotMoved(name=name, reason=left[name]) for name in [*left][:NAMES_MAX]]
+        return pb.DrainHostResponse(moved=moved, left=named, left_count=len(left))

@@ -5,14 +5,20 @@ from __future__ import annotations
 import secrets
 from typing import Any
 
+from stampede_rt.v1 import (
+    directory_service_pb2,
+    migration_directory_service_pb2_grpc,
+    replica_directory_service_pb2_grpc,
+    subject_pb2,
+)
 from stampede_rt.v1 import migration_directory_service_pb2 as pb
-from stampede_rt.v1 import migration_directory_service_pb2_grpc, replica_directory_service_pb2_grpc, subject_pb2
 from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 CALL_SECONDS_MAX = 4.0
@@ -39,6 +45,18 @@ class MoveDirectory:
         owner = next((one for one in found.hosts if one.host_id == found.owner_host_id), None)
         target = owner.gatekeepers[0].target if owner is not None and owner.alive and owner.gatekeepers else ""
         return FeedSource(found.owner_host_id, target, found.epoch)
+
+    async def other_hosts(self) -> list[OtherHost]:
+        """The live hosts without this one."""
+        request = directory_service_pb2.ListHostsRequest()
+        found: directory_service_pb2.ListHostsResponse = await self._supernodes.call(
+            "ListHosts", request, CALL_SECONDS_MAX
+        )
+        return [
+            OtherHost(one.host_id, one.name, one.gatekeepers[0].target, one.load.busy_permille, one.channels)
+            for one in found.hosts
+            if one.alive and one.gatekeepers and one.host_id != self._identity.host_id
+        ]
 
     async def is_heir(self, channel_id: bytes) -> bool:
         """Whether this host is to become the owner again if the present owner is lost at once."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NoReturn
 
 from stampede_rt.errors import Overloaded, StampedeError, error_for
@@ -95,6 +95,10 @@ class GroupStore:
     def all(self) -> list[HostedGroup]:
         """All groups that this host knows."""
         return list(self._table.groups.values())
+
+    def ids_of(self, channel_id: bytes) -> Collection[bytes]:
+        """The ids of the channel's groups that this host knows."""
+        return self._table.ids_of(channel_id)
 
     def floors_of(self, channel_id: bytes) -> list[CutFloor]:
         """The cuts of the channel's groups that this host knows and has confirmed."""

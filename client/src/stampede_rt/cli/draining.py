@@ -1,0 +1,27 @@
+"""`stampede host drain`: moves all channels of a host to other hosts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.cli.arguments import VerbParser, add_verb, connected
+from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.escaping import TerminalParser
+
+
+def drain(words: Sequence[str]) -> int:
+    """Run `stampede host drain`. Returns 1 if a channel has not moved."""
+    parser = TerminalParser(prog="stampede host", description=__doc__)
+    verbs = parser.add_subparsers(dest="host_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    verb = add_verb(verbs, "drain", "move all channels of a host to other hosts, while they are in use", lambda _: 0)
+    verb.add_argument("host", metavar="HOST", help="the host's name")
+    verb.add_argument("--timeout", default="60s", help="give up after this time, at most 60s; default: 60s")
+    arguments = parser.parse_args(words)
+    with connected(arguments) as rt:
+        drained = rt.drain(arguments.host, timeout=arguments.timeout)
+    if arguments.output == "json":
+        print_facts({"host": drained.host, "moved": drained.moved, "left": dict(drained.left)}, "json")
+    else:
+        rows = [{"channel": name, "not moved because": reason} for name, reason in drained.left.items()]
+        print_rows(rows, arguments.output, none=f"{drained.moved} channels have moved away from {drained.host}")
+    return 1 if drained.left_count else 0

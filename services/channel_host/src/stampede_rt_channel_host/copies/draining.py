@@ -1,0 +1,104 @@
+"""Moves all channels of this host to other hosts: before it stops, or because an operator asks (paper, section 4.1)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+import grpc
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.core.placing import OtherHost, spread, together
+
+logger = logging.getLogger(__name__)
+
+MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
+NAMES_LOGGED_MAX = 20
+
+
+class Drained(NamedTuple):
+    """The number of channels that have moved, and the others by name, with the reasons."""
+
+    moved: int
+    left: dict[str, str]
+
+
+class Draining:
+    """Moves the channels of one host away. `groups_of` returns the groups of a channel, `dial` opens connections."""
+
+    def __init__(
+        self, store: ChannelStore, directory: MoveDirectory, groups_of: Callable[[bytes], Collection[bytes]],
+        dial: Callable[[str], grpc.aio.Channel],
+    ) -> None:  # fmt: skip
+        self._store = store
+        self._directory = directory
+        self._groups_of = groups_of
+        self._dial = dial
+
+    async def run(self, seconds: float) -> Drained:
+        """Move all channels away. Ends after `seconds`, with what has moved by then. Raises nothing."""
+        own = {
+            one.record.channel_id: one
+            for one in self._store.all()
+            if one.copy is None and not one.is_heir and one.epoch
+        }
+        left = {one.record.name: "the time was over" for one in own.values()}
+        if own:
+            try:
+                async with asyncio.timeout(seconds):
+                    await self._move_all(own, left)
+            except TimeoutError:
+                pass
+            except StampedeError as error:
+                left = dict.fromkeys(left, str(error))
+        drained = Drained(len(own) - len(left), left)
+        self._tell(drained)
+        return drained
+
+    def _tell(self, drained: Drained) -> None:
+        if drained.left:
+            names = ", ".join([*drained.left][:NAMES_LOGGED_MAX])
+            extra = {"event": "channels_not_moved", "channels": names, "count": len(drained.left)}
+            logger.warning("%d channels could not be moved to other hosts", len(drained.left), extra=extra)
+        elif drained.moved:
+            extra = {"event": "host_drained", "channels": drained.moved}
+            logger.info("all channels have moved to other hosts", extra=extra)
+
+    async def _move_all(self, own: dict[bytes, HostedChannel], left: dict[str, str]) -> None:
+        """Move the channels. Takes each that has moved out of `left`, and notes the reason for each that has not."""
+        hosts = await self._directory.other_hosts()
+        if not hosts:
+            left.update(dict.fromkeys(left, "there is no other live host"))
+            return
+        places = spread(together({one: self._groups_of(one) for one in own}), hosts)
+        connections = {host.target: self._dial(host.target) for host in {*places.values()}}
+        limit = asyncio.Semaphore(MOVES_AT_ONCE)
+        try:
+            async with asyncio.TaskGroup() as moves:
+                for channel_id, hosted in own.items():
+                    host = places[channel_id]
+                    moves.create_task(self._move(hosted, host, connections[host.target], limit, left))
+        finally:
+            for connection in connections.values():
+                await connection.close(None)
+
+    async def _move(
+        self, hosted: HostedChannel, host: OtherHost, connection: grpc.aio.Channel, limit: asyncio.Semaphore,
+        left: dict[str, str],
+    ) -> None:  # fmt: skip
+        stub = migration_service_pb2_grpc.MigrationServiceStub(connection)
+        async with limit:
+            try:
+                await stub.MoveHere(pb.MoveHereRequest(channel_id=hosted.record.channel_id))
+            except grpc.RpcError as error:
+                left[hosted.record.name] = str(from_rpc_error(error, host.target))
+            else:
+                left.pop(hosted.record.name, None)

@@ -1,0 +1,50 @@
+"""Chooses hosts for the channels of a host that is drained. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+BUSY_STEP_PERMILLE = 100
+"""Hosts whose loads differ by less count as equally busy; then the one with fewer channels gets more."""
+
+
+class OtherHost(NamedTuple):
+    """A live host, with the share of a core that it uses, as it last reported (0: it has not), and its channels."""
+
+    host_id: bytes
+    name: str
+    target: str
+    busy_permille: int
+    channels: int
+
+
+def together(groups_of: Mapping[bytes, Collection[bytes]]) -> list[list[bytes]]:
+    """The channels in bunches. Channels of one group are in the same bunch. `groups_of`: by channel, its groups."""
+    bunch_of: dict[bytes, list[bytes]] = {}  # by channel
+    of_group: dict[bytes, list[bytes]] = {}
+    for channel_id, group_ids in groups_of.items():
+        bunch = bunch_of[channel_id] = [channel_id]
+        for group_id in group_ids:
+            other = of_group.setdefault(group_id, bunch)
+            if other is not bunch:
+                for each in bunch:
+                    bunch_of[each] = other
+                other.extend(bunch)
+                of_group.update((one, other) for one, held in of_group.items() if held is bunch)
+                bunch = other
+    return [*{id(bunch): bunch for bunch in bunch_of.values()}.values()]
+
+
+def spread(bunches: Sequence[Sequence[bytes]], hosts: Sequence[OtherHost]) -> dict[bytes, OtherHost]:
+    """A host for each channel: each bunch goes to the least busy host, and among these to that with the fewest."""
+    assigned = dict.fromkeys((host.host_id for host in hosts), 0)
+    found: dict[bytes, OtherHost] = {}
+    for bunch in sorted(bunches, key=len, reverse=True):
+        least = min(
+            hosts,
+            key=lambda host: (host.busy_permille // BUSY_STEP_PERMILLE, host.channels + assigned[host.host_id]),
+        )
+        assigned[least.host_id] += len(bunch)
+        found |= dict.fromkeys(bunch, least)
+    return found

@@ -1,0 +1,75 @@
+"""Hosts that give their channels away: by command, and when they get SIGTERM."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.commands import run
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceProcess
+from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=2, supernodes=1)
+numbers = itertools.count()
+READY_S = 40.0
+
+
+def hosts_of(rt: Any, names: list[str]) -> set[str]:
+    return {one.host for one in rt.channels() if one.name in names}
+
+
+def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        names = [f"cam/{next(numbers)}" for _ in range(12)]
+        channels = [rt.channel(name, host="h1") for name in names]
+        group = rt.group("pair", channels[:2])
+        for channel in channels:
+            channel.put(b"x")
+        assert len(group.newest()) == 2
+        drained = rt.drain("h1")
+        assert (drained.host, drained.left) == ("h1", {})
+        assert drained.moved >= len(names)
+        assert hosts_of(rt, names) == {"h2"}
+        assert [channel.newest().payload for channel in channels] == [b"x"] * len(names)
+
+
+def test_the_commands_drain_and_move(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = rt.channel(f"cam/{next(numbers)}", host="h1")
+        channel.put(b"x")
+        assert run(["host", "drain", "h1", "-o", "json", "--url", cluster.address]) == 0
+        assert json.loads(capsys.readouterr().out)["left"] == {}
+        assert run(["move", channel.name, "h1", "-o", "json", "--url", cluster.address]) == 0
+        moved = json.loads(capsys.readouterr().out)
+        assert (moved["channel"], moved["host"], moved["held"]) == (channel.name, "h1", 1)
+        with pytest.raises(st.HostNotFound, match="no live host 'h9'"):
+            rt.drain("h9")
+
+
+def test_a_host_that_is_stopped_gives_its_channels_away_under_load(cluster: LocalCluster) -> None:
+    words = ["--listen", "localhost:0", "--name", "leaving", "--frontend", cluster.address, "--drain-seconds", "20"]
+    words += ["--secret-file", str(cluster.secret_file)]
+    leaving = ServiceProcess("host leaving", "stampede_rt_channel_host", words)
+    try:
+        leaving.start()
+        leaving.wait_ready(READY_S)
+        with st.connect(cluster.address, transport="grpc") as rt:
+            channel = rt.channel(f"cam/{next(numbers)}", max_items=100_000, host="leaving")
+            first = channel.put(b"first")
+            with produced(channel) as producing, reading(channel, 2) as readers:
+                leaving.ask_to_stop()
+                eventually(lambda: hosts_of(rt, [channel.name]) != {"leaving"}, "the channel has gone")
+                passes(producing, 50)
+                last = producing.stop()
+                end = channel.put(b"end")
+                all_saw(readers, end.seq)
+            assert (end.incarnation, end.seq) == (first.incarnation, last + 1)
+            assert hosts_of(rt, [channel.name]) <= {"h1", "h2"}
+    finally:
+        leaving.kill()

@@ -1,0 +1,25 @@
+"""Where the channels of a drained host go."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.placing import OtherHost, spread, together
+
+
+def host(name: str, busy_permille: int = 0, channels: int = 0) -> OtherHost:
+    return OtherHost(name.encode(), name, f"{name}:1", busy_permille, channels)
+
+
+def test_channels_that_share_groups_stay_together_also_over_other_channels() -> None:
+    groups = {b"a": [b"1"], b"b": [b"2"], b"c": [], b"d": [b"1", b"2"], b"e": [b"3"]}
+    assert sorted(sorted(bunch) for bunch in together(groups)) == [[b"a", b"b", b"d"], [b"c"], [b"e"]]
+
+
+def test_the_least_busy_host_gets_channels_and_equals_share_them() -> None:
+    hosts = [host("h1", 900), host("h2", 110, 5), host("h3", 190, 4)]
+    places = spread([[b"a"], [b"b"], [b"c"]], hosts)
+    assert sorted(one.name for one in places.values()) == ["h2", "h3", "h3"]
+
+
+def test_a_bunch_goes_to_one_host() -> None:
+    places = spread([[b"a", b"b", b"c"], [b"d"]], [host("h1"), host("h2")])
+    assert places[b"a"] == places[b"b"] == places[b"c"] != places[b"d"]
