@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.values.model import Policy
+from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
@@ -15,6 +16,7 @@ from stampede_rt_channel_host.core.archive import (
     WantedWindow,
 )
 from stampede_rt_channel_host.core.channel import (
+    AllCursor,
     ChannelCore,
     Offer,
     Position,
@@ -22,6 +24,7 @@ from stampede_rt_channel_host.core.channel import (
     Query,
     ReadAnswer,
     Run,
+    SubscriptionBatch,
     make_run,
     run_to_end,
 )
@@ -95,14 +98,41 @@ class ArchivedChannel:
             moment.close()
         return joined(answers, down=query.newest_first)
 
+    def subscribe(self, start: int) -> AllCursor:
+        """A subscription to the items from the time `start` on."""
+        held, _ = self.channel.look(self.now)
+        reach = [one.first_seq for one in self.segments if one.high is not None and one.high >= (start, 0)]
+        archived = held.newest_collected is not None and start <= held.newest_collected
+        return run_to_end(
+            self.channel.subscribing_all(
+                self.now, start=Bound(None, start), archived_from=min(reach) if archived and reach else None
+            )
+        )
+
+    def take(self, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
+        """The next part of a subscription, from the archive if memory does not have it."""
+        missing = self.channel.missing(cursor, self.now)
+        if missing is None:
+            return self.channel.since(cursor, self.now, limit_bytes)
+        chosen = archive.choose_part(
+            self.segments, lambda segment: self._blocks[segment.number], missing, bytes_max=limit_bytes
+        )
+        runs = [run for segment, block in (*chosen.blocks, *chosen.among) for run in self._runs_of(segment, block)]
+        held, _ = self.channel.look(self.now)
+        part = archive.part_of(runs, chosen)
+        return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
+
+    def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
+        content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
+        assert archive.is_whole(block.head, content)
+        return [one.run for one in archive.decode_items(block.head, content, self._decode)]
+
     def _load(self, wanted: WantedWindow) -> archive.ArchiveWindow:
         self.loads += 1
         chosen = archive.choose(self.segments, lambda segment: self._blocks[segment.number], wanted.wanted)
         runs = []
         for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
-            content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
-            assert archive.is_whole(block.head, content)
-            runs += [one.run for one in archive.decode_items(block.head, content, self._decode)]
+            runs += self._runs_of(segment, block)
         return archive.window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
 
     def _decode(self, body: bytes) -> Run:

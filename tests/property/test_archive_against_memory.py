@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.core.archive import archived_read
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, Query, ReadAnswer
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, Query, ReadAnswer, SubscriptionBatch
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import ends_as_read, facts, items_of
 
@@ -60,9 +61,8 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
     return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
 
 
-@pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alone(seed: int) -> None:
-    draw = random.Random(seed)
+def tell(draw: random.Random) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
+    """Put the same items into a channel in memory and into a recorded one. Returns them, the items and the time."""
     overlap = draw.choice([None, None, 3, 8])
     large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
     limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])
@@ -87,6 +87,14 @@ def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alon
                 positions.append(Position(time, outcome.run.first_seq))
         if draw.random() < 0.5:
             small.archive()
+    return large, small, positions, now
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alone(seed: int) -> None:
+    draw = random.Random(seed)
+    large, small, positions, now = tell(draw)
+    overlap = large.policy.overlap_nanos
     for _ in range(READS):
         query = query_of(draw, now, positions)
         try:
@@ -96,6 +104,29 @@ def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alon
                 small.read(query)
             continue
         assert shown(small.read(query), overlap or 0) == shown(expected, overlap or 0), query
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_subscription_that_begins_in_the_archive_brings_what_one_of_memory_alone_brings(seed: int) -> None:
+    draw = random.Random(seed)
+    large, small, _, now = tell(draw)
+    start = draw.randrange(-1, now + 2)
+    expected = large.subscribe_all(now, start=Bound(None, start))
+    cursor, limit = small.subscribe(start), draw.choice([1, 100, 300, 10**6])
+    assert drained(lambda: small.take(cursor, limit)) == drained(lambda: large.since(expected, now, limit))
+
+
+def drained(take: Callable[[], SubscriptionBatch]) -> list[tuple[object, ...]]:
+    """The items of a subscription in their order, each with the end that a reader computes."""
+    found: list[tuple[object, ...]] = []
+    while True:
+        batch = take()
+        assert batch.gap is None
+        for part in batch.slices:
+            items = items_of([part.slice])
+            found += zip(facts(items), ends_as_read(items, part.next_time, 0), strict=True)
+        if batch.is_empty and not batch.more:
+            return found
 
 
 def test_a_read_of_the_newest_items_in_memory_loads_nothing_from_the_archive() -> None:

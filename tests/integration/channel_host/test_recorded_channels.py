@@ -135,3 +135,16 @@ def test_every_example_of_the_guide_prints_what_stands_beside_it(
         assert printed.getvalue().splitlines() == re.findall(r"print\(.*\)  # (.*)", block)
         if not number:
             wait_until_collected(names["imu"], 10)
+
+
+def test_a_subscription_begins_in_the_archive_and_goes_on_live(rt: st.Connection) -> None:
+    channel, began = rt.channel("rig/followed", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began)
+    wait_until_collected(channel, 8)
+    with channel.subscribe(start=began + 5 * MS) as items:
+        fill(channel, began, ITEMS, 5)
+        taken = [next(items) for _ in range(ITEMS)]
+    assert [int(item.payload) for item in taken] == list(range(5, ITEMS + 5))
+    assert [item.end for item in taken[:300]] == [item.time + MS for item in taken[:300]]
+    with channel.subscribe(after=taken[2]) as items:
+        assert next(items).payload == b"8"

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
-from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment, WantedWindow
+from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 
 logger = logging.getLogger(__name__)
@@ -120,6 +120,14 @@ class HostArchive:
         """Load a window in a thread. Raises OSError, for example if the archive's limits have removed a segment."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest)
+
+    async def load_part(
+        self, files: SegmentFiles, segments: tuple[Segment, ...], missing: tuple[int, int], bytes_max: int
+    ) -> ArchivedPart:
+        """Load items in the order of their seqs, in a thread. Raises OSError as `load`."""
+        loop = asyncio.get_running_loop()
+        arguments = (segments, missing, bytes_max, self._decode, _rest)
+        return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
     async def close(self, recorders: list[ChannelRecorder]) -> None:
         """Write the rest, and note in the folder of each channel that nothing is missing."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
+    ArchivedPart,
     ArchivedRun,
     ArchiveWindow,
     BlockHead,
@@ -19,12 +20,14 @@ from stampede_rt_channel_host.core.archive import (
     Segment,
     WantedWindow,
     choose,
+    choose_part,
     decode_items,
     encode_gap,
     encode_items,
     encode_opening,
     grown,
     is_whole,
+    part_of,
     scan,
     summary,
     window_of,
@@ -237,6 +240,22 @@ class SegmentFiles:
             runs += self._runs_of(segment, block, decode)
             rest()
         return window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
+
+    def load_part(
+        self,
+        segments: Sequence[Segment],
+        missing: tuple[int, int],
+        bytes_max: int,
+        decode: Callable[[bytes], Run],
+        rest: Callable[[], None],
+    ) -> ArchivedPart:
+        """Load items in the order of their seqs. See `choose_part` and `load`."""
+        chosen = choose_part(segments, self._blocks_of, missing, bytes_max)
+        runs: list[Run] = []
+        for segment, block in (*chosen.blocks, *chosen.among):
+            runs += self._runs_of(segment, block, decode)
+            rest()
+        return part_of(runs, chosen)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
         with self._path(segment.number).open("rb", buffering=0) as file:

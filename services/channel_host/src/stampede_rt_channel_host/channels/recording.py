@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from stampede_rt.errors import Unavailable
-from stampede_rt.values.model import Policy
+from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.policy import FOREVER_NANOS
-from stampede_rt.values.timeline import ResolvedInterval
+from stampede_rt.values.timeline import Bound, Interval, ResolvedInterval
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
@@ -17,14 +18,29 @@ from stampede_rt_channel_host.core.archive import (
     ArchiveWindow,
     Wanted,
     WantedWindow,
+    deliver,
     reaches,
     resolved,
     resolved_now,
 )
-from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Query, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel import (
+    FIRST_KEY,
+    AllCursor,
+    ChannelCore,
+    Query,
+    Run,
+    Slice,
+    SubscriptionBatch,
+    make_run,
+)
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 
 RESTORED_BYTES = 2**20
+_NOT_ARCHIVED = Reason(
+    "COLLECTED",
+    "the archive does not have the items: its limits have removed them, max_bytes collected them before they were "
+    "archived, or their block is damaged",
+)
 _TRIES = 3  # of a read whose segments the limits of the archive remove meanwhile
 
 
@@ -113,6 +129,42 @@ class Recording:
             except OSError as error:
                 raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
         raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+
+    def beginning(self, where: dict[str, Any], now: int) -> dict[str, Any]:
+        """The place where a subscription begins, if it reaches below the items in memory.
+
+        `where` are keyword arguments of `ChannelCore.subscribing_all`.
+        """
+        start = where.get("start")
+        segments = self.recorder.segments
+        if start is None or not segments:
+            return where
+        held, _ = self._channel.look(now)
+        within = resolved_now(held, self.recorder.span, Query(interval=Interval(start, start)), now)
+        if within is None or held.newest_collected is None or within.start > held.newest_collected:
+            return where
+        low = (within.start, 0)
+        first_seq = min((one.first_seq for one in segments if one.high is not None and one.high >= low), default=None)
+        if first_seq is None:
+            return where
+        return {**where, "start": Bound(None, within.start), "archived_from": first_seq}
+
+    async def since(self, cursor: AllCursor, limit_bytes: int, now: Callable[[], int]) -> SubscriptionBatch | None:
+        """The next part of a subscription if memory does not have it, else None. Moves the cursor.
+
+        Raises Unavailable if the archive cannot be read.
+        """
+        missing = self._channel.missing(cursor, now())
+        if missing is None or missing[0] >= self.recorder.archived_to:
+            return None
+        try:
+            part = await self._archive.load_part(self.recorder.files, self.recorder.segments, missing, limit_bytes)
+        except OSError as error:
+            raise Unavailable(
+                f"the archive of the channel cannot be read: {error.strerror}; subscribe again"
+            ) from error
+        held, _ = self._channel.look(now())
+        return deliver(cursor, missing, part, held.next_time, _NOT_ARCHIVED, limit_bytes)
 
     async def _read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int

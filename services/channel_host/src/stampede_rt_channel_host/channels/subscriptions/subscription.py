@@ -60,6 +60,10 @@ class _All:
     def saved(self) -> SavedCursor:
         return self._cursor.saved(self._channel.incarnation)
 
+    @property
+    def place(self) -> AllCursor:
+        return self._cursor
+
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         return self._channel.since(self._cursor, now, limit_bytes)
 
@@ -154,7 +158,7 @@ class Subscription(ChangeObserver):
                 async with self._groups.subscribe(opening, self._hosted, self) as cursor:
                     await self._serve(cursor, opening)
             else:
-                cursor = await self._store.scheduler.do(open_cursor(self._hosted.channel, opening, self._store.now()))
+                cursor = await self._store.scheduler.do(open_cursor(self._hosted, opening, self._store.now()))
                 self._store.find_readable(
                     opening.channel_id, opening.epoch, Freshness()
                 )  # the channel may have left the host meanwhile
@@ -213,7 +217,7 @@ class Subscription(ChangeObserver):
             await self._work.turn()
         self.listen()
         now = self._store.now()
-        part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
+        part = await self._take(cursor, now, min(self._credit.left, MESSAGE_BYTES_MAX))
         self._drops.skipped = cursor.skipped
         if part.gap is not None:
             self._drops.collected += part.gap.items
@@ -233,6 +237,15 @@ class Subscription(ChangeObserver):
             self._sent_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._cursor_bytes(cursor))
+
+    async def _take(self, cursor: Cursor, now: int, limit_bytes: int) -> SubscriptionBatch:
+        """The next part: from the archive if memory does not have it any more."""
+        recording = self._hosted.recording
+        if recording is not None and isinstance(cursor, _All):
+            archived = await recording.since(cursor.place, limit_bytes, self._store.now)
+            if archived is not None:
+                return archived
+        return cursor.take(now, limit_bytes)
 
     def _delivery_of(self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool) -> Delivery:
         delivery = self._hosted.deliveries.encode(
@@ -298,14 +311,16 @@ class Subscription(ChangeObserver):
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
-def open_cursor(channel: ChannelCore, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
+def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
     """A cursor at the place that `opening` states, as of `now`, made in pieces.
 
     Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
     """
-    where = beginning_of(opening)
+    where, channel = beginning_of(opening), hosted.channel
     if is_newest(opening):
         return _Newest(channel, channel.subscribe_newest(now, **where))
+    if hosted.recording is not None:
+        where = hosted.recording.beginning(where, now)
     return _All(channel, (yield from channel.subscribing_all(now, **where)))
 
 

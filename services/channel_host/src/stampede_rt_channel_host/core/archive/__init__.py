@@ -9,6 +9,7 @@ The shell, `stampede_rt_channel_host.archive`, has these duties:
   that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
 """
 
+from stampede_rt_channel_host.core.archive.archived_part import ArchivedPart, choose_part, deliver, part_of
 from stampede_rt_channel_host.core.archive.archived_read import (
     ArchivedRead,
     WantedWindow,
@@ -58,6 +59,7 @@ __all__ = [
     "OPENING",
     "ArchiveSpan",
     "ArchiveWindow",
+    "ArchivedPart",
     "ArchivedRead",
     "ArchivedRun",
     "BlockHead",
@@ -71,14 +73,17 @@ __all__ = [
     "WantedWindow",
     "choose",
     "choose_by_seq",
+    "choose_part",
     "decode_head",
     "decode_items",
+    "deliver",
     "encode_gap",
     "encode_items",
     "encode_opening",
     "grown",
     "is_whole",
     "missing_seqs",
+    "part_of",
     "reaches",
     "resolved",
     "resolved_now",

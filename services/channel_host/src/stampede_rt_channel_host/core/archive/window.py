@@ -105,13 +105,14 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) 
         if segment.high[0] < start:
             before = max(before, segment.high[0])
         else:
-            ends = (one.head.high[0] for one in _item_blocks(blocks_of(segment)))
+            ends = (one.head.high[0] for one in item_blocks(blocks_of(segment)))
             before = max(before, max((end for end in ends if end < start), default=before))
     low = min(start - wanted.overlap, start if before == FIRST_KEY[0] else before)
     return low if wanted.from_time is None else max(low, wanted.from_time)
 
 
-def _item_blocks(blocks: Iterable[PlacedBlock]) -> Iterator[PlacedBlock]:
+def item_blocks(blocks: Iterable[PlacedBlock]) -> Iterator[PlacedBlock]:
+    """The blocks that have items."""
     return (one for one in blocks if one.head.kind == ITEMS)
 
 
@@ -120,7 +121,7 @@ def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Itera
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
     waiting: list[tuple[ItemKey, int, int, Segment, PlacedBlock]] = []
     for at, segment in enumerate(due):
-        for block in _item_blocks(blocks_of(segment)):
+        for block in item_blocks(blocks_of(segment)):
             if block.head.high >= low:
                 heappush(waiting, (block.head.low, segment.number, block.offset, segment, block))
         bound = _least(due[at + 1]) if at + 1 < len(due) else LAST_KEY
@@ -136,7 +137,7 @@ def _down(
     due.sort(key=_greatest, reverse=True)
     waiting: list[tuple[int, int, int, int, Segment, PlacedBlock]] = []
     for at, segment in enumerate(due):
-        for block in _item_blocks(blocks_of(segment)):
+        for block in item_blocks(blocks_of(segment)):
             if block.head.high >= low and block.head.low < high:
                 time, seq = block.head.high
                 heappush(waiting, (-time, -seq, segment.number, block.offset, segment, block))
@@ -160,7 +161,7 @@ def _next_low(segments: Sequence[Segment], blocks_of: BlocksOf, time: int) -> in
         if segment.low is None or segment.high is None or segment.high[0] <= time:
             continue
         if first is None or segment.low[0] < first:
-            lows = [one.head.low[0] for one in _item_blocks(blocks_of(segment)) if one.head.low[0] > time]
+            lows = [one.head.low[0] for one in item_blocks(blocks_of(segment)) if one.head.low[0] > time]
             first = min(lows if first is None else [*lows, first], default=None)
     return first
 
@@ -200,5 +201,5 @@ def _from_seq(
 ) -> Iterator[tuple[Segment, PlacedBlock]]:
     for segment in segments:
         if segment.end_seq > first_seq and segment.items:
-            blocks = _item_blocks(blocks_of(segment))
+            blocks = item_blocks(blocks_of(segment))
             yield from ((segment, one) for one in blocks if one.head.end_seq > first_seq)

@@ -14,6 +14,7 @@ from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.subscribing import (
     AllCursor,
     NewestCursor,
+    missing_from,
     open_all,
     open_newest,
     resume_all,
@@ -148,16 +149,21 @@ class ChannelCore(ConsumedChannel):
 
     def subscribing_all(
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
-        saved: SavedCursor | None = None,
+        saved: SavedCursor | None = None, archived_from: int | None = None,
     ) -> Pieces[AllCursor]:  # fmt: skip
-        """As `subscribe_all`, in pieces. The cursor is as of `now`."""
+        """As `subscribe_all`, in pieces. The cursor is as of `now`. `archived_from`: see `open_all`."""
         if saved is not None:
             self._check_saved(saved)
             self._age_and_free(self._tick(now))
             return resume_all(self._held, saved)
         after_key = self._resume_key(start, after)
         low = self._start_key(start, start_exclusive, now)
-        return open_all(self._held, low, None if after_key is None else after_key[1])
+        return open_all(self._held, low, None if after_key is None else after_key[1], archived_from)
+
+    def missing(self, cursor: AllCursor, now: int) -> tuple[int, int] | None:
+        """The next seqs of a subscription if memory does not have them: the first one, and the end, exclusive."""
+        self._age_and_free(self._tick(now))
+        return missing_from(self._held, cursor)
 
     def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
         """Take the next part of a subscription, and move the cursor.

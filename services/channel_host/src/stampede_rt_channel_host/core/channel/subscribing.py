@@ -59,6 +59,10 @@ class AllCursor:
         """All lower seqs were delivered, reported in a gap, or do not belong to this subscription."""
         return self._live_seq if self._owed is None else self._owed[0]
 
+    def belongs(self, time: int, seq: int) -> bool:
+        """Whether the item is one of the subscription's, if its seq is owed."""
+        return self._low is None or seq >= self._begun_seq or (time, seq) >= self._low
+
     def saved(self, incarnation: int) -> SavedCursor:
         """The cursor from which another subscription continues."""
         next_seq = self.next_seq
@@ -85,10 +89,22 @@ class AllCursor:
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
 
-def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Pieces[AllCursor]:
+def missing_from(held: Holdings, cursor: AllCursor) -> Range | None:
+    """The first owed seqs if memory does not have them, else None. The range may end before the first held seq."""
+    owed = cursor.owed(held.next_seq)
+    if owed is None:
+        return None
+    low = held.seq_from(*owed, GAP_ENTRIES_MAX)
+    return (owed[0], low) if low > owed[0] else None
+
+
+def open_all(
+    held: Holdings, low: ItemKey | None, after_seq: int | None, archived_from: int | None = None
+) -> Pieces[AllCursor]:
     """A cursor that begins with the items accepted after `after_seq`, or with the held items from the key `low` on.
 
-    If both are None, the cursor begins with the next accepted item.
+    If both are None, the cursor begins with the next accepted item. `archived_from`: `low` lies below all held items;
+    the items with seqs from this one on that memory does not have are in an archive.
     """
     next_seq = held.next_seq
     if after_seq is not None:
@@ -96,6 +112,9 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
         return AllCursor(iter(owed), next_seq)
     if low is None:
         return AllCursor(iter(()), next_seq)
+    if archived_from is not None:
+        owed = [(archived_from, next_seq)] if archived_from < next_seq else []
+        return AllCursor(iter(owed), next_seq, low, next_seq)
     ranges = yield from _seq_ranges(held, low)
     return AllCursor(iter(ranges), next_seq, low, next_seq)
 

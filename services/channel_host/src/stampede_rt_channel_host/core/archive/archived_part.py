@@ -1,0 +1,134 @@
+"""The part of a subscription that memory has no more: items of an archive, in the order of their seqs. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+from stampede_rt.values.model import Reason
+from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq, item_blocks
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.run import Run, Slice
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
+from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
+
+STRADDLING_MAX = 16
+"""The most further blocks that are loaded for the times of late items between those of the blocks of a part."""
+
+
+class ChosenPart(NamedTuple):
+    """The blocks of the next seqs, and the blocks whose items lie between theirs in time.
+
+    `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket behind all
+    these blocks, or None.
+    """
+
+    blocks: Sequence[tuple[Segment, PlacedBlock]]
+    among: Sequence[tuple[Segment, PlacedBlock]]
+    end_seq: int
+    following: int | None
+
+
+class ArchivedPart(NamedTuple):
+    """The items of the next seqs, loaded, together with those that lie between them in time."""
+
+    items: ChannelIndex
+    end_seq: int
+    following: int | None
+
+
+def choose_part(segments: Sequence[Segment], blocks_of: BlocksOf, missing: Range, bytes_max: int) -> ChosenPart:
+    """The blocks for the seqs `missing`, of about `bytes_max`."""
+    blocks = choose_by_seq(segments, blocks_of, missing[0], bytes_max)
+    blocks = [one for one in blocks if one[1].head.first_seq < missing[1]]
+    if not blocks:
+        return ChosenPart((), (), missing[1], None)
+    first = min(block.head.low for _, block in blocks)
+    last = max(block.head.high for _, block in blocks)
+    among, following = _among(segments, blocks_of, first, last)
+    taken = {(segment.number, block.offset) for segment, block in blocks}
+    among = [(segment, block) for segment, block in among if (segment.number, block.offset) not in taken]
+    end_seq = min(missing[1], max(block.head.end_seq for _, block in blocks))
+    return ChosenPart(blocks, among[:STRADDLING_MAX], end_seq, following)
+
+
+def _among(
+    segments: Sequence[Segment], blocks_of: BlocksOf, first: ItemKey, last: ItemKey
+) -> tuple[list[tuple[Segment, PlacedBlock]], int | None]:
+    """The blocks with keys between two keys, and the time of the first block after the later key."""
+    among: list[tuple[Segment, PlacedBlock]] = []
+    later: list[int] = []
+    for segment in segments:
+        if segment.high is None or segment.low is None or segment.high <= first:
+            continue
+        if segment.low[0] > last[0]:
+            later.append(segment.low[0])
+            continue
+        for block in item_blocks(blocks_of(segment)):
+            if block.head.low[0] > last[0]:
+                later.append(block.head.low[0])
+            elif block.head.high > first:
+                among.append((segment, block))
+    return among, min(later, default=None)
+
+
+def part_of(runs: Iterable[Run], chosen: ChosenPart) -> ArchivedPart:
+    """The loaded part. `runs` are those of all its blocks."""
+    items = ChannelIndex()
+    for run in sorted(runs, key=lambda one: one.first_seq):
+        items.insert(run)
+    return ArchivedPart(items, chosen.end_seq, chosen.following)
+
+
+def deliver(
+    cursor: AllCursor,
+    missing: Range,
+    part: ArchivedPart,
+    next_held: Callable[[int], int | None],
+    lost: Reason,
+    limit_bytes: int,
+) -> SubscriptionBatch:
+    """Take the next items of a subscription from a part, and move the cursor.
+
+    `missing` are the first seqs that the cursor wants and memory does not have. `next_held` tells the next time of an
+    item in memory. `lost` is the reason for seqs that the archive does not have either.
+    """
+    first, end = missing[0], min(missing[1], part.end_seq)
+    slices: list[DeliveredSlice] = []
+    for piece in part.items.slices_by_seq(first, end, FIRST_KEY):
+        if piece.first_seq > first or limit_bytes <= 0:
+            break
+        first = piece.end_seq
+        wanted = _belonging(piece, cursor)
+        if wanted is not None:
+            wanted = wanted.within(limit_bytes)
+            slices.append(DeliveredSlice(wanted, _next_time(part, next_held, wanted.last_time)))
+            limit_bytes -= wanted.charge_bytes
+            cursor.delivered += wanted.items
+            first = wanted.end_seq
+    if first > missing[0]:
+        cursor.mark_done(first)
+        return SubscriptionBatch(slices=slices, more=not slices)
+    found = next(part.items.slices_by_seq(first, end, FIRST_KEY), None)
+    return _gap(cursor, first, end if found is None else found.first_seq, lost)
+
+
+def _gap(cursor: AllCursor, first: int, end: int, reason: Reason) -> SubscriptionBatch:
+    cursor.dropped += end - first
+    cursor.mark_done(end)
+    return SubscriptionBatch(gap=Gap(first_seq=first, last_seq=end - 1, items=end - first, reason=reason), more=True)
+
+
+def _belonging(piece: Slice, cursor: AllCursor) -> Slice | None:
+    """The items of a slice that belong to the subscription, or None: its earliest ones may not."""
+    lo = piece.lo
+    while lo < piece.hi and not cursor.belongs(piece.run.times[lo], piece.run.first_seq + lo):
+        lo += 1
+    return Slice(piece.run, lo, piece.hi) if lo < piece.hi else None
+
+
+def _next_time(part: ArchivedPart, next_held: Callable[[int], int | None], time: int) -> int | None:
+    found = (part.items.next_time(time), part.following, next_held(time))
+    return min((one for one in found if one is not None and one > time), default=None)
