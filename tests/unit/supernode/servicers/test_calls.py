@@ -8,9 +8,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import grpc
 import pytest
 
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.v1.group_directory_service_pb2 import UpdateGroupRequest
 from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
@@ -20,6 +22,7 @@ from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
+from stampede_rt_supernode.servicers.group_servicer import GroupDirectoryServicer
 from tests.support.supernode.operations import Log, id_of, open_channel, open_queue, register, register_peer
 
 CONTEXT: Any = SimpleNamespace(time_remaining=lambda: 5.0, peer=lambda: "here")
@@ -108,3 +111,30 @@ async def test_only_its_owner_changes_a_mailbox_whatever_the_rules(log: Log) -> 
                 await calls.check_thing(CONTEXT, AccessVerb.CONFIGURE, AccessKind.QUEUE, mailbox_id)
     async with called_by("robot", AccessRule("nobody", (), None, "*")):
         await calls.check_thing(CONTEXT, AccessVerb.CONFIGURE, AccessKind.QUEUE, mailbox_id)
+
+
+async def test_the_rights_to_several_unknown_things_take_one_confirmed_read(log: Log) -> None:
+    calls, behind = calls_of(log, known=Log().directory)
+    ids = [log.directory.tables.channel_ids["secret/plan"], *map(id_of, range(50))]
+    async with called_by("thief", AccessRule("*", (AccessVerb.LIST,), None, "*")):
+        with pytest.raises(PermissionDenied, match="thief may not read channel secret/plan"):
+            await calls.check_things(CONTEXT, AccessVerb.READ, AccessKind.CHANNEL, ids)
+    assert behind.confirmed == 1
+
+
+async def test_a_change_of_a_group_that_names_too_many_channels_is_refused_without_a_confirmed_read(log: Log) -> None:
+    """It took one for each channel that was unknown: one request kept a supernode busy, and hosts lost their leases."""
+    calls, behind = calls_of(log)
+    codes: list[grpc.StatusCode] = []
+
+    async def abort(code: grpc.StatusCode, *_: Any) -> None:
+        codes.append(code)
+        raise grpc.aio.AbortError
+
+    context: Any = SimpleNamespace(**vars(CONTEXT), abort=abort)
+    request = UpdateGroupRequest(group_id=id_of(1), add_channel_ids=map(id_of, range(5000)))
+    async with called_by("anyone", ALL):
+        with pytest.raises(grpc.aio.AbortError):
+            await GroupDirectoryServicer(calls).UpdateGroup(request, context)
+    assert codes == [grpc.StatusCode.INVALID_ARGUMENT]
+    assert behind.confirmed == 0

@@ -6,7 +6,7 @@ asks the core or the log, and encodes the response.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
@@ -102,14 +102,15 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Context) -> pb.UpdateGroupResponse:
-        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
-        await self._check_members(context, request.add_channel_ids)
         operation = UpdateGroup(
             group_id=request.group_id,
             add_channel_ids=tuple(request.add_channel_ids),
             remove_channel_ids=tuple(request.remove_channel_ids),
             spec_version=request.spec_version if request.HasField("spec_version") else None,
         )
+        check_operation(operation)  # before the checks of its channels, of which there may be any number
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
+        await self._check_members(context, operation.add_channel_ids)
         updated = await self._calls.submit(context, operation, GroupUpdated, request.request_id)
         return pb.UpdateGroupResponse(group=group_record(updated.group))
 
@@ -143,10 +144,9 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             applied_index=page.applied_index,
         )
 
-    async def _check_members(self, context: Context, channel_ids: Iterable[bytes]) -> None:
+    async def _check_members(self, context: Context, channel_ids: Sequence[bytes]) -> None:
         """Check that the caller may read the channels, because a group shows the times of its channels' items.
 
         Raises PermissionDenied.
         """
-        for channel_id in channel_ids:
-            await self._calls.check_thing(context, AccessVerb.READ, AccessKind.CHANNEL, channel_id)
+        await self._calls.check_things(context, AccessVerb.READ, AccessKind.CHANNEL, channel_ids)
