@@ -41,7 +41,7 @@ async def test_a_lease_that_ends_gives_the_item_to_the_next(rig: Rig) -> None:
     await lease_from_now_on(queue, "60s")
     again = await queue.get(timeout=10)
     assert again.deliveries == 2
-    assert late.lease_left < 10  # counted from its arrival here, and of the lease with which it came
+    assert late.lease_left < 10  # the lease counts from the arrival of the message
     with pytest.raises(st.LeaseExpired, match=queue.name):
         await late.ack()
     await again.ack()

@@ -271,7 +271,7 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
 
 
 async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_stream_broke(rig: Rig) -> None:
-    """The rest was remembered as refused: a retry was refused, too, though there was room by then."""
+    """Earlier, the rest was remembered as refused: a retry was refused, too, though there was room by then."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -289,7 +289,7 @@ async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_str
 
 
 async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_meanwhile(rig: Rig) -> None:
-    """The rest was refused for good, with "resolve the channel again", and so was the retry that did as told."""
+    """Earlier, the rest was refused for good, with "resolve the channel again", and so was the retry after that."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -315,7 +315,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
 
 
 async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:
-    """The ack said that none of its items was accepted."""
+    """Earlier, the ack said that none of its items was accepted."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))

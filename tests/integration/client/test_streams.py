@@ -165,7 +165,7 @@ async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: Local
 
 
 async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_waiting(cluster: LocalCluster) -> None:
-    """The second one waited for ever for a stream that the first one had given up."""
+    """Earlier, the second one waited for ever for a stream that the first one had given up."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/opening", max_age="60s")
         await channel.stats()

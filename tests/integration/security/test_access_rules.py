@@ -196,7 +196,7 @@ def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, o
 def test_no_listing_and_no_watch_tells_of_things_that_its_caller_may_not_list(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """The token of a page held the last name that was looked at, and a hidden change made an empty response."""
+    """Earlier, a page token held the last name that was looked at, and a hidden change made an empty response."""
     with (
         st.connect(cluster.address, name="hidden/peer") as rt,
         grpc.insecure_channel(cluster.supernodes[0].address) as supernode,
@@ -316,7 +316,7 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
 
 
 def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(cluster: LocalCluster) -> None:
-    """The supernode kept it as it was written, so that it matched no certificate."""
+    """Earlier, the supernode kept it as it was written, so that it matched no certificate."""
     metadata = call_metadata(cluster.secret.text)
     with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
         stub: Any = access_grpc.AccessServiceStub(connection)

@@ -159,7 +159,7 @@ def kind(request: pytest.FixtureRequest) -> str:
 async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_on_at_their_own(
     world: World, kind: str
 ) -> None:
-    """No ping is answered, as under load: so the refusal alone keeps the client from the other cluster."""
+    """No ping is answered, as under load. So only the refusal keeps the client from the other cluster."""
     stranger, own = FakeSupernode("y", mute=True), FakeSupernode("x", mute=True)
     targets = [await world.supernode(stranger), await world.supernode(own)]
     frontend = await world.frontend(FakeFrontend("x", targets))

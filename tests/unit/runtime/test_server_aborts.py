@@ -93,8 +93,9 @@ async def test_what_a_refused_call_held_is_freed_without_the_collector(method: s
 
 @pytest.mark.parametrize("method", [RESOLVE, LIST, WATCH, UPDATE])
 async def test_the_task_of_a_call_is_freed_without_the_collector(method: str) -> None:
-    """Each call left its task, its context and all that gRPC kept of it: 14 objects, 77 if it was refused, and 89 if
-    its caller cancelled it.
+    """Earlier, each call left its task, its context and all that gRPC kept of it.
+
+    These were 14 objects, 77 if the call was refused, and 89 if its caller cancelled it.
     """
     handler = Refusing()
     async with serving(lambda server: server.add_generic_rpc_handlers((handler,))) as server:

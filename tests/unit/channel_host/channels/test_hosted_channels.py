@@ -1,4 +1,4 @@
-"""A channel and the memory of its host: consumption has a bound, too, and never stops where it must free memory."""
+"""A channel and the memory of its host: consumption is bounded, too, but never stops where it frees memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.support.clock import ManualClock
 def full_channel(
     items: int, bytes_max: int = 2**40, consumers: int = 1
 ) -> tuple[HostedChannel, MemoryBudget, ManualClock]:
-    """A channel whose items are all that its host may hold."""
+    """A channel whose items take all the memory that its host may hold."""
     clock, memory = ManualClock(), MemoryBudget(bytes_max)
     policy = Policy(max_age_nanos=10**12, consumers=consumers)
     record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(policy))
@@ -59,7 +59,7 @@ def test_a_consumer_that_consumes_in_order_goes_on_although_the_memory_is_used_u
 
 
 def test_the_consumption_of_one_caller_leaves_memory_for_the_consumption_of_others() -> None:
-    """One caller that consumed every second item could use up the spare memory of the host, for all channels."""
+    """Earlier, one caller that consumed every second item could use up the host's spare memory for all channels."""
     channel, memory, clock = full_channel(4096, bytes_max=2**22, consumers=2)
     memory.bytes_max = 2**40  # only shares refuse
     share = 2**22 // (2 * CONSUMPTION_SHARE)

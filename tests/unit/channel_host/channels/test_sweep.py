@@ -68,7 +68,7 @@ def _overhead(payload: bytes) -> int:
 
 
 async def test_channels_in_which_nothing_happens_cost_a_sweep_nothing() -> None:
-    """20,000 of them took 43 % of a core."""
+    """Earlier, 20,000 of them took 43 % of a core."""
     host = Host()
     idle = [host.open(Policy(max_age_nanos=S)) for _ in range(2000)]
     for channel in idle:

@@ -92,7 +92,7 @@ async def test_a_host_that_never_answers_is_told_as_one(clock: Clock) -> None:
 
 @pytest.mark.parametrize("taken_s", [0.7, 3.0, 9.99])
 async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock) -> None:
-    """The last try began within the time of the call, and might then take as long again."""
+    """Earlier, the last try began within the time of the call, and could take as long again."""
     allowed: list[tuple[float, float]] = []
 
     async def fail_slowly(binding: Binding, timeout_s: float) -> str:

@@ -165,7 +165,7 @@ async def _streams(place: Place, count: int) -> None:
 async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over_and_harms_no_other(
     unacked: int,
 ) -> None:
-    """The host rejected everything after it, since the stream had lost its beginning."""
+    """Earlier, the host rejected everything after it, since the stream had lost its beginning."""
     place = Place()
     producer = producer_at(place)
     for _ in range(unacked):

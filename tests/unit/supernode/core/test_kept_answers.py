@@ -124,7 +124,7 @@ def test_a_command_that_was_under_way_while_time_was_marked_twice_is_refused_and
 
 
 def test_nothing_that_is_forgotten_is_done_again() -> None:
-    """Whenever a command was taken in and whenever it is applied, no more than 40 s of marks after the first time."""
+    """Tries all moments at which a repetition is taken in and applied, up to 40 s of marks after the first time."""
     for applied_after in range(2 * MARKS_KEPT):
         for taken_in_after in range(min(applied_after + 1, MARKS_KEPT - 2)):
             log = Log()

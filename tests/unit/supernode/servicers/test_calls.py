@@ -101,7 +101,7 @@ async def test_what_is_known_is_checked_without_a_confirmed_read_and_what_is_mis
 
 
 async def test_only_its_owner_changes_a_mailbox_whatever_the_rules(log: Log) -> None:
-    """A mailbox has no name of its own, so that every rule for "*" gave it away, and no rule could deny it."""
+    """A mailbox has no name of its own. Earlier, every rule for "*" gave it away, and no rule could deny it."""
     calls, _ = calls_of(log)
     mailbox_id = log.directory.tables.peers.by_id[id_of(7)].mailbox_queue_id
     assert mailbox_id is not None

@@ -28,7 +28,7 @@ def test_a_run_without_times_is_stamped_with_the_later_of_clock_and_newest_item(
 
 
 def test_a_run_without_times_is_stamped_with_no_time_that_is_too_old() -> None:
-    """The advance of a machine whose clock was 20 ms ahead made the puts of the next 20 ms too old."""
+    """Earlier, the advance of a machine whose clock was 20 ms ahead made the puts of the next 20 ms too old."""
     channel = a_channel(max_bytes=100)
     unstamped = Offer(times=None, durations=None, lengths=[1])
     channel.advance(CLOCK + 20, CLOCK)

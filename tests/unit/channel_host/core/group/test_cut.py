@@ -171,7 +171,7 @@ def test_words_of_a_former_owner_change_nothing() -> None:
 
 
 def test_an_item_that_everybody_consumed_before_the_group_was_made_counts_as_one_that_was_there() -> None:
-    """A channel that never had an item or an advance has no cut; this one had one."""
+    """A channel that never had an item or an advance has no cut; this channel had an item."""
     used = channel(100, 120, policy=Policy(consumers=1, max_items=10))
     used.consume(1, [1, 2], NOW)
     assert used.newest is None
