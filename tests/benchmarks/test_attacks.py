@@ -1,4 +1,4 @@
-"""The table of docs/security.md has all attacks, and the command that prints it ends whatever an attack does."""
+"""The table in docs/security.md has all attacks. The command that prints the table ends, whatever an attack does."""
 
 from __future__ import annotations
 

@@ -248,7 +248,9 @@ async def test_a_subscription_that_cannot_be_is_refused(rig: Rig, fields: dict[s
 async def test_an_advance_is_told_at_once_though_there_is_no_item_to_send(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 1000.0)  # nothing comes for being due
+    monkeypatch.setattr(
+        subscription, "PROGRESS_SECONDS", 1000.0
+    )  # the host sends no message only because time has passed
     channel = await rig.open("advancing")
     reader = await Reader.of(channel)
     t = rig.now()

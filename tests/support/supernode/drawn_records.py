@@ -97,7 +97,7 @@ def replica_operations(draw: st.DrawFn, directory: Directory) -> AddReplica | Re
 
 @st.composite
 def moves(draw: st.DrawFn, directory: Directory) -> CommitMove:
-    """A move, mostly of a channel that is there, at its epoch, to a host as it is."""
+    """A move, mostly of an existing channel at its present epoch, to a host with its present incarnation."""
     channel, host_id = some(directory, draw(numbers)), draw(host_ids)
     host = directory.tables.hosts.get(host_id)
     return CommitMove(

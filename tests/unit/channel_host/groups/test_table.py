@@ -70,7 +70,7 @@ async def test_a_group_that_loses_members_forgets_these_and_looks_at_no_others()
 
 
 class Shown:
-    """Groups of channels 0 to 3 that all hosts have told about, and the channels' times."""
+    """Confirmed groups of the channels 0 to 3, and the times of these channels."""
 
     def __init__(self) -> None:
         self.table = HostedGroups()

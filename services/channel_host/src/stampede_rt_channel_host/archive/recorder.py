@@ -10,13 +10,13 @@ from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, Segmen
 from stampede_rt_channel_host.core.archive import ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
-RUNS_PER_WRITE = 2048  # to collect so many takes about 2 ms
+RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
 Part = list[ArchivedRun] | SeqGap
 
 
 class WriteJob(NamedTuple):
-    """The items that one write appends to the files of one channel. `end_seq`: the seq behind it."""
+    """The items that one write appends to the files of one channel. `end_seq`: the seq after them."""
 
     files: SegmentFiles
     parts: list[Part]
@@ -39,7 +39,7 @@ class ChannelRecorder:
         self._channel = channel
         self.archived_to = channel.next_seq
         """All seqs below this one are on stable storage, or lost to the archive."""
-        # The seq after the items of a put, and the instant of their acceptance, for all that is not archived.
+        # For each put that is not archived: the seq after its items, and the instant of their acceptance.
         self._ends: list[int] = []
         self._instants: list[int] = []
         channel.record(self.archived_to)

@@ -48,7 +48,7 @@ COST_BYTES_MAX = 4096
 
 
 class Blocked:
-    """A channel on a clock that stands until it is moved, and gets that are blocked on it."""
+    """A channel whose clock the test moves, and gets that are blocked on the channel."""
 
     def __init__(self, max_items: int = 10) -> None:
         self.now = START
@@ -273,7 +273,7 @@ async def test_a_put_that_releases_very_many_gets_looks_at_a_few_in_each_step_an
     while pieces.step():
         assert blocked.gets.looked_at - seen <= GETS_PER_PIECE
         seen, steps = blocked.gets.looked_at, steps + 1
-        blocked.put(START + (steps + 1) * S)  # the item goes: the channel keeps one
+        blocked.put(START + (steps + 1) * S)  # the former item leaves: the channel keeps one item
     assert blocked.released == list(range(1000))
     assert all(found_times(one) == [START + S] for one in blocked.outcomes)
     assert steps >= 1000 // GETS_PER_PIECE
@@ -307,7 +307,7 @@ async def test_gets_that_a_change_leaves_blocked_are_released_by_the_one_behind_
     for number in range(200):
         blocked.block(number, replace(NEWEST, newer_than=Position(START + S)))
         blocked.block(1000 + number, NEWEST)
-    blocked.put(START + S)  # releases every other one
+    blocked.put(START + S)  # releases every second get
     blocked.put(START + 2 * S)
     blocked.block(9, replace(NEWEST, newer_than=Position(START + 2 * S)))
     blocked.put(START + 3 * S)

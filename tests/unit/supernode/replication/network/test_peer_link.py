@@ -1,4 +1,4 @@
-"""The streams between members: one at a time from each, and nothing of an earlier one comes after it."""
+"""The streams between members: each member has one at a time, and no message of an earlier stream comes later."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
 
 
 def timeout_now(term: int) -> pb.RaftMessage:
-    """A message that can be told from others by its term."""
+    """A message that the tests recognise by its term."""
     return encode_message(TimeoutNow(term=term))
 
 
@@ -136,7 +136,7 @@ async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once
         call.cancel()
         await inbox.heard(StreamEnded)
         assert servicer.refused() == {}
-        # Alone, it may be the member itself.
+        # A single such caller may be the member itself.
         await greeted_by_an_older_copy(channel)
         assert list(servicer.refused()) == ["other"]
     await server.stop(None)
