@@ -6,7 +6,7 @@ PYTHON ?= python3
 UV_VERSION := 0.13.8
 UV := .tools/bin/uv
 RUN := .venv/bin
-PYTHON_DIRS := client services deploy demos benchmarks tests tools
+PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
 # those with a whole cluster; a test that cannot run with rules says so: @pytest.mark.without_rules(reason)

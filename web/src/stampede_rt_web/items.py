@@ -97,7 +97,7 @@ class ItemPreviews:
 
 
 async def step(reader: aio.Channel | aio.GroupChannel, instant: int, direction: Direction) -> str | None:
-    """Return the time of the first item after `instant`, or of the last item before it, as text; None: there is none."""
+    """Return the time of the first item after `instant`, or of the last one before it, as text; None: there is none."""
     found = await reader.get(
         OLDEST,
         NEWEST,
