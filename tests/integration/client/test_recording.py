@@ -37,12 +37,12 @@ def items_of(path: Path, channel: str) -> list[st.Item]:
 
 
 def test_the_past_and_the_future_of_a_channel_are_recorded(rt: st.Connection, tmp_path: Path) -> None:
-    channel, path = rt.channel("both", max_age="60s"), tmp_path / "a.mcap"
-    base = st.now() - 5_000 * MS
-    channel.put(b"too old", time=base - 4_000 * MS)
+    channel, path = rt.channel("both", max_age="1h"), tmp_path / "a.mcap"
+    base = st.now() - 300_000 * MS
+    channel.put(b"too old", time=base - 600_000 * MS)
     for number in range(20):
         channel.put(b"%d" % number, time=base + number * MS, duration="1ms", attributes={"n": str(number)})
-    with rt.record(channel, path, since="6s") as recorder:
+    with rt.record(channel, path, since="10m") as recorder:
         channel.put(b"late", time=base + 3 * MS)
         channel.put(b"new", content_type="text/plain")
     check_both(path, [*channel.get(st.OLDEST, st.NOW)], recorder.summary)
@@ -51,12 +51,12 @@ def test_the_past_and_the_future_of_a_channel_are_recorded(rt: st.Connection, tm
 async def test_the_asyncio_client_records_the_same(cluster: LocalCluster, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     async with aio.connect(cluster.address) as rt:
-        channel = await rt.channel("aio/both", max_age="60s")
-        base = st.now() - 5_000 * MS
-        await channel.put(b"too old", time=base - 4_000 * MS)
+        channel = await rt.channel("aio/both", max_age="1h")
+        base = st.now() - 300_000 * MS
+        await channel.put(b"too old", time=base - 600_000 * MS)
         for number in range(20):
             await channel.put(b"%d" % number, time=base + number * MS, duration="1ms", attributes={"n": str(number)})
-        async with rt.record("aio/*", path, since="6s") as recorder:
+        async with rt.record("aio/*", path, since="10m") as recorder:
             await channel.put(b"late", time=base + 3 * MS)
             await channel.put(b"new", content_type="text/plain")
         summary = await recorder.wait()
@@ -97,7 +97,7 @@ def test_a_glob_follows_channels_that_appear_later_from_their_first_item(rt: st.
 
 
 def test_advances_are_recorded_behind_the_items_that_they_follow(rt: st.Connection, tmp_path: Path) -> None:
-    channel, path = rt.channel("advancing", max_age="60s"), tmp_path / "a.mcap"
+    channel, path = rt.channel("advancing", max_age="1h"), tmp_path / "a.mcap"
     base = st.now() - 10_000 * MS
     with rt.record(channel, path):
         first = channel.put(b"1", time=base)

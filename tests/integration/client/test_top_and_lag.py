@@ -31,7 +31,7 @@ def _things(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
     with st.connect(cluster.address) as rt:
-        left, right = rt.channel("top/left"), rt.channel("top/right")
+        left, right = rt.channel("top/left", max_age="1h"), rt.channel("top/right")
         for _ in range(3):
             left.put(b"x" * 100)
         right.stats()  # its host knows it from now on

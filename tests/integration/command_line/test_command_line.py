@@ -80,19 +80,19 @@ def test_options_may_stand_between_the_words(stampede: Run) -> None:
 
 
 def test_get_as_programs_read_it(stampede: Run) -> None:
-    stampede("put", "cli/json", stdin=b"\xff\x00")
+    stampede("put", "cli/json", "--max-age", "1h", stdin=b"\xff\x00")
     stampede("put", "cli/json", "text")
     rows = json.loads(stampede("get", "cli/json", "--all", "-o", "json").stdout)
     assert [row["length_bytes"] for row in rows] == [2, 4]
     assert (rows[0]["payload_base64"], rows[1]["payload"]) == ("/wA=", "text")
-    lines = stampede("get", "cli/json", "--last", "30s", "-o", "jsonl").stdout.splitlines()
+    lines = stampede("get", "cli/json", "--last", "1h", "-o", "jsonl").stdout.splitlines()
     assert [json.loads(line)["seq"] for line in lines] == [row["seq"] for row in rows]
 
 
 def test_get_by_time_and_meta_time(stampede: Run) -> None:
     base = st.now() - 2_000_000_000
     for number in range(3):
-        stampede("put", "cli/times", str(number), "--time", str(base + number * 10**8), "--max-age", "60s")
+        stampede("put", "cli/times", str(number), "--time", str(base + number * 10**8), "--max-age", "1h")
     assert (
         stampede("get", "cli/times", "newest-150ms", "newest", "--match", "start", "-o", "jsonl").stdout.count("\n")
         == 2
