@@ -201,7 +201,8 @@ async def test_a_blocked_get_is_released_by_the_first_matching_item(rig: Rig) ->
 
 
 async def test_a_get_whose_search_takes_pieces_searches_again_only_if_the_channel_changes(rig: Rig) -> None:
-    channel = await rig.open()
+    retention = channel_pb2.RetentionPolicy(max_age_nanos=3600 * S)  # all items stay for as long as the test takes
+    channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention))
     now = rig.now()
     for _ in range(STEPS_PER_PIECE + 1):
         await channel.put(run_of(b"too early", times=[now], durations=[5]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from tests.support.waiting import wait_until
 cluster = cluster_fixture(hosts=2, supernodes=1, durable=False)
 PATIENCE_SECONDS = 60.0
 BUSY_PERMILLE, IDLE_PERMILLE = 150, 100
+STARVED_LOAD = 5  # for each processor
 
 
 @pytest.fixture
@@ -55,15 +57,26 @@ def loads(rt: st.Connection) -> dict[str, int]:
     return {host.name: host.load.busy_permille for host in rt.hosts() if host.load is not None}
 
 
+def until_one_is_busy(rt: st.Connection) -> None:
+    """Skip the test if the machine has so much other work that no host gets the processor time to be busy."""
+
+    def holds() -> bool:
+        now = loads(rt)
+        return now.get("h1", 0) >= BUSY_PERMILLE and now.get("h2", 1000) < IDLE_PERMILLE
+
+    try:
+        wait_until(holds, "one host is busy and the other one is idle", PATIENCE_SECONDS)
+    except AssertionError:
+        if os.getloadavg()[0] < STARVED_LOAD * (os.cpu_count() or 1):
+            raise
+        pytest.skip(f"the machine has a load of {os.getloadavg()[0]:.0f}: a host cannot take a seventh of a core")
+
+
 def test_new_channels_and_queues_go_to_the_idle_host_of_two_and_the_listings_say_why(
     cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with keeping_busy(cluster.address, "h1"):
-        wait_until(
-            lambda: loads(rt).get("h1", 0) >= BUSY_PERMILLE and loads(rt).get("h2", 1000) < IDLE_PERMILLE,
-            "one host is busy and the other one is idle",
-            PATIENCE_SECONDS,
-        )
+        until_one_is_busy(rt)
         for number in range(3):
             assert rt.channel(f"new/{number}").host == "h2"
         assert rt.queue("jobs").host == "h2"
