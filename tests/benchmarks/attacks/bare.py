@@ -30,7 +30,7 @@ from tests.support.processes import started
 FLOODS = ("unknown-fields", "repeated-fields", "resets", "health-watches", "many-streams", "single-calls")
 RUN_SECONDS_MAX = 180.0
 TRANSPORT = "grpc"  # of the good clients in all three trials
-_SERVE = "serve"
+SERVE = "serve"
 
 
 class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
@@ -73,7 +73,7 @@ def measure(name: str, seconds: float, kind: str) -> Found:
     apart = Setup(apart=True, transport=TRANSPORT)
     if kind == "host":
         return in_own_process(run_trial, name, seconds, apart, seconds=limit_s)
-    with started([sys.executable, "-m", "tests.benchmarks.attacks.bare", _SERVE]) as process:
+    with started([sys.executable, "-m", "tests.benchmarks.attacks.bare", SERVE]) as process:
         assert process.stdout is not None
         bare = f"127.0.0.1:{process.stdout.readline().strip()}"
         setup = replace(apart, bare=bare, good_go_there=kind == "bare")
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=3.0, help="how long each attack lasts (default: 3)")
     parser.add_argument("--runs", type=int, default=3, help="runs of each trial (default: 3)")
     options = parser.parse_args()
-    if options.names == [_SERVE]:
+    if options.names == [SERVE]:
         run_loop(serve())
         return
     if unknown := set(options.names) - set(FLOODS):

@@ -63,5 +63,5 @@ class Outcome:
         ]
         for one in self.findings:
             lines.append(f"  FOUND {one.method}: {one.what}")
-            lines += [f"    request {request[:2000]}" for request in one.requests]
+            lines += [f"    request of {len(request) // 2} bytes: {request[:2000]}" for request in one.requests]
         return "\n".join(lines)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 
 import stampede_rt as st
+from stampede_rt.administration.running_cluster import reached
+from stampede_rt.v1 import quota_service_pb2
 from stampede_rt_runtime.identity import Role
 from tests.robustness.fuzz.messages import KnownValues
 from tests.robustness.fuzz.ports.cluster import FuzzedCluster, fuzzed_cluster
@@ -129,13 +132,24 @@ async def _check_serves(cluster: FuzzedCluster) -> None:
     """Check that a new client can still use the real host. Hostile callers with the secret may register hosts, too.
 
     It tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer than
-    `connect` waits.
+    `connect` waits. Before, it removes all quotas: hostile operators may have left nothing to anybody.
     """
+    await asyncio.to_thread(_remove_quotas, cluster)
     until_s = time.monotonic() + GOOD_CALL_SECONDS
     while (error := await _failure_to_serve(cluster)) is not None and time.monotonic() < until_s:  # noqa: ASYNC110
         await asyncio.sleep(1.0)
     if error is not None:
         cluster.outcome.add(Finding(what=f"nobody new is served: {error!r}", method="afterwards"))
+
+
+def _remove_quotas(cluster: FuzzedCluster) -> None:
+    one = cluster.processes
+    tls = one.tls_files("good", Role.OPERATOR)
+    with suppress(st.StampedeError), reached(one.address, None, secret=one.secret.text, tls=tls) as operator:
+        listed = operator.ask_quotas("ListQuotas", quota_service_pb2.ListQuotasRequest())
+        for who in sorted({one.who for one in listed.settings}):
+            request = quota_service_pb2.RemoveQuotasRequest(request_id=secrets.token_bytes(16), who=who)
+            operator.ask_quotas("RemoveQuotas", request)
 
 
 async def _failure_to_serve(cluster: FuzzedCluster) -> st.StampedeError | None:
