@@ -31,7 +31,7 @@ STILL_SECONDS = 1.0  # in which the server finishes what it has begun
 
 
 class Cost(NamedTuple):
-    """Of one reset call, in microseconds of processor time."""
+    """The processor time of one reset call, in microseconds."""
 
     loop_us: float
     others_us: float
