@@ -1,8 +1,8 @@
-"""The cost of a start from a snapshot, of taking and of receiving one: part of `tests.benchmarks.directory_load`.
+"""The cost of a start from a snapshot, of taking one and of receiving one: part of `tests.benchmarks.directory_load`.
 
-One replica with its store on disk, in this process and stepped by hand, so that every step, or tick, can be timed: by
-wall, which counts the disk and what other threads and processes take, and by CPU of its own thread. Snapshots are
-encoded and decoded on a thread of their own, as in a supernode, and writes come with every tick.
+One replica with its store on disk, in this process. The benchmark makes its steps (ticks) one by one, and measures the
+time of each: the wall time, which includes the disk and other threads and processes, and the CPU time of its thread.
+Snapshots are encoded and decoded on a separate thread, as in a supernode, and every tick has writes.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A channel host that feeds its own channels when it is told to: `python -m tests.benchmarks.fed_host HOST_FLAGS`.
+"""A channel host that feeds its own channels on command: `python -m tests.benchmarks.fed_host HOST_FLAGS`.
 
-A line on stdin, `PERIOD_SECONDS SECONDS GROUP_ID`, puts an item into every channel in each period for so long, and is
-answered with a line of JSON, a `Fed`; the group, in hexadecimal digits, or `-`, is the one whose cut is looked at.
-Items go straight into the cores, for clients that put 6400 items a second would take the machine from what is measured;
-the rest of the host is as ever.
+A line on stdin, `PERIOD_SECONDS SECONDS GROUP_ID`, puts an item into every channel in each period, for `SECONDS`. The
+answer is a line of JSON, a `Fed`. GROUP_ID, in hexadecimal digits or `-`, names the group whose cut is observed. The
+items go directly into the cores, because clients that put 6400 items a second would use up the machine. The rest of the
+host is as usual.
 """
 
 from __future__ import annotations

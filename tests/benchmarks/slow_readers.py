@@ -1,4 +1,6 @@
-"""How old is what a slow reader takes? Frames of 18 KB at 30 a second into two channels; each reader rests after each.
+"""Measures the age of the items that a slow reader gets.
+
+Frames of 18 KB go at 30 a second into two channels, and each reader rests after each frame.
 
 python -m tests.benchmarks.slow_readers [--seconds 24] [--rest 0.2]
 """

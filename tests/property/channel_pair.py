@@ -128,7 +128,7 @@ class ChannelPair:
         self.tracker = ReachTracker(self.core)
 
     def put(self, offer: Offer) -> tuple[PutOutcome, Sequence[Item | Refused]]:
-        """Put an offer into both. Keeps the items that have to wait for `retry_put`. Returns what both say."""
+        """Put an offer into both. Keeps the items that have to wait, for `retry_put`. Returns both outcomes."""
         sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
 
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:

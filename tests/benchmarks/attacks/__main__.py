@@ -1,15 +1,17 @@
-"""Attack a cluster of processes on this machine, one attack after the other; print what each took from good clients.
+"""Attacks a cluster of processes on this machine, one attack after the other, and prints the harm of each to good
+clients.
 
-The host has a budget of 64 MiB for what it keeps, and its soft limit of open files is 1024. Two good clients put 100
-bytes and read them, each 10 ms: alone, then beside the attacker, which is a process of its own, then alone again. They
-have one client token, and the attacker has another. They use sockets, as clients of one machine do: readers of shared
-memory would go past the host.
+The host has a budget of 64 MiB for its channels and queues, and its soft limit of open files is 1024. Two good clients
+put 100 bytes and read them, each 10 ms: first alone, then beside the attacker, a process of its own, and then alone
+again. They have one client token, and the attacker has another. They use sockets, as clients of one machine do. Readers
+of shared memory would make no calls to the host.
 
-There are two trials of each attack. In the first one the attacker takes only processor time that nobody else wants
-(SCHED_IDLE), because a hostile client runs on a machine of its own. The goal is for this trial. In the second one it
-has the same rights to both cores as the host and the good clients. Then they are measured also beside a program that
-takes as much processor time as this attacker took, and calls nobody. Run it on an otherwise idle machine: elsewhere the
-attacker of the first trial gets too little time. The last column shows what the attackers of both trials got.
+There are two trials of each attack. In the first trial the attacker takes only idle processor time (SCHED_IDLE),
+because a hostile client runs on a machine of its own. The goal is for this trial. In the second trial it has the same
+rights to both cores as the host and the good clients. Then the good clients are measured also beside a program that
+takes as much processor time as this attacker, and makes no calls. Run the command on an otherwise idle machine. On a
+busy one the attacker of the first trial gets too little time. The last column shows the processor time of the attackers
+in both trials.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Floods on bare grpcio: what no service can hold back, because gRPC itself accepts calls and reads messages.
+"""Floods on bare grpcio: attacks that no service can stop, because gRPC itself accepts calls and reads messages.
 
-    python -m tests.benchmarks.attacks.bare [NAME...] [--seconds 3] [--runs 3]
+python -m tests.benchmarks.attacks.bare [NAME...] [--seconds 3] [--runs 3]
 
 Each run has three trials. In `host` the flood and the good clients go to a host, as in the table of attacks. In `bare`
 both go to a server that only reads and echoes. In `elsewhere` the good clients go to a host, and the flood goes to that
-server: what is left is that both share the machine. The server has the options of a host's server. All good clients use
-gRPC, and the attacker takes only processor time that nobody else wants.
+server, so that both share only the machine. The server has the options of a host's server. All good clients use gRPC,
+and the attacker takes only idle processor time.
 """
 
 from __future__ import annotations

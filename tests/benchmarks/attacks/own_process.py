@@ -1,4 +1,4 @@
-"""Does work in a process of its own, which ends with the work or is killed: what hangs holds up nothing else."""
+"""Does work in a separate process, which ends with the work or is killed. Work that hangs delays nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attacks by readers of groups and takers of queues, who ask for nothing that is forbidden, only for much of it."""
+"""Attacks by readers of groups and takers of queues that do only allowed things, but very many of them."""
 
 from __future__ import annotations
 

@@ -64,7 +64,8 @@ class Good:
 class Found:
     """The effects of one attack. Memory is the resident set of the watched process, in MiB.
 
-    `competing`: beside a program that takes as much processor time as the attacker took, and calls nobody.
+    `competing`: the good clients beside a program that takes as much processor time as the attacker took, and makes no
+    calls.
     """
 
     name: str
@@ -95,13 +96,13 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """The callers and their servers. `transport`: of the good clients.
+    """The callers and their servers. `transport`: the transport of the good clients.
 
-    `bare`: the address of a bare server that the attack floods instead of the host, and with `good_go_there` the good
-    clients call it, too; see `bare.py`. `apart`: the attacker gets only processor time that nobody else wants, as if it
-    ran on another machine. Otherwise the good clients are measured also beside a program that takes as much processor
-    time as the attacker took. Without `compares` they are measured only beside the attack, enough for a test of
-    what must hold, however long a put takes.
+    `bare`: the address of a bare server that the attack floods instead of the host. With `good_go_there` the good
+    clients call it, too; see `bare.py`. `apart`: the attacker gets only idle processor time, as if it ran on another
+    machine. Otherwise the good clients are measured also beside a program that takes as much processor time as the
+    attacker took. Without `compares` they are measured only beside the attack. That is enough for a test of rules that
+    do not depend on the time of a put.
     """
 
     transport: str = TRANSPORT
@@ -233,7 +234,7 @@ async def _program(words: tuple[str, ...], line: str, good: Good) -> AsyncIterat
         async with asyncio.timeout(UNDER_WAY_SECONDS):
             told = await process.stdout.readline()
         assert told.decode().strip() == UNDER_WAY, f"{' '.join(words)} failed"
-        good.calls = len(good.failures)  # what was before it was under way is not counted
+        good.calls = len(good.failures)  # calls before the attack was under way do not count
         good.puts_ms.clear()
         yield process
     finally:

@@ -1,4 +1,4 @@
-"""Attacks by callers who bring nothing, or who begin messages and never finish them."""
+"""Attacks by callers without a credential, or with messages that they begin and never finish."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""How long a host's event loop stands still for one long piece of work: `python -m tests.benchmarks.longest_pause`.
+"""Measures how long one piece of long work stops a host's event loop: `python -m tests.benchmarks.longest_pause`.
 
-One host, whose channels are filled in its own process. What a client asks for comes from a process of its own; the rest
-is done as the host's shell does it. Meanwhile the loop is turned as fast as it goes. A pause is the CPU time of its
-thread from one turn to the next, so that a busy machine counts for nothing; told are the longest one, and the CPU time
-of the whole work. A pause of the garbage collector is one of the host, too.
+One host, whose channels the benchmark fills in the host's process. A separate process makes the calls of clients. The
+benchmark does all other work as the host's shell does it. Meanwhile the loop turns as fast as possible. A pause is the
+CPU time of its thread from one turn to the next, so other work of the machine does not count. The table has the longest
+pause, and the CPU time of the whole work. A pause of the garbage collector counts, too.
 """
 
 from __future__ import annotations

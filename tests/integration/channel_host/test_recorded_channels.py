@@ -55,7 +55,7 @@ def wait_until_collected(channel: st.Channel, held: int) -> None:
 
 
 def check_reads(channel: st.Channel, began: int) -> None:
-    """Reads over the border of memory and archive find what all items in memory would give."""
+    """Check that reads over the border of memory and archive give the answers that all items in memory would give."""
     whole = channel.get(began, began + ITEMS * MS)
     assert numbers(whole) == list(range(ITEMS))
     assert whole.truncated is False

@@ -1,7 +1,7 @@
-"""Hostile callers beside good ones, in processes: what must hold on any machine, however busy.
+"""Hostile callers beside good ones, in processes: rules that must hold on any machine, however busy.
 
-`python -m tests.benchmarks.attacks` measures the same attacks, and more of them. The suite plays a few, and
-`make robustness` plays all.
+`python -m tests.benchmarks.attacks` measures the same attacks, and more of them. The suite runs a few, and `make
+robustness` runs all.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Callers who use up all the streams that the ports of supernodes allow."""
+"""Callers that use up all streams that the ports of supernodes allow."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Match:
 
 @dataclass
 class Listeners:
-    """`take_...` gives all readers of one kind what is available.
+    """`take_...` gives all readers of one kind the available events.
 
     `channel_moved` and similar methods resume them after a change.
     """

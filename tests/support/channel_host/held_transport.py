@@ -17,7 +17,7 @@ from tests.support.socket_port import until
 
 
 class HeldTransport:
-    """The transport and the socket of a stream. It keeps what the host writes."""
+    """The transport and the socket of a stream. Keeps the bytes that the host writes."""
 
     def __init__(self) -> None:
         self.frames: list[tuple[int, bytes]] = []
@@ -63,7 +63,7 @@ class HeldStream:
         self.connection, self._transport = connection, transport
 
     def send(self, *messages: bytes) -> list[bytes]:
-        """Hand these messages over together. Returns what the host has written before the call returned."""
+        """Pass these messages on together. Returns the bytes that the host has written before the call returned."""
         return self.send_frames(b"".join(frame_of(FrameKind.MESSAGE, one) for one in messages))
 
     def send_frames(self, data: bytes) -> list[bytes]:

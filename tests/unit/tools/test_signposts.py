@@ -1,4 +1,4 @@
-"""The guard of the pages for newcomers: what they name exists, the picture is fresh, the index is complete."""
+"""The check of the pages for newcomers: the named files exist, the picture is fresh, and the index is complete."""
 
 from __future__ import annotations
 

@@ -10,8 +10,10 @@ from tests.robustness.fuzz.drawing import ByteSource
 
 @dataclass(frozen=True)
 class Target:
-    """`parse` draws its input, calls the parser, and checks what comes back; `refusals` are the errors that it may
-    raise. Whatever else it raises is a finding."""
+    """`parse` draws its input, calls the parser, and checks the result.
+
+    `refusals` are the errors that it may raise. Any other error is a finding.
+    """
 
     name: str
     parse: Callable[[ByteSource], None]

@@ -1,4 +1,4 @@
-"""Where the channels of a drained host go."""
+"""The destinations of the channels of a drained host."""
 
 from __future__ import annotations
 

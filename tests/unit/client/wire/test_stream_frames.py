@@ -60,7 +60,7 @@ def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, byte
         place[:size] = stream[:size]
         found += reader.take(short, size)
         stream, turn = stream[size:], turn + 1
-        short[:] = b"?" * SHORT_BYTES  # what was read is used up
+        short[:] = b"?" * SHORT_BYTES  # the reader no longer needs the bytes that it has read
     return found, reader
 
 

@@ -123,7 +123,7 @@ async def test_the_rights_to_several_unknown_things_take_one_confirmed_read(log:
 
 
 async def test_a_change_of_a_group_that_names_too_many_channels_is_refused_without_a_confirmed_read(log: Log) -> None:
-    """It took one for each channel that was unknown: one request kept a supernode busy, and hosts lost their leases."""
+    """Earlier, one request needed a confirmed read for each unknown channel. It kept a supernode busy for long."""
     calls, behind = calls_of(log)
     codes: list[grpc.StatusCode] = []
 
