@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,7 @@ from stampede_rt.status import from_rpc_error
 from tests.support.cutting_relay import CUTS
 from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
+CUT_SECONDS_MAX = 120.0
 SIZES = (10, 1000, 300_000, 2_000_000)  # requests of one piece, and of many
 
 
@@ -65,12 +67,15 @@ async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
         await asyncio.gather(*(put(channel, size) for size in SIZES))
         await cutting
         assert (await channel.put(b"goes on")).payload == b"goes on"
+    if not told.internal:
+        pytest.skip(f"gRPC told of no cut as INTERNAL within {CUT_SECONDS_MAX:g} s, as happens on a very busy machine")
     assert all(isinstance(error, st.Unavailable) and error.retryable for error in told.internal)
     assert all(error.retryable or isinstance(error, st.DeadlineExceeded) for error in failures)
 
 
 async def _cut(world: RelayedCluster, told: Told) -> None:
-    random_source = random.Random(1)
-    while not told.met.is_set():
+    random_source, until_s = random.Random(1), time.monotonic() + CUT_SECONDS_MAX
+    while not told.met.is_set() and time.monotonic() < until_s:
         world.relay.cut(random_source.choice(CUTS))
         await asyncio.wait([asyncio.ensure_future(told.met.wait())], timeout=random_source.random() * 0.1)
+    told.met.set()
