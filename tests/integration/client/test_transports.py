@@ -106,7 +106,7 @@ async def test_a_program_without_a_way_to_the_socket_uses_grpc(own_cluster: Loca
         st.connect(own_cluster.address, transport="socket") as rt,
         pytest.raises(st.Unavailable, match=r"no stream over a socket leads to .*No such file.*to use gRPC"),
     ):
-        rt.channel("transports/used").put(b"3", timeout=0.5)
+        rt.channel("transports/used").put(b"3", timeout=3)
 
 
 async def test_programs_find_the_new_socket_of_a_restarted_host(own_cluster: LocalCluster, sockets: Path) -> None:
