@@ -1,0 +1,184 @@
+"""A host dies, or a link or the directory is lost, at each step of a move: one owner afterwards, and nothing is lost.
+
+The protocol's real code runs on both hosts, over the real state machine of the directory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.copies import copy_feed, incoming_moves, outgoing_moves
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, World
+
+ITEMS = 20
+WAITING_MAX = 8  # a producer that waits puts nothing more
+AFTER_THE_COMMIT = STEPS.index("committed")
+AFTER_THE_REMOVAL = STEPS.index("removed")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits of milliseconds, because every step is waited for in turn."""
+    monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "HEIR_SECONDS", 0.005)
+    monkeypatch.setattr(incoming_moves, "RETRY_SECONDS_MAX", 0.005)
+    monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 0.05)
+
+
+class Story:
+    """A channel with acknowledged items at the source, a move, and puts that go on."""
+
+    def __init__(self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None) -> None:
+        self.world = World(crash_at, happens)
+        self.source, self.destination = self.world.hosts[SOURCE], self.world.hosts[DESTINATION]
+        self.acknowledged: list[int] = []
+        self.waiting: list[tuple[int, IncomingRun, Host]] = []
+        self.next = 1
+
+    def put(self) -> None:
+        """Put the next item at whichever host serves the channel, if any does and few puts wait."""
+        self.note_acks()
+        if len(self.waiting) >= WAITING_MAX:
+            return
+        for host in (self.source, self.destination):
+            run = host.put(self.next) if host.alive else None
+            if run is not None:
+                self.waiting.append((self.next, run, host))
+                self.next += 1
+                break
+        self.note_acks()
+
+    def note_acks(self) -> None:
+        for each in [*self.waiting]:
+            number, run, host = each
+            if run.ack is not None or not host.alive:  # the caller of a dead host hears of that
+                self.waiting.remove(each)
+            if run.ack is not None and not run.ack.HasField("error"):
+                self.acknowledged.append(number)
+
+    async def move(self) -> StampedeError | None:
+        """Move the channel, with a put in each turn of the loop. Returns the error of a move that failed."""
+        await self.source.store.bind(self.world.channel_id, 1)
+        for _ in range(ITEMS):
+            self.put()
+        assert len(self.acknowledged) == ITEMS
+        move = asyncio.create_task(self.destination.incoming.move_here(self.world.record))
+        while not move.done():
+            self.put()
+            await asyncio.sleep(0)
+        self.put()
+        failure = None if move.cancelled() else move.exception()
+        assert failure is None or isinstance(failure, StampedeError), failure
+        return failure
+
+    async def settle(self) -> list[int]:
+        """Wait until nobody waits, and return the items at the owner."""
+        async with asyncio.timeout(30):
+            while True:
+                owner = self.world.owner
+                try:
+                    hosted = await owner.store.bind(self.world.channel_id, self.world.record.epoch)
+                    if hosted.moving is None and not self.waiting:
+                        return owner.items(hosted)
+                except StampedeError:
+                    pass
+                self.note_acks()
+                await asyncio.sleep(0.001)
+
+    def check(self, items: list[int]) -> None:
+        """Nothing that was acknowledged is lost, nothing is there twice, and one host serves the channel."""
+        assert set(self.acknowledged) <= set(items)
+        assert len(set(items)) == len(items)
+        assert self.world.record.incarnation == self.world.incarnation
+        serving = 0
+        for host in (self.source, self.destination):
+            try:
+                host.store.find(self.world.channel_id, self.world.record.epoch)
+                serving += 1
+            except StampedeError:
+                pass
+        assert serving == 1
+
+
+async def test_a_move_goes_through_all_steps_and_loses_nothing() -> None:
+    story = Story()
+    assert await story.move() is None
+    assert set(story.world.reached) == set(STEPS)
+    story.check(await story.settle())
+    assert story.world.owner is story.destination
+    assert story.source.store.known(story.world.channel_id) is None
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_destination_dies(step: str) -> None:
+    story = Story(step, lambda world: world.kill(DESTINATION))
+    await story.move()
+    story.world.expire(DESTINATION)
+    if STEPS.index(step) >= AFTER_THE_REMOVAL:  # it has the items alone from then on, as any owner
+        assert story.world.owner is story.destination
+        return
+    assert story.world.owner is story.source
+    story.check(await story.settle())
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_source_dies(step: str) -> None:
+    story = Story(step, lambda world: world.kill(SOURCE))
+    await story.move()
+    story.world.expire(SOURCE)
+    if story.world.owner is story.destination:
+        story.check(await story.settle())
+        assert STEPS.index(step) >= STEPS.index("handed over")
+    else:
+        assert STEPS.index(step) < AFTER_THE_COMMIT
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_link_between_the_hosts_breaks(step: str) -> None:
+    story = Story(step, lambda world: world.cut_links())
+    await story.move()
+    items = await story.settle()
+    story.check(items)
+    story.put()
+    story.check(await story.settle())
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
+    for module in (moving, outgoing_moves):
+        monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
+
+    def cut_off(world: World) -> None:
+        world.is_cut_off = True
+        asyncio.get_running_loop().call_later(0.15, setattr, world, "is_cut_off", False)
+
+    story = Story(step, cut_off)
+    await story.move()
+    story.check(await story.settle())
+
+
+async def test_a_second_move_is_refused_while_one_is_under_way() -> None:
+    story = Story()
+    hosted = await story.source.store.bind(story.world.channel_id, 1)
+    story.source.outgoing.begin(hosted, b"other", "other:1")
+    with pytest.raises(StampedeError) as refused:
+        story.source.outgoing.begin(hosted, b"third", "third:1")
+    assert refused.value.reason == "MOVE_CONFLICT"
+
+
+async def test_a_host_gives_at_most_eight_channels_away_at_once() -> None:
+    story = Story()
+    hosted = await story.source.store.bind(story.world.channel_id, 1)
+    for _ in range(outgoing_moves.MOVES_MAX):
+        story.source.outgoing.begin(hosted, b"other", "other:1")
+        hosted.moving = None
+    with pytest.raises(StampedeError, match="8 channels move away"):
+        story.source.outgoing.begin(hosted, b"other", "other:1")

@@ -1,0 +1,259 @@
+"""Two hosts and a directory in one process: the real code of moves, with a link and calls that the test can cut.
+
+`World.crash_at` names the step at which something happens; `STEPS` has all of them, in their order.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import StampedeError, Unavailable, error_for
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
+from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_supernode.codecs.record_codec import channel_record
+from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.records import ReplicaKind
+from tests.support.supernode.operations import Log, expire, id_of, open_channel, register, remove_replica
+
+STEPS = (
+    "feeding", "held", "handed over", "commit is asked for", "committed", "source hears of the commit",
+    "removal is asked for", "removed", "source hears of the release",
+)  # fmt: skip
+SOURCE, DESTINATION = 1, 2
+
+
+class World:
+    """The directory, the two hosts, and the step at which `happens` is called."""
+
+    def __init__(self, crash_at: str, happens: Callable[[World], None]) -> None:
+        self.crash_at, self.happens = crash_at, happens
+        self.reached: list[str] = []
+        self.log = Log()
+        for number in (SOURCE, DESTINATION):
+            self.log.apply(register(number))
+        self.log.apply(open_channel("cam", host="host-1", max_items=100_000))
+        self.channel_id = next(iter(self.log.directory.tables.channels))
+        self.incarnation = self.record.incarnation
+        self.is_cut_off = False  # no host reaches the directory
+        self.links: list[Link] = []
+        self.hosts = {number: Host(self, number) for number in (SOURCE, DESTINATION)}
+
+    @property
+    def record(self) -> RecordedChannel:
+        return recorded_channel(channel_record(self.log.directory.tables.channels[self.channel_id]))
+
+    def at(self, step: str) -> None:
+        """The protocol is at this step."""
+        if step not in self.reached:
+            self.reached.append(step)
+            if step == self.crash_at:
+                self.happens(self)
+
+    def kill(self, number: int) -> None:
+        """End a host at once. Its lease ends when `expire` is called."""
+        host = self.hosts[number]
+        host.alive = False
+        self.cut_links()
+        for task in [*host.incoming._moves.values(), *host.outgoing._tasks]:
+            task.cancel()
+
+    def cut_links(self) -> None:
+        for link in self.links:
+            link.cut()
+
+    def expire(self, number: int) -> None:
+        self.log.apply(expire(number, registered_index=number + 1))
+
+    def apply(self, operation: Operation) -> Any:
+        done = self.log.apply(operation)
+        if isinstance(done, Refused):
+            raise error_for(done.reason, done.message, dict(done.metadata))
+        return done
+
+    @property
+    def owner(self) -> Host:
+        return next(host for host in self.hosts.values() if host.identity.host_id == self.record.host_id)
+
+
+class Host:
+    """One host: its store, its moves, and its calls to the directory."""
+
+    def __init__(self, world: World, number: int) -> None:
+        self.world = world
+        self.alive = True
+        self.identity = HostIdentity(host_id=id_of(number), name=f"host-{number}", boot_incarnation=1)
+        self.store = ChannelStore(
+            self.identity,
+            self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
+            SystemClock(),
+            lease_held=lambda: self.alive,
+            memory=MemoryBudget(2**26),
+        )
+        self.outgoing = OutgoingMoves(self.identity, self.store, self)  # type: ignore[arg-type]
+        self.incoming = IncomingMoves(
+            self.identity, self.store, self, _Keeper(), self.dial  # type: ignore[arg-type]
+        )  # fmt: skip
+        self.servicer = ReplicaServicer(self.store, OpenStreams(), lambda channel_id: [], self.outgoing)
+
+    def dial(self, target: str) -> Any:
+        return Link(self.world, self.world.hosts[SOURCE])
+
+    async def _reach(self) -> None:
+        await asyncio.sleep(0)
+        if self.world.is_cut_off or not self.alive:
+            raise Unavailable("no supernode can be reached")
+
+    async def resolve(self, channel_id: bytes) -> RecordedChannel:
+        await self._reach()
+        return self.world.record
+
+    async def owner_of(self, channel_id: bytes) -> FeedSource:
+        await self._reach()
+        record = self.world.record
+        return FeedSource(record.host_id, "source", record.epoch)
+
+    async def is_heir(self, channel_id: bytes) -> bool:
+        await self._reach()
+        copies = self.world.log.directory.tables.replicas.of(channel_id)
+        return any(one.kind is ReplicaKind.MOVE and one.host_id == self.identity.host_id for one in copies)
+
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
+        moves_here = self.identity.host_id == id_of(DESTINATION)
+        if moves_here:
+            self.world.at("commit is asked for")
+        await self._reach()
+        operation = CommitMove(
+            channel_id=channel_id, epoch=epoch, to_host_id=self.identity.host_id, to_boot_incarnation=1
+        )
+        done = self.world.apply(operation)
+        assert isinstance(done, MoveCommitted)
+        if moves_here:
+            self.world.at("committed")
+            await self._reach()  # the answer may be lost
+        return recorded_channel(channel_record(done.channel))
+
+    async def remove_heir(self, channel_id: bytes, host_id: bytes) -> None:
+        self.world.at("removal is asked for")
+        await self._reach()
+        self.world.apply(remove_replica(channel_id, SOURCE))
+        self.world.at("removed")
+        await self._reach()
+
+    def put(self, number: int) -> IncomingRun | None:
+        """Put an item as producer 1. None: this host does not serve the channel, and says so."""
+        try:
+            hosted = self.store.find(self.world.channel_id, self.world.record.epoch)
+        except StampedeError:
+            return None
+        run = IncomingRun(
+            encode_run([b"%d" % number], times=[number]), producer_id=1, first_number=number, wait_nanos=None
+        )
+        run.keep()
+        hosted.puts.put(run, self.store.now())
+        return run
+
+    def items(self, hosted: HostedChannel) -> list[int]:
+        return [time for part in hosted.channel.accepted_from(1) for time in part.run.times[part.lo : part.hi]]
+
+
+class _Keeper:
+    target = "destination"
+
+    def pause(self, channel_id: bytes) -> None:
+        """There are no proxies."""
+
+
+class Link:
+    """A stream from the destination to the source, and the connection that it is on."""
+
+    def __init__(self, world: World, source: Host) -> None:
+        self.world, self.source = world, source
+        self.to_source: asyncio.Queue[Any] = asyncio.Queue()
+        self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
+        self.serving: asyncio.Task[None] | None = None
+        world.links.append(self)
+
+    def stream_stream(self, method: str, **_: Any) -> Callable[[], Link]:
+        return lambda: self
+
+    async def close(self, grace: float | None) -> None:
+        self.cut()
+
+    def cancel(self) -> None:
+        self.cut()
+
+    def cut(self) -> None:
+        """Break the stream: the source's call is cancelled, and the destination reads an error."""
+        if self.serving is not None:
+            self.serving.cancel()
+        self.to_destination.put_nowait(Unavailable("the link is cut"))
+
+    # The destination's side.
+
+    async def write(self, request: pb.FeedRequest) -> None:
+        if self.serving is None:
+            self.serving = asyncio.create_task(self._serve())
+        if request.committed_epoch:
+            self.world.at("source hears of the commit")
+        if request.released:
+            self.world.at("source hears of the release")
+        self.to_source.put_nowait(request.SerializeToString())
+        await asyncio.sleep(0)
+
+    async def read(self) -> Any:
+        found = await self.to_destination.get()
+        if isinstance(found, StampedeError):
+            raise found
+        if found is EOF:
+            return EOF
+        response = raw_run_pb2.RawFeedResponse.FromString(found)
+        self.world.at("handed over" if response.state.HasField("handoff") else "feeding")
+        return response
+
+    # The source's side.
+
+    async def _serve(self) -> None:
+        try:
+            await self.source.servicer.feed(None, Context(self))  # type: ignore[arg-type]
+        finally:
+            self.to_destination.put_nowait(EOF)
+
+
+class Context:
+    """The source's side of the stream, as gRPC shows it."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    async def read(self) -> Any:
+        request = await self._link.to_source.get()
+        if pb.FeedRequest.FromString(request).hold:
+            self._link.world.at("held")
+        return request
+
+    async def write(self, message: bytes) -> None:
+        self._link.to_destination.put_nowait(message)
+        await asyncio.sleep(0)
+
+    async def abort(self, code: Any, details: str, trailing: Any = ()) -> None:
+        self._link.to_destination.put_nowait(Unavailable(details))
+        raise asyncio.CancelledError
