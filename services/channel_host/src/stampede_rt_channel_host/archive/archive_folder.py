@@ -36,11 +36,16 @@ class ArchiveFolder:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
+            self.close()
             raise SettingsError(
                 f"--archive: another host process uses the folder {self.path} now; stop that process, or give this "
                 "host a folder of its own"
             ) from error
-        self._check_owner(host_id.hex())
+        try:
+            self._check_owner(host_id.hex())
+        except SettingsError:
+            self.close()
+            raise
 
     def _check_owner(self, host_id: str) -> None:
         path = self.path / _OWNER_FILE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
@@ -12,6 +13,14 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.records import RecordedChannel
+
+
+class ArchiveCounts(NamedTuple):
+    """The numbers of items that were lost to the archive, of items that still wait for it, and of damaged blocks."""
+
+    unarchived: int
+    backlog_items: int
+    damaged_blocks: int
 
 
 class Recordings:
@@ -24,6 +33,7 @@ class Recordings:
         self.archive: HostArchive | None = None
         self._opened: dict[bytes, OpenedChannelArchive] = {}
         self._recorded: dict[bytes, Recording] = {}
+        self._departed = ArchiveCounts(0, 0, 0)
 
     async def prepare(self, record: RecordedChannel, hosted: HostedChannel | None) -> None:
         """Look at the archive of a channel that the host is about to serve as `record` says.
@@ -69,10 +79,29 @@ class Recordings:
         if opened is not None and self.archive is not None:
             recording = Recording(self.archive, opened, hosted.channel, slice_run, hosted.archived)
             hosted.record_with(recording)
+            self._drop_stopped()
             self._recorded[hosted.record.channel_id] = recording
         return hosted
+
+    def counts(self) -> ArchiveCounts:
+        """The sums over all channels that were recorded since the host started."""
+        self._drop_stopped()
+        present = [_counts(one) for one in self._recorded.values()]
+        return ArchiveCounts(*map(sum, zip(self._departed, *present, strict=True)))
+
+    def _drop_stopped(self) -> None:
+        """Keep only the counts of channels that the host records no more."""
+        for channel_id, recording in [*self._recorded.items()]:
+            if recording.is_stopped:
+                counts = _counts(self._recorded.pop(channel_id))._replace(backlog_items=0)
+                self._departed = ArchiveCounts(*map(sum, zip(self._departed, counts, strict=True)))
 
     async def close(self) -> None:
         """Write the rest of all channels, because the host stops."""
         if self.archive is not None:
             await self.archive.close([one.recorder for one in self._recorded.values() if not one.is_stopped])
+
+
+def _counts(recording: Recording) -> ArchiveCounts:
+    recorder = recording.recorder
+    return ArchiveCounts(recorder.unarchived, recorder.backlog_items, recorder.files.damaged_blocks)

@@ -45,6 +45,14 @@ ITEMS_DROPPED = counter(
     "Items that subscriptions did not get: collected before they took them, or skipped for a newer item.",
     "cause",
 )
+ITEMS_UNARCHIVED = counter(
+    "stampede_items_unarchived_total", "Items of recorded channels that max_bytes collected before they were archived."
+)
+ARCHIVE_BACKLOG = gauge("stampede_archive_backlog_items", "Accepted items that are not archived yet.")
+ARCHIVE_FAILING = gauge("stampede_archive_failing", "1 while the archive cannot be written, else 0.")
+ARCHIVE_DAMAGED = counter(
+    "stampede_archive_damaged_blocks_total", "Damaged blocks that reads of the archive have found."
+)
 SUBSCRIPTIONS = gauge("stampede_subscriptions_open", "Open subscriptions to channels and groups.")
 GETS_WAITING = gauge("stampede_gets_waiting", "Gets that wait for an item.")
 PUTS_WAITING = gauge("stampede_puts_waiting", "Puts that wait for room.")

@@ -50,8 +50,16 @@ class HostMetrics:
         yield catalog.MEMORY_LIMIT.of(memory.bytes_max)
         yield catalog.CHANNELS.of(self._store.count)
         yield catalog.QUEUES.of(self._queues.count)
+        yield from self._of_archive()
         clock: ClockOffset | None = self._lease.clock()
         yield from of_clocks({} if clock is None else {LEADER: clock})
+
+    def _of_archive(self) -> Iterator[Family]:
+        archive, counts = self._store.recordings.archive, self._store.recordings.counts()
+        yield catalog.ITEMS_UNARCHIVED.of(counts.unarchived)
+        yield catalog.ARCHIVE_BACKLOG.of(counts.backlog_items)
+        yield catalog.ARCHIVE_FAILING.of(archive is not None and bool(archive.failure))
+        yield catalog.ARCHIVE_DAMAGED.of(counts.damaged_blocks)
 
 
 def _no_name(name: str) -> bool:

@@ -1,0 +1,150 @@
+"""The files of an archive under faults: a crash, a full disk, a flipped bit, a folder of another host."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
+from stampede_rt_channel_host.core.archive import ArchivedRun, Segment, Wanted, WantedWindow
+from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_runtime.settings import SettingsError
+
+NO_LIMITS = ArchiveLimits(None, None)
+ALL = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
+HOST, OTHER = b"h" * 16, b"o" * 16
+
+
+def run_at(seq: int, items: int = 2, payload: bytes = b"") -> Run:
+    return make_run(seq, [seq + at for at in range(items)], None, [7] * items, b"%d " % seq + payload)
+
+
+def decode(body: bytes) -> Run:
+    return run_at(int(body.split(b" ")[0]))
+
+
+def write(files: SegmentFiles, first: int, blocks: int, limits: ArchiveLimits = NO_LIMITS) -> tuple[Segment, ...]:
+    """Write so many blocks of one run of two items. Returns all segments."""
+    segments: tuple[Segment, ...] = ()
+    for number in range(blocks):
+        segments = files.write([[ArchivedRun(number, run_at(first + 2 * number))]], limits)
+    return segments
+
+
+def seqs(files: SegmentFiles, segments: tuple[Segment, ...]) -> list[int]:
+    """The seqs of all items that a read finds."""
+    window = files.load(segments, ALL, decode, lambda: None)
+    return [part.first_seq + at for part in window.items.slices(FIRST_KEY, LAST_KEY) for at in range(part.items)]
+
+
+def opened(folder: Path) -> tuple[SegmentFiles, tuple[Segment, ...]]:
+    files = SegmentFiles(folder, {})
+    return files, files.open(2).segments
+
+
+def test_a_file_cut_at_any_byte_opens_with_the_blocks_before_the_cut_and_is_written_on(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path / "a")
+    write(files, 1, 3)
+    files.close(stopped_cleanly=False)
+    [path] = (tmp_path / "a").glob("*.segment")
+    raw = path.read_bytes()
+    for cut in range(0, len(raw), 7):
+        folder = tmp_path / f"cut-{cut}"
+        folder.mkdir()
+        (folder / path.name).write_bytes(raw[:cut])
+        files = SegmentFiles(folder, {})
+        found = files.open(2)
+        kept = [seq for one in found.segments for seq in range(one.first_seq, one.end_seq)]
+        assert kept == list(range(1, len(kept) + 1))
+        assert not found.stopped_cleanly
+        assert seqs(files, write(files, len(kept) + 1, 1)) == list(range(1, len(kept) + 3))
+        files.close(stopped_cleanly=False)
+
+
+def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files, _ = opened(tmp_path)
+    before = write(files, 1, 2)
+
+    def write_some(file: int, buffers: list[bytes]) -> int:
+        os.write(file, buffers[0][:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("stampede_rt_channel_host.archive.segment_files.os.writev", write_some)
+        with pytest.raises(OSError, match="No space left"):
+            write(files, 5, 1)
+    assert seqs(files, before) == [1, 2, 3, 4]
+    assert seqs(files, write(files, 5, 1)) == [1, 2, 3, 4, 5, 6]
+    files.close(stopped_cleanly=True)
+    files, segments = opened(tmp_path)
+    assert seqs(files, segments) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_flipped_bit_costs_its_block_only(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    segments = write(files, 1, 3)
+    [path] = tmp_path.glob("*.segment")
+    raw = bytearray(path.read_bytes())
+    raw[raw.index(b"3 ")] ^= 1
+    path.write_bytes(raw)
+    assert seqs(files, segments) == [1, 2, 5, 6]
+    assert files.damaged_blocks == 1
+    files.close(stopped_cleanly=False)
+    assert SegmentFiles(tmp_path, {}).open(2).damaged_blocks == 1
+
+
+def test_only_a_clean_stop_without_another_owner_since_counts_as_one(tmp_path: Path) -> None:
+    for epoch, expected in ((2, True), (3, False)):
+        files = SegmentFiles(tmp_path / str(epoch), {})
+        files.open(1)
+        write(files, 1, 1)
+        files.close(stopped_cleanly=True)
+        assert SegmentFiles(tmp_path / str(epoch), {}).open(epoch).stopped_cleanly is expected
+        assert SegmentFiles(tmp_path / str(epoch), {}).open(epoch).stopped_cleanly is False, "once only"
+
+
+def test_whole_segments_leave_an_archive_beyond_its_bytes_and_its_age(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path / "bytes")
+    for number in range(40):
+        run = run_at(1 + 2 * number, payload=b"x" * 2**17)
+        segments = files.write([[ArchivedRun(number, run)]], ArchiveLimits(None, 2**20))
+    assert sum(one.length for one in segments) <= 2**20 + 2**18
+    assert segments[-1].end_seq == 81
+    assert len([*(tmp_path / "bytes").glob("*.segment")]) == len(segments)
+    files, _ = opened(tmp_path / "age")
+    segments = write(files, 1, 100, ArchiveLimits(32, None))
+    assert 64 <= segments[0].last_accepted <= 68
+    assert segments[-1].end_seq == 201
+
+
+def test_seqs_that_were_never_archived_stand_in_the_file(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 9), [ArchivedRun(2, run_at(9))]], NO_LIMITS)
+    files.close(stopped_cleanly=False)
+    files, segments = opened(tmp_path)
+    assert (segments[0].items, segments[0].end_seq) == (4, 11)
+    assert seqs(files, segments) == [1, 2, 9, 10]
+
+
+def test_a_folder_belongs_to_one_host_and_one_process(tmp_path: Path) -> None:
+    first = ArchiveFolder(tmp_path / "a")
+    first.open(HOST)
+    with pytest.raises(SettingsError, match="another host process uses the folder"):
+        ArchiveFolder(tmp_path / "a").open(HOST)
+    first.close()
+    with pytest.raises(SettingsError, match="is the archive of host"):
+        ArchiveFolder(tmp_path / "a").open(OTHER)
+    again = ArchiveFolder(tmp_path / "a")
+    again.open(HOST)
+    again.close()
+
+
+def test_a_folder_that_cannot_be_made_is_named_with_its_reason(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SettingsError, match=r"file/a cannot be written \(Not a directory\)"):
+        ArchiveFolder(tmp_path / "file" / "a").open(HOST)
