@@ -7,7 +7,7 @@ from typing import Protocol
 
 from stampede_rt.errors import Overloaded, StampedeError
 
-HELD_SECONDS_MAX = 5.0  # so long changes wait; then their callers try again
+HELD_SECONDS_MAX = 5.0  # the longest wait of a change; then its caller tries again
 
 
 class HeldPuts(Protocol):

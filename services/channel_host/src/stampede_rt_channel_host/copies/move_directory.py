@@ -27,7 +27,8 @@ CALL_SECONDS_MAX = 4.0
 class MoveDirectory:
     """Asks the directory about owners, and has it change them.
 
-    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error with which the directory answers, or
+    Unavailable.
     """
 
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:

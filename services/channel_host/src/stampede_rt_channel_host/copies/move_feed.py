@@ -1,4 +1,4 @@
-"""The feed of a move, at the destination: what every copy gets, and then the end of all changes at the source."""
+"""The feed of a move, at the destination: the feed of every copy, and then the end of all changes at the source."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 
 class MoveFeed(CopyFeed):
-    """One stream from the owner of a channel to its next owner. `handoff` is done once everything has come."""
+    """One stream from the owner of a channel to its next owner.
+
+    `handoff` is done once this host has all items and facts.
+    """
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
         bytes_per_second: int = 0,
     ) -> None:  # fmt: skip
-        """As `CopyFeed`."""
+        """See `CopyFeed`."""
         super().__init__(store, record, state, host_id, target, bytes_per_second, owner_facts=True)
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
         self._step: dict[str, Any] = {}

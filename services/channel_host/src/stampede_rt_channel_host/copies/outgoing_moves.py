@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 MOVES_MAX = 8  # away from one host at a time
 RETRY_SECONDS = 0.2
-HEIR_SECONDS = 2.0  # a former owner asks so often whether it is still needed
+HEIR_SECONDS = 2.0  # the time between two questions of a former owner whether the directory still needs its items
 
 
 class OutgoingMoves:
@@ -48,11 +48,11 @@ class OutgoingMoves:
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def over(self) -> None:
-        """The feed of a move has ended."""
+        """Note that the feed of a move has ended."""
         self._under_way -= 1
 
     def start(self, work: Coroutine[Any, Any, None], name: str) -> None:
-        """Do `work` in the background, also if the stream of the move ends."""
+        """Do `work` in the background. It continues if the stream of the move ends."""
         task = asyncio.create_task(work, name=name)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -102,7 +102,7 @@ class OutgoingMove:
             self._end_soon()
 
     def committed(self, epoch: int) -> None:
-        """The destination is the owner: send all callers there. Idempotent."""
+        """Send all callers to the destination, because it is the owner now. Idempotent."""
         if self.is_committed or self._hosted.moving is not self._moving:
             return
         record = self._hosted.record
@@ -112,14 +112,14 @@ class OutgoingMove:
         self._moves.store.scheduler.begin(self._hosted.ending(error))
 
     def released(self) -> None:
-        """The directory needs the items here no more. Idempotent."""
+        """Note that the directory no longer needs the items of this host. Idempotent."""
         if self.is_committed and not self._is_released and self._hosted.moving is self._moving:
             self._is_released = True
             assert self._moving.elsewhere is not None, "it is committed"
             self._moves.store.forget(self._hosted.record.channel_id, self._moving.elsewhere)
 
     def feed_ended(self) -> None:
-        """The stream to the destination has ended. Unless the move is over, learn its outcome."""
+        """Note that the stream to the destination has ended. Unless the move is over, learn its outcome."""
         self._moves.over()
         if self._timer is not None:
             self._timer.cancel()

@@ -1,4 +1,4 @@
-"""Archives of channels: what their files hold, and reads over an archive and memory. Values in, values out. Pure.
+"""Archives of channels: the contents of their files, and reads over an archive and memory. Values in, values out. Pure.
 
 The shell, `stampede_rt_channel_host.archive`, has these duties:
 

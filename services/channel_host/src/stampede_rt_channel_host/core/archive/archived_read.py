@@ -85,8 +85,8 @@ class ArchivedRead:
         self._windows = self._of_memory = 0  # the windows read, and those of them that had no archived items
 
     def begin(self) -> Pieces[None]:
-        """First read memory, if it may have all that the read wants: always if the interval does not reach further
-        back, and downwards, because the latest items come first.
+        """Read memory first, if it may have all wanted items: if the interval does not reach further back, or if the
+        read goes downwards, because the latest items then come first.
         """
         archived, in_memory = self._held.newest_collected, self._held.newest is not None
         if self._within.is_empty or not reaches(self._held, self._within):
