@@ -58,6 +58,7 @@ from stampede_rt.errors import (
 )
 from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
+from stampede_rt.values.balancing import PlannedMove
 from stampede_rt.values.codecs import Codec, CodecLike
 from stampede_rt.values.grouping import (
     ByChannel,
@@ -174,6 +175,7 @@ __all__ = [
     "PeerWatch",
     "PendingMessage",
     "PermissionDenied",
+    "PlannedMove",
     "Policy",
     "Producer",
     "ProxyInfo",

@@ -52,6 +52,16 @@ def test_the_commands_drain_and_move(cluster: LocalCluster, capsys: pytest.Captu
             rt.drain("h9")
 
 
+def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = rt.channel(f"cam/{next(numbers)}", host="h1")
+        eventually(lambda: all(one.load is not None for one in rt.hosts()), "both hosts have reported their loads")
+        assert rt.rebalance(apply=True, over="1ms") == []
+        assert run(["rebalance", "--over", "1ms", "--url", cluster.address]) == 0
+        assert "differ by less" in capsys.readouterr().out
+        assert hosts_of(rt, [channel.name]) == {"h1"}
+
+
 def test_a_host_that_is_stopped_gives_its_channels_away_under_load(cluster: LocalCluster) -> None:
     words = ["--listen", "localhost:0", "--name", "leaving", "--frontend", cluster.address, "--drain-seconds", "20"]
     words += ["--secret-file", str(cluster.secret_file)]

@@ -114,13 +114,10 @@ def test_many_moves_in_a_row_lose_nothing_and_repeat_nothing(rt: Any, channel: A
         eventually(lambda: got.seqs and got.seqs[-1] == end, "the blocked gets have everything")
     got.stop()
     stream.close()
+    cuts.check()
     assert (stream.accepted, stream.rejections) == (MOVES, 0)
     assert got.seqs == [*range(got.seqs[0], end + 1)]
     assert channel.stats().accepted == end
-    eventually(lambda: cuts.cuts, "the stream of cuts goes on")
-    cuts.close()
-    assert cuts.error is None
-    assert cuts.cuts == sorted(set(cuts.cuts))
 
 
 class Following:
@@ -161,6 +158,10 @@ class Collecting:
         except st.StampedeError as error:
             self.error = error
 
-    def close(self) -> None:
+    def check(self) -> None:
+        """The stream goes on, and its cuts only rise. Ends it."""
+        eventually(lambda: self.cuts, "the stream of cuts goes on")
         self._subscription.close()
         self._thread.join(20)
+        assert self.error is None
+        assert self.cuts == sorted(set(self.cuts))

@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.reader import Reader
 from stampede_rt.errors import HostNotFound
-from stampede_rt.transports.concurrency_sync import monotonic_s
+from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.values.balancing import PlannedMove, plan_moves
+from stampede_rt.values.model import ChannelStats
 from stampede_rt.values.proxying import DrainInfo, MoveInfo
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
+ITEM_WORK_BYTES = 4096  # an item costs a host about as much as so many bytes
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
 
 
@@ -44,6 +49,36 @@ class Moves(Proxies):
             blackout_nanos=answer.blackout_nanos,
         )
 
+    def rebalance(self, *, apply: bool = False, over: DurationLike = "2s") -> list[PlannedMove]:
+        """Plan moves that even out the loads of the hosts. With `apply` also perform them, one after the other.
+
+        The plan uses the loads that the hosts last reported to the directory, and how much each channel does within
+        `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan first.
+        Hosts whose loads differ by less than a tenth of a core stay as they are. Raises the errors of `move`.
+        """
+        hosts = {one.name: one.load.busy_permille for one in self.hosts() if one.load is not None}
+        rates = self._rates(hosts, parse_duration(over, "over") / 1e9)
+        names = {one.channel_id: one.name for one in self.channels()}
+        groups = [[names[one] for one in group.channel_ids if one in names] for group in self.groups()]
+        planned = plan_moves(hosts, rates, groups)
+        for step in planned if apply else ():
+            self.move(step.channel, step.host)
+        return planned
+
+    def _rates(self, hosts: Collection[str], over_s: float) -> dict[str, dict[str, float]]:
+        """Return how much each channel does within `over_s`, by host and name."""
+        before = {host: self.hosted_channels(host) for host in hosts}
+        sleep(over_s)
+        owners = {one.name: one.host for one in self.channels()}  # a host also lists its copies of others
+        rates: dict[str, dict[str, float]] = {}
+        for host in hosts:
+            after = self.hosted_channels(host)
+            own = {name: stats for name, stats in after.items() if owners.get(name) == host}
+            rates[host] = {
+                name: _work(stats) - _work(before[host].get(name, stats)) + 1.0 for name, stats in own.items()
+            }
+        return rates
+
     def drain(self, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> DrainInfo:
         """Move all channels of a host to other hosts, while they are in use. For operators.
 
@@ -60,3 +95,8 @@ class Moves(Proxies):
         answer = endpoint.call(endpoint.moves.DrainHost, request, nanos / 1e9 + ANSWER_S)
         left = {one.name: one.reason for one in answer.left}
         return DrainInfo(host=host, moved=answer.moved, left=left, left_count=answer.left_count)
+
+
+def _work(stats: ChannelStats) -> float:
+    """How much a host has done for a channel: bytes in and out, and about as much again for each item."""
+    return stats.accepted_bytes + stats.delivered_bytes + ITEM_WORK_BYTES * stats.accepted

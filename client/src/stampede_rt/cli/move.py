@@ -1,4 +1,4 @@
-"""`stampede move`: gives a channel to another host, while it is in use."""
+"""`stampede move` and `stampede rebalance`: give channels to other hosts, while they are in use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb, connected
-from stampede_rt.cli.output import print_facts
+from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.values.proxying import MoveInfo
 from stampede_rt.values.timeline import format_duration
 
@@ -17,6 +17,10 @@ def add_verbs(subparsers: Any) -> None:
     move = add_verb(subparsers, "move", "move a channel to another host, while it is in use", run_move)
     move.add_argument("channel", help="the channel's name")
     move.add_argument("host", metavar="HOST", help="the host that becomes the owner")
+    text = "show moves that would even out the loads of the hosts; with --apply perform them"
+    rebalance = add_verb(subparsers, "rebalance", text, run_rebalance)
+    rebalance.add_argument("--apply", action="store_true", help="perform the moves, one after the other")
+    rebalance.add_argument("--over", default="2s", help="measure the work of the channels for so long; default: 2s")
 
 
 def run_move(arguments: argparse.Namespace) -> int:
@@ -24,6 +28,15 @@ def run_move(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         moved = rt.move(arguments.channel, arguments.host)
     print_facts(move_row(moved, arguments.output), arguments.output)
+    return 0
+
+
+def run_rebalance(arguments: argparse.Namespace) -> int:
+    """Plan moves, and perform them if asked."""
+    with connected(arguments) as rt:
+        planned = rt.rebalance(apply=arguments.apply, over=arguments.over)
+    none = "the loads of the hosts differ by less than a tenth of a core, or no channel would even them out"
+    print_rows([asdict(one) for one in planned], arguments.output, none=none)
     return 0
 
 

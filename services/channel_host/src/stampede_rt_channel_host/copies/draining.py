@@ -45,11 +45,7 @@ class Draining:
 
     async def run(self, seconds: float) -> Drained:
         """Move all channels away. Ends after `seconds`, with what has moved by then. Raises nothing."""
-        own = {
-            one.record.channel_id: one
-            for one in self._store.all()
-            if one.copy is None and not one.is_heir and one.epoch
-        }
+        own = self._own()
         left = {one.record.name: "the time was over" for one in own.values()}
         if own:
             try:
@@ -62,6 +58,11 @@ class Draining:
         drained = Drained(len(own) - len(left), left)
         self._tell(drained)
         return drained
+
+    def _own(self) -> dict[bytes, HostedChannel]:
+        """The channels that this host owns, by id."""
+        own = (one for one in self._store.all() if one.copy is None and not one.is_heir and one.epoch)
+        return {one.record.channel_id: one for one in own}
 
     def _tell(self, drained: Drained) -> None:
         if drained.left:

@@ -1,0 +1,86 @@
+"""Plans moves that even out the loads of hosts. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+DIFFERENCE_PERMILLE_MIN = 100
+"""Hosts whose loads differ by less stay as they are: a tenth of a core."""
+MOVES_MAX = 1000  # of one plan
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlannedMove:
+    """A move that would even out the loads of two hosts. `busy_permille`: what the channel takes of a core, about."""
+
+    channel: str
+    source: str
+    host: str
+    busy_permille: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Bunch:
+    names: Sequence[str]
+    host: str
+    busy: float
+
+
+def plan_moves(
+    busy: Mapping[str, int], rates: Mapping[str, Mapping[str, float]], groups: Iterable[Collection[str]]
+) -> list[PlannedMove]:
+    """Plan moves from the busiest hosts to the least busy ones, until their loads differ little.
+
+    `busy`: by host, the thousandths of a core that it uses, as it last reported. `rates`: by host and channel, how much
+    the channel does; a host's load counts for its channels in this proportion. `groups`: the channels of each group.
+    Channels of one group at one host move together.
+    """
+    shares = {
+        name: busy[host] * rate / (sum(channels.values()) or 1.0)
+        for host, channels in rates.items()
+        for name, rate in channels.items()
+    }
+    bunches = [
+        _Bunch(names, host, sum(shares[name] for name in names))
+        for host, channels in rates.items()
+        for names in _together(channels, groups)
+    ]
+    return _even_out({host: float(permille) for host, permille in busy.items()}, bunches, shares)
+
+
+def _even_out(load: dict[str, float], bunches: list[_Bunch], shares: Mapping[str, float]) -> list[PlannedMove]:
+    planned: list[PlannedMove] = []
+    while len(planned) < MOVES_MAX and len(load) > 1:
+        most, least = max(load, key=load.__getitem__), min(load, key=load.__getitem__)
+        best = _best(bunches, most, load[most] - load[least])
+        if best is None:
+            break
+        load[most] -= best.busy
+        load[least] += best.busy
+        bunches.remove(best)  # a channel moves once at most
+        planned += [
+            PlannedMove(channel=name, source=most, host=least, busy_permille=round(shares[name])) for name in best.names
+        ]
+    return planned
+
+
+def _best(bunches: Iterable[_Bunch], host: str, gap: float) -> _Bunch | None:
+    """The bunch of the host that comes nearest to half of the gap between two loads; None: none makes it smaller."""
+    if gap < DIFFERENCE_PERMILLE_MIN:
+        return None
+    fitting = (one for one in bunches if one.host == host and 0 < one.busy < gap)
+    return min(fitting, key=lambda one: abs(gap / 2 - one.busy), default=None)
+
+
+def _together(names: Collection[str], groups: Iterable[Collection[str]]) -> list[list[str]]:
+    """The names in bunches. Members of one group are in the same bunch."""
+    bunch_of = {name: [name] for name in names}
+    for members in groups:
+        present = [name for name in members if name in bunch_of]
+        for name in present[1:]:
+            first, other = bunch_of[present[0]], bunch_of[name]
+            if other is not first:
+                first += other
+                bunch_of.update(dict.fromkeys(other, first))
+    return [*{id(bunch): bunch for bunch in bunch_of.values()}.values()]
