@@ -19,6 +19,7 @@ from stampede_rt_bench.peers.zenoh import Zenoh
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.works.campaign import Results, compare
 from stampede_rt_bench.works.catalogue import READERS, Work, size, works
+from stampede_rt_bench.works.goals import table_of_goals
 from stampede_rt_bench.works.interface import System
 from stampede_rt_bench.works.report import Report
 
@@ -106,7 +107,7 @@ def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], argu
         done=done,
         say=lambda text: print(f"stampede bench: {text}", file=sys.stderr, flush=True),
     )
-    for _, table in report.readers(results):
+    for table in [table for _, table in report.readers(results)] + ([table_of_goals(results)] if report.ours else []):
         print(flush=True)
         table.print()
     print(f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts.")

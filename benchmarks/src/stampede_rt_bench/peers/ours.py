@@ -23,7 +23,7 @@ LOOK_SECONDS = 0.05
 class StampedeRt:
     """One channel of a separate host. `transport`: see `stampede_rt.connect`."""
 
-    name: str = "Stampede RT"
+    name: str = "Stampede RT, gRPC"
     transport: str = "grpc"
 
     @property

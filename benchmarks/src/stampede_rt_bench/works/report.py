@@ -12,6 +12,7 @@ from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.works.campaign import FIGURES, Results
 from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, Work, size
+from stampede_rt_bench.works.goals import table_of_goals
 
 LOST_SHARE_MAX = 0.01
 CHARTED = {
@@ -95,6 +96,7 @@ class Report:
     def markdown(self, results: Results) -> str:
         """Return the whole report as Markdown."""
         parts = [f"# {self.title}", f"`{self.command}`", self._conditions()]
+        parts += [table_of_goals(results).markdown()] if self.ours else []
         parts += [table.markdown() for _, table in self.tables]
         parts += [self.table(results, work).markdown() for work in results.runs]
         parts += [table.markdown() for _, table in self.readers(results)]
