@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +16,14 @@ from stampede_rt._sync import channel_recording
 from stampede_rt.files import writing
 from stampede_rt.files.editing import verify
 from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.reading import CLOCKS_NAME, FileReader
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.files.recordings import read
 from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2, supernodes=1)
+mortal = cluster_fixture(hosts=2, supernodes=1, scope="function")
 MS = 1_000_000
 
 
@@ -230,3 +233,63 @@ def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
     (counts,) = recorder.summary.channels
     assert counts.accepted == 30 == counts.recorded + counts.missing
     assert counts.gaps[-1].reason == "NOT_READ"
+
+
+def test_a_lost_host_ends_an_incarnation_with_a_gap_and_the_next_one_follows(
+    mortal: LocalCluster, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    with st.connect(mortal.address) as rt:
+        channel = rt.channel("cam/lost", max_age="60s")
+        with rt.record("cam/*", path) as recorder:
+            channel.put(b"before")
+            wait_until(lambda: recorder.recorded == 1)
+            next(host for host in mortal.hosts if channel.host in host.name or host.name in channel.host).kill()
+            channel.put(b"after 1")
+            channel.put(b"after 2")
+            wait_until(lambda: recorder.recorded == 3)
+    assert recorder.summary is not None
+    lost, anew = sorted(recorder.summary.channels, key=lambda one: one.start or 0)
+    assert (lost.recorded, [(gap.reason, gap.first_seq, gap.items) for gap in lost.gaps]) == (1, [("LOST", 2, None)])
+    assert (anew.recorded, anew.accepted, anew.complete) == (2, 2, True)
+    assert lost.incarnation != anew.incarnation
+    assert [item.payload for item in items_of(path, "cam/lost")] == [b"before", b"after 1", b"after 2"]
+    assert not verify(path).summary.complete
+
+
+def test_the_offsets_of_the_clocks_of_named_peers_are_in_the_file(cluster: LocalCluster, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with st.connect(cluster.address, name="camera-pi") as rt:
+        rt.channel("clocks")
+        with rt.record("clocks", path):
+            pass
+    with FileReader(path) as reader:
+        clocks = reader.metadata(CLOCKS_NAME)
+    assert clocks is not None
+    peer = json.loads(clocks["peers"])["camera-pi"]
+    assert peer["uncertainty_nanos"] >= 0
+    assert isinstance(peer["offset_nanos"], int)
+    assert json.loads(clocks["recorder_clock"])["uncertainty_nanos"] >= 0
+
+
+async def test_a_recording_of_many_small_items_leaves_the_event_loop_free(
+    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: set[int] = set()
+    held = writing.FileWriter.add
+
+    def noting(writer: writing.FileWriter, entries: object) -> None:
+        threads.add(threading.get_ident())
+        held(writer, entries)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(writing.FileWriter, "add", noting)
+    async with aio.connect(cluster.address) as rt:
+        channel = await rt.channel("aio/small", max_items=20_000)
+        async with rt.record("aio/small", tmp_path / "a.mcap") as recorder, channel.producer() as producer:
+            for _ in range(5_000):
+                await producer.put(b"x")
+        summary = await recorder.wait()
+    assert summary is not None
+    assert (summary.recorded, summary.complete) == (5_000, True)
+    assert threads
+    assert threading.get_ident() not in threads

@@ -187,3 +187,24 @@ def test_what_was_imported_is_recorded_and_comes_back_the_same(rt: st.Connection
     )
     assert first == second
     assert len(first) == 10
+
+
+def test_a_channel_that_is_deleted_during_a_replay_ends_it_with_an_error(rt: st.Connection, tmp_path: Path) -> None:
+    events = [item_entry(topic(), item(seq, time=START + seq * 20 * MS)) for seq in range(1, 200)]
+    player = rt.replay_file(write(tmp_path / "a.mcap", events), "deleted/", shift="now")
+    channel = rt.channel("deleted/cam", create=False)
+    wait_until(lambda: channel.stats().accepted > 2)
+    channel.delete()
+    with pytest.raises(st.StampedeError, match="deleted/cam"):
+        player.wait(30)
+    assert player.summary is None
+
+
+def test_an_item_that_no_channel_takes_is_counted_as_refused(rt: st.Connection, tmp_path: Path) -> None:
+    attributes = {f"key{number}": "x" * 1000 for number in range(1000)}
+    bad = item_entry(topic(), item(2))._replace(attributes=attributes)
+    path = write(tmp_path / "a.mcap", [item_entry(topic(), item(1)), bad, item_entry(topic(), item(3))])
+    summary = rt.import_file(path, "bad/").wait()
+    assert summary is not None
+    assert (summary.items, summary.refused, summary.complete) == ({"bad/cam": 2}, 1, False)
+    assert "bytes" in summary.first_refusal

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 import stampede_rt as st
+from stampede_rt.cli import record
+from stampede_rt.cli.commands import _parser
 from stampede_rt.cli.main import main
 from stampede_rt.files.entries import Topic, item_entry
 from stampede_rt.files.reading import FileReader
@@ -142,6 +144,26 @@ def _is_finished(path: Path) -> bool:
             return reader.index is not None
     except st.FileError:  # nothing is written yet
         return False
+
+
+def test_an_event_beyond_the_limit_is_named_and_the_status_is_3(
+    rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(record, "AT_ONCE_MAX", 1)
+    events, said = rt.channel("limit/events"), []
+    words = ["record", "limit/*", "--on", "limit/events", "--for", "1h", "-o", str(tmp_path / "a.mcap")]
+    recordings = record._EventRecordings(rt, _parser().parse_args(words))
+    thread = threading.Thread(target=lambda: said.append(recordings.run()))
+    thread.start()
+    wait_until(lambda: events.stats().subscriptions == 1)
+    events.put(b"1")
+    events.put(b"2")
+    wait_until(lambda: recordings._incomplete)
+    recordings._stop()
+    thread.join(30)
+    assert said == [3]
+    assert "event #2 has no file: 1 recordings are under way" in capsys.readouterr().err
+    assert _is_finished(tmp_path / "a-000001.mcap")
 
 
 def test_wrong_usage_says_what_to_write(run: Command, tmp_path: Path) -> None:

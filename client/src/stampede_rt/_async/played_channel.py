@@ -28,7 +28,7 @@ class PlayedChannel:
         self._channel = channel
         self._producer: Producer = channel.producer()
         self._gap: RecordingGap | None = None  # told with the next item
-        self.advances = self._refused_advances = 0
+        self.advances = self._refused_here = 0
         self.first_refusal = ""
 
     @classmethod
@@ -50,7 +50,7 @@ class PlayedChannel:
     @property
     def refused(self) -> int:
         """The number of refused items and advances."""
-        return self._producer.rejections + self._refused_advances
+        return self._producer.rejections + self._refused_here
 
     async def check(self, first: int, last: int, schedule: Schedule) -> None:
         """Raise InvalidArgument if the channel would refuse items between these times of the file."""
@@ -80,14 +80,17 @@ class PlayedChannel:
         if self._gap is not None:
             items = "?" if self._gap.items is None else self._gap.items
             attributes[GAP_ATTRIBUTE], self._gap = f"{items} items {self._gap.reason}", None
-        await self._producer.put(
-            entry.data,
-            time=time,
-            duration=entry.duration,
-            attributes=attributes,
-            content_type=entry.content_type or None,
-            timeout=PUT_TIMEOUT_S,
-        )
+        try:
+            await self._producer.put(
+                entry.data,
+                time=time,
+                duration=entry.duration,
+                attributes=attributes,
+                content_type=entry.content_type or None,
+                timeout=PUT_TIMEOUT_S,
+            )
+        except InvalidArgument as error:  # no channel takes it, such as an item of a hostile or very large size
+            self._note_refusal(error)
 
     def note_gap(self, gap: RecordingGap) -> None:
         """Tell with the next item that items before it are missing."""
@@ -104,16 +107,19 @@ class PlayedChannel:
         except StampedeError as error:
             if error.retryable:
                 raise
-            self._refused_advances += 1
-            self.first_refusal = self.first_refusal or error.message
+            self._note_refusal(error)
+
+    def _note_refusal(self, error: StampedeError) -> None:
+        self._refused_here += 1
+        self.first_refusal = self.first_refusal or error.message
 
     async def flush(self) -> None:
-        """Wait until the host has accepted or refused all items. Raises Unavailable."""
-        refused = self.refused
+        """Wait until the host has accepted or refused all items. Raises Unavailable, ChannelNotFound."""
+        noted = self._producer.rejected
         try:
             await self._producer.flush(PUT_TIMEOUT_S)
         except StampedeError as error:
-            if self.refused == refused and not self.first_refusal and error.retryable:
+            if self._producer.rejected is noted:  # no refusal of an item: the channel cannot be reached, or is gone
                 raise
             self.first_refusal = self.first_refusal or error.message
 

@@ -8,7 +8,8 @@ from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.reconnecting import Reconnecting
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
-from stampede_rt.pacing.crediting import SteadyWindow
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
@@ -93,8 +94,11 @@ class RecordingStream(Subscription):
 
     def _take_batch(self) -> RecordedBatch:
         batch, self._batch = self._batch, RecordedBatch()
-        while self._ready:
-            batch.items.append(self._take_ready())
+        batch.items = [*self._ready]
+        self._ready.clear()
+        if batch.items:
+            length_bytes = sum(item.payload_length_bytes for item in batch.items)
+            self._window.take(length_bytes + ITEM_OVERHEAD_BYTES * len(batch.items), monotonic_s())
         batch.read_to = self.read_to
         return batch
 

@@ -9,7 +9,8 @@ from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
-from stampede_rt.pacing.crediting import SteadyWindow
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
+from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
@@ -94,8 +95,11 @@ class RecordingStream(Subscription):
 
     def _take_batch(self) -> RecordedBatch:
         batch, self._batch = self._batch, RecordedBatch()
-        while self._ready:
-            batch.items.append(self._take_ready())
+        batch.items = [*self._ready]
+        self._ready.clear()
+        if batch.items:
+            length_bytes = sum(item.payload_length_bytes for item in batch.items)
+            self._window.take(length_bytes + ITEM_OVERHEAD_BYTES * len(batch.items), monotonic_s())
         batch.read_to = self.read_to
         return batch
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from stampede_rt.values.model import Item
-from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.recording import RecordingGap, incarnation_of, whole_number
 
 FACTS_TOPIC = "stampede/facts"
 FACTS_VERSION = 1
@@ -196,7 +196,7 @@ class ReadFacts:
         self.gaps += [RecordingGap.from_json(gap) for gap in value["gaps"]]
         self.advances += [_advance(one) for one in value["advances"]]
         for run in value["runs"]:
-            runs.setdefault((str(run["topic"]), int(run["incarnation"])), []).append(run)
+            runs.setdefault((str(run["topic"]), incarnation_of(run["incarnation"])), []).append(run)
 
     def of(self, topic: Topic, sequence: int) -> ItemFacts | None:
         """Return the facts of the next message of `topic`; None if there are none that fit its `sequence`."""
@@ -210,14 +210,19 @@ class ReadFacts:
 
 
 def _advance(value: Mapping[str, Any]) -> FileAdvance:
-    return FileAdvance(str(value["channel"]), int(value["incarnation"]), int(value["time"]), int(value["after_seq"]))
+    return FileAdvance(
+        str(value["channel"]),
+        incarnation_of(value["incarnation"]),
+        whole_number(value["time"]),
+        whole_number(value["after_seq"]),
+    )
 
 
 def _expanded(runs: Iterable[Mapping[str, Any]]) -> Iterator[ItemFacts]:
     """Yield the facts of each item. A damaged run ends them."""
     for run in runs:
         try:
-            count, first_seq = int(run["count"]), int(run["first_seq"])
+            count, first_seq = whole_number(run["count"]), whole_number(run["first_seq"])
             attributes = {str(key): str(value) for key, value in run["attributes"].items()}
             kind, durations, times = str(run["content_type"]), run.get("durations"), run.get("times")
         except (KeyError, TypeError, ValueError, AttributeError):
@@ -234,6 +239,6 @@ def _expanded(runs: Iterable[Mapping[str, Any]]) -> Iterator[ItemFacts]:
 def _at(column: Any, index: int, every: Any) -> int | None:
     """Return a number of a column; `every` if there is no column. Raises TypeError for anything else."""
     found = every if column is None else column[index]
-    if found is not None and type(found) is not int:
-        raise TypeError(f"{found!r} is no whole number")
+    if found is not None and (type(found) is not int or not -(2**63) <= found < 2**63):
+        raise TypeError(f"{str(found)[:40]!r} is no number of nanoseconds")
     return found

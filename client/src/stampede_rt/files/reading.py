@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,7 +35,7 @@ from stampede_rt.files.entries import (
     Topic,
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
-from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
+from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary, incarnation_of
 
 SUMMARY_NAME = "stampede.summary"  # of a metadata record
 CLOCKS_NAME = "stampede.clocks"
@@ -109,7 +110,8 @@ class FileReader:
         self._looked = False
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
-            self.library = str(self._records.record(first, Header).library)
+            with suppress(FileError):  # a damaged head: the rest may be whole
+                self.library = str(self._records.record(first, Header).library)
 
     def __enter__(self) -> FileReader:
         return self
@@ -280,7 +282,10 @@ def _message(body: bytes) -> Message:
 def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
     metadata = dict(channel.metadata)
     text = metadata.pop(INCARNATION_KEY, "")
-    incarnation = int(text) if text.isascii() and text.isdigit() and len(text) <= 20 else None
+    try:
+        incarnation = incarnation_of(text) if text else None
+    except ValueError:  # the topic of another program
+        incarnation = None
     schema = schemas.get(channel.schema_id) if channel.schema_id else None
     return Topic(channel.topic, channel.message_encoding, incarnation, schema, tuple(metadata.items()))
 

@@ -42,7 +42,7 @@ class RecordingGap:
         numbers = {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "items", "start", "end")}
         return cls(
             channel=str(value["channel"]),
-            incarnation=int(value["incarnation"]),
+            incarnation=incarnation_of(value["incarnation"]),
             reason=str(value["reason"]),
             detail=str(value.get("detail", "")),
             **numbers,
@@ -50,9 +50,21 @@ class RecordingGap:
 
 
 def _whole(value: Any) -> int | None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-        raise ValueError(f"{value!r} is no whole number")
+    return None if value is None else whole_number(value)
+
+
+def whole_number(value: Any) -> int:
+    """Return a whole number of JSON that fits into 64 bits. Raises ValueError for anything else."""
+    if type(value) is not int or not -(2**63) <= value < 2**64:
+        raise ValueError(f"{str(value)[:40]!r} is no whole number of 64 bits")
     return value
+
+
+def incarnation_of(value: Any) -> int:
+    """Return an incarnation, which is text in JSON. Raises ValueError for anything else."""
+    if not (isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20):
+        raise ValueError(f"{str(value)[:40]!r} is no incarnation")
+    return whole_number(int(value))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,7 +108,7 @@ class RecordedCounts:
         counts: dict[str, Any] = {name: _whole(value[name]) or 0 for name in _COUNTS}
         counts |= {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "start", "end", "advance")}
         gaps = tuple(RecordingGap.from_json(gap) for gap in value["gaps"][:GAPS_KEPT_MAX])
-        return cls(channel=str(value["channel"]), incarnation=int(value["incarnation"]), gaps=gaps, **counts)
+        return cls(channel=str(value["channel"]), incarnation=incarnation_of(value["incarnation"]), gaps=gaps, **counts)
 
 
 _COUNTS = ("accepted", "recorded", "missing", "gap_count", "payload_bytes")
