@@ -140,17 +140,20 @@ class Player(BackgroundStart, BoundToProcess):
         self._open(topics, schedule)
         self._holds.set()
         try:
-            while not self._stopped:
-                self._play_round(schedule)
-                self._rounds += not self._stopped
-                if not self._request.loop:
-                    break
-                schedule = self._plan(topics, time.time_ns())
-            self._flush()
+            self._play_rounds(topics, schedule)
         finally:
             for one in self._channels.values():
                 one.close()
         self.summary = self._summarize()
+
+    def _play_rounds(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
+        while not self._stopped:
+            self._play_round(schedule)
+            self._rounds += not self._stopped
+            if not self._request.loop:
+                break
+            schedule = self._plan(topics, time.time_ns())
+        self._flush()
 
     def _plan(self, topics: Sequence[SourceTopic], now: int) -> Schedule:
         start = max(self._request.start, min(one.start for one in topics))

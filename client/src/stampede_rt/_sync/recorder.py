@@ -66,6 +66,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._matched: set[str] = set()
         self._absent: list[str] = []
         self._watches: list[Watch] = []
+        self._ending = False
         self._stop = Signal()
         self._holds = Signal()  # is set once all present channels are recorded, or once the recording has ended
         self._ended = Signal()
@@ -191,8 +192,6 @@ class Recorder(BackgroundStart, BoundToProcess):
 
     def _stop_asked(self) -> bool:
         return not self.active or self._session.closed or self._ending
-
-    _ending = False
 
     def _record(self, glob: str, info: ChannelInfo, *, later: bool) -> None:
         self._matched.add(glob)

@@ -164,17 +164,8 @@ def _unseen(counts: _Counts, told: RecordedCounts) -> int:
 
 def _channel(key: Key, counts: _Counts) -> RecordedCounts:
     return RecordedCounts(
-        channel=key[0],
-        incarnation=key[1] or 0,
-        accepted=counts.recorded + counts.missing,
-        recorded=counts.recorded,
-        missing=counts.missing,
-        gaps=tuple(counts.gaps),
-        gap_count=counts.gap_count,
-        payload_bytes=counts.payload_bytes,
-        first_seq=counts.first_seq,
-        last_seq=counts.last_seq,
-        start=counts.start,
-        end=counts.end,
+        channel=key[0], incarnation=key[1] or 0, accepted=counts.recorded + counts.missing, recorded=counts.recorded,
+        missing=counts.missing, gaps=tuple(counts.gaps), gap_count=counts.gap_count, payload_bytes=counts.payload_bytes,
+        first_seq=counts.first_seq, last_seq=counts.last_seq, start=counts.start, end=counts.end,
         advance=counts.advance,
-    )
+    )  # fmt: skip

@@ -244,11 +244,14 @@ class FileReader:
             return None
         if footer.summary_crc and self._records.checksum(start, place.end - 4) != footer.summary_crc:
             return None
+        return self._index_between(start, place.offset)
+
+    def _index_between(self, start: int, end: int) -> FileIndex | None:
         index = FileIndex()
         for frame in self._records.frames(start):
             if isinstance(frame, Damage):
                 return None
-            if frame.offset >= place.offset:
+            if frame.offset >= end:
                 break
             self._add_to_index(index, frame)
         return index

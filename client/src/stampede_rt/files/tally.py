@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import GAPS_KEPT_MAX, NOT_READ, UNEXPLAINED, RecordedCounts, RecordingGap
@@ -101,27 +100,9 @@ class ChannelTally:
         live = self._end_seq - self._live_seq + 1
         held = self._recorded - self._live_recorded  # items of before the recording began
         return RecordedCounts(
-            channel=self.channel,
-            incarnation=self.incarnation,
+            channel=self.channel, incarnation=self.incarnation, recorded=self._recorded,
             accepted=live + held + max(0, self._told - self._live_missing()),
-            recorded=self._recorded,
-            missing=max(self._told, self._live_missing()),
-            gaps=tuple(self._gaps),
-            gap_count=self._gap_count,
-            payload_bytes=self._payload_bytes,
-            first_seq=self._first_seq,
-            last_seq=self._last_seq,
-            start=self._start,
-            end=self._end,
-            advance=self.advance,
-        )
-
-
-def merged(counts: RecordedCounts, gap: RecordingGap) -> RecordedCounts:
-    """Return the counts with one more gap."""
-    missing = gap.items or 0
-    gaps = (*counts.gaps, gap)[:GAPS_KEPT_MAX]
-    return replace(
-        counts, accepted=counts.accepted + missing, missing=counts.missing + missing, gaps=gaps,
-        gap_count=counts.gap_count + 1,
-    )  # fmt: skip
+            missing=max(self._told, self._live_missing()), gaps=tuple(self._gaps), gap_count=self._gap_count,
+            payload_bytes=self._payload_bytes, first_seq=self._first_seq, last_seq=self._last_seq, start=self._start,
+            end=self._end, advance=self.advance,
+        )  # fmt: skip
