@@ -22,7 +22,7 @@ STRANGE = [
     item(2**32 + 5, b"\x00\xff", duration=0, k="v", ü="\x1b[31m"),
     item(2**32 + 6, b"{}", duration=33 * MS, content_type="application/json"),
     item(2**32 + 7, b"late", time=START - 10 * MS, duration=None, content_type="image/jpeg"),
-    item(2**53 + 1, b"x" * 3_000_000),
+    item(2**53 + 1, b"x" * 3_000_000, time=START + 99 * MS),
 ]
 
 
