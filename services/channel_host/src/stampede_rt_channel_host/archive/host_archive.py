@@ -60,8 +60,9 @@ class HostArchive:
     def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         """There are items of this channel to write."""
         self._due[recorder] = on_written
-        if self._task is None:
+        if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._write_on(), name="archive")
+            self._task.add_done_callback(_log_defect)
         self._news.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
@@ -152,6 +153,16 @@ class HostArchive:
 
 def _close(files: SegmentFiles, whole: bool) -> None:
     files.close(stopped_cleanly=whole)
+
+
+def _log_defect(task: asyncio.Task[None]) -> None:
+    """The writing has ended with a defect: items stay in memory, as when the disk is full."""
+    if not task.cancelled() and (failure := task.exception()) is not None:
+        logger.error(
+            "a task of the host ended with a defect",
+            exc_info=failure,
+            extra={"event": "task_defect", "task": task.get_name()},
+        )
 
 
 def _rest() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
@@ -34,6 +33,8 @@ class ChannelRecorder:
     def __init__(self, channel: ChannelCore, files: SegmentFiles, segments: tuple[Segment, ...]) -> None:
         self.files = files
         self.segments = segments
+        self.span: ArchiveSpan = span_of(segments)
+        """The times between which the archive has items."""
         self.unarchived = 0
         self.limits = ArchiveLimits(None, None)
         self._channel = channel
@@ -97,18 +98,13 @@ class ChannelRecorder:
 
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
-        self.segments = segments
+        self.segments, self.span = segments, span_of(segments)
         self.unarchived += sum(one.end_seq - one.first_seq for one in job.parts if isinstance(one, SeqGap))
         self.archived_to = job.end_seq
         done = bisect_right(self._ends, job.end_seq)
         del self._ends[:done]
         del self._instants[:done]
         self._channel.record(job.end_seq)
-
-    @property
-    def span(self) -> ArchiveSpan:
-        """The times between which the archive has items."""
-        return span_of(self.segments)
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
@@ -117,6 +113,3 @@ def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
     highs = [one.high[0] for one in segments if one.high is not None]
     is_cut = bool(segments) and segments[0].first_seq > 1
     return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
-
-
-Touch = Callable[["ChannelRecorder"], None]
