@@ -70,7 +70,7 @@ async def _fill(host: ChannelHost, channels: int) -> None:
             channel_id=secrets.token_bytes(16), name=f"robots/{number % 1000}/sensors/{number}", epoch=1,
             host_id=host.identity.host_id, incarnation=secrets.randbits(63), spec=spec, created_by="robot",
         )  # fmt: skip
-        hosted = host.store._adopt(recorded_channel(record))
+        hosted = host.store.adopt(recorded_channel(record))
         run = IncomingRun(encode_run([PAYLOAD], times=None), producer_id=0, first_number=0, wait_nanos=None)
         hosted.puts.put(run, host.store.now())
         if number % CHANNELS_PER_TURN == 0:

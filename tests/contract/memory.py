@@ -11,9 +11,10 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt.v1 import item_pb2
-from stampede_rt.values.model import ConsumerStats, Policy
+from stampede_rt.values.model import Policy
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import parse_policy
+from stampede_rt.values.statistics import ConsumerStats
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,

@@ -151,6 +151,16 @@ class QueueFull(Full):
     reason = "QUEUE_FULL"
 
 
+class NotReplicated(StampedeError):
+    """The channel has accepted the item, but too few replicas had it in time.
+
+    Readers see the item once it is replicated. If the host is lost before that, the item may be lost. If the program
+    puts the item again, readers may get it twice. `metadata["seq"]` is its seq.
+    """
+
+    reason = "NOT_REPLICATED"
+
+
 class TooOld(StampedeError):
     """The item's time is too early for the channel: before the frontier or an advance, or older than `max_age`."""
 
@@ -272,7 +282,7 @@ _BY_REASON: dict[str, type[StampedeError]] = {
     for cls in (
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
         GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
-        ChannelFull, QueueFull, TooOld, InFuture, IncarnationLost, LeaseExpired, StaleRegistration,
+        ChannelFull, QueueFull, NotReplicated, TooOld, InFuture, IncarnationLost, LeaseExpired, StaleRegistration,
         PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch,
         WatchRestart, WrongCluster,
     )

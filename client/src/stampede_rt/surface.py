@@ -41,6 +41,7 @@ from stampede_rt.errors import (
     InvalidName,
     ItemTooLarge,
     LeaseExpired,
+    NotReplicated,
     Overloaded,
     PeerExists,
     PeerNotFound,
@@ -71,10 +72,9 @@ from stampede_rt.values.grouping import (
     NewestItems,
 )
 from stampede_rt.values.model import (
+    Ack,
     Change,
     ChannelInfo,
-    ChannelStats,
-    ConsumerStats,
     HostInfo,
     Item,
     Items,
@@ -89,6 +89,7 @@ from stampede_rt.values.proxying import CopyStats, DrainInfo, MoveInfo, ProxyInf
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
+from stampede_rt.values.statistics import ChannelStats, ConsumerStats
 from stampede_rt.values.timeline import (
     NEWEST,
     NOW,
@@ -108,6 +109,7 @@ __all__ = [
     "NEWEST",
     "NOW",
     "OLDEST",
+    "Ack",
     "Bound",
     "BoundLike",
     "Bounds",
@@ -166,6 +168,7 @@ __all__ = [
     "Message",
     "MoveInfo",
     "NewestItems",
+    "NotReplicated",
     "OnFull",
     "Overloaded",
     "PeerChange",

@@ -64,7 +64,7 @@ async def touched(rig: Rig, channels: int) -> tuple[str, Work]:
 def adopt(rig: Rig, channels: int) -> None:
     """Serve channels and queues without asking the directory."""
     for number in range(channels):
-        rig.host.store._adopt(channel(number))
+        rig.host.store.adopt(channel(number))
         rig.host.queues._adopt(queue(number))
 
 

@@ -199,7 +199,7 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
     response = await call.read()
     assert [ack.first_number for ack in response.acks] == [1]
     await channel.until(lambda status: status.waiting_puts == 1)
-    await rig.host.store.configure(
+    await rig.host.changes.configure(
         channel.channel_id,
         channel.epoch,
         policy_change(channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=2))),
@@ -309,7 +309,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
     """The channel gets another limit, and whatever waits has come in."""
     request = blocking(600 * S)
     request.retention.max_items = 9
-    await rig.host.store.configure(
+    await rig.host.changes.configure(
         channel.channel_id, channel.epoch, policy_change(request), b"0123456789abcdef", time.monotonic()
     )
 
@@ -320,7 +320,7 @@ async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_
     waiting = rig.channels.Put()
     await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))
     await channel.until(lambda status: status.waiting_puts == 1)
-    await rig.host.store.drop(channel.channel_id, channel.epoch, b"0123456789abcdef", time.monotonic())
+    await rig.host.changes.drop(channel.channel_id, channel.epoch, b"0123456789abcdef", time.monotonic())
     (ack,) = (await waiting.read()).acks
     assert (ack.HasField("error"), ack.first_seq) == (False, 1)
     assert [one.error.reason for one in ack.rejections] == [error_pb2.ERROR_REASON_CHANNEL_NOT_FOUND]

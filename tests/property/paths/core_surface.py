@@ -9,8 +9,9 @@ from unittest import mock
 
 import stampede_rt as st
 from stampede_rt.errors import ChannelNotFound, error_for
-from stampede_rt.values.model import ConsumerStats, Policy
+from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import parse_policy
+from stampede_rt.values.statistics import ConsumerStats
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,

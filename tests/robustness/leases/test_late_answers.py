@@ -12,6 +12,7 @@ import pytest
 
 from stampede_rt.errors import StaleBinding
 from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -74,9 +75,10 @@ async def test_an_answer_from_before_a_registration_is_not_served() -> None:
 async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring_the_channel_back() -> None:
     directory = SlowDirectory()
     store = store_over(directory)
+    changes = ChannelChanges(store, directory)  # type: ignore[arg-type]
     await answered(directory, lambda: store.bind(CHANNEL, 1), record(ME, 1))
     change = asyncio.create_task(
-        store.configure(CHANNEL, 1, policy_change(channel_pb2.ChannelSpec()), b"r" * 16, time.monotonic())
+        changes.configure(CHANNEL, 1, policy_change(channel_pb2.ChannelSpec()), b"r" * 16, time.monotonic())
     )
     late = await directory.questions.get()
     run_to_end(store.registering([], is_complete=True))

@@ -15,7 +15,8 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
-from stampede_rt_channel_host.channels import store as channel_store
+from stampede_rt_channel_host.channels import channel_table
+from stampede_rt_channel_host.channels.channel_table import CHANNELS_COMPARED_PER_PIECE
 from stampede_rt_channel_host.channels.gets.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
@@ -23,7 +24,7 @@ from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE
-from stampede_rt_channel_host.channels.store import CHANNELS_COMPARED_PER_PIECE, CHANNELS_ENDED_PER_PIECE, ChannelStore
+from stampede_rt_channel_host.channels.store import CHANNELS_ENDED_PER_PIECE, ChannelStore
 from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
@@ -84,7 +85,7 @@ async def test_a_listing_looks_at_a_bounded_number_of_channels_in_one_piece(rig:
         record = channel_pb2.ChannelRecord(
             channel_id=number.to_bytes(16, "big"), name=name, incarnation=1, epoch=1, host_id=HOST_ID, spec=spec
         )
-        store._adopt(recorded_channel(record))
+        store.adopt(recorded_channel(record))
     every = page_of(store, lambda name: True, "", 10 * STATUSES_PER_PIECE)
     assert sum(1 for _ in every) == 11  # one for each 32 of 320, and one for the names of the first 256
     none = page_of(store, lambda name: False, "", 10)
@@ -193,7 +194,7 @@ def adopt(store: ChannelStore, channels: int) -> list[RecordedChannel]:
         for number in range(channels)
     ]
     for record in records:
-        store._adopt(record)
+        store.adopt(record)
     return records
 
 
@@ -205,7 +206,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     for at, _ in enumerate(store.registering(records[:10], is_complete=True)):
         left.append(len(store.all()))
         if at == 0:
-            store._adopt(recorded_channel(late))  # which the directory told of since
+            store.adopt(recorded_channel(late))  # which the directory told of since
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_COMPARED_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
     assert len(store.scheduler._begun) <= 8
@@ -247,7 +248,7 @@ async def test_refused_subscriptions_and_binds_are_counted_and_other_errors_are_
     monkeypatch.setattr(subscription, "SUBSCRIPTIONS_MAX", 0)
     with pytest.raises(grpc.aio.AioRpcError, match="the limit"):
         await channel.subscribe().read()
-    monkeypatch.setattr(channel_store, "CHANNELS_MAX", 1)
+    monkeypatch.setattr(channel_table, "CHANNELS_MAX", 1)
     with pytest.raises(grpc.aio.AioRpcError, match="the limit"):
         await rig.open("b")
     assert await refused_calls() == (2, True)

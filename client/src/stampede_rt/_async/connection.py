@@ -35,7 +35,7 @@ from stampede_rt.values.grouping import (
     parse_members,
     parse_reference,
 )
-from stampede_rt.values.model import OnFull
+from stampede_rt.values.model import Ack, OnFull
 from stampede_rt.values.peering import ClockOffset, PeerInfo
 from stampede_rt.values.policy import parse_name, parse_policy
 from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
@@ -120,6 +120,9 @@ class Connection(Files, Reference):
         overlap: DurationLike | None = None,
         archive: DurationLike | None = None,
         archive_bytes: int | str | None = None,
+        replicas: int | None = None,
+        ack: Ack | None = None,
+        min_replicas: int | None = None,
         content_type: str | None = None,
         codec: CodecLike | None = None,
         host: str | None = None,
@@ -135,10 +138,12 @@ class Connection(Files, Reference):
         `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
         do not end its span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the
         channel: its host keeps the items on disk for that time, and up to that size. Reads of the channel find them
-        there. The host needs the option --archive. `host` names the host of a new channel. If the channel exists at
-        another live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call
-        raises ChannelNotFound.
-        Blocks for at most 10 s.
+        there. The host needs the option --archive. `replicas`, 4 at most, is the number of copies at other hosts that
+        can take over without a loss if the host is lost. With `ack="replica"`, which they need, a put is acknowledged
+        only when all replicas in sync have the item, and at least `min_replicas` (default 1) of them; readers see it
+        only then. `host` names the host of a new channel. If the channel exists at another live host, the call raises
+        ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound. Blocks for
+        at most 10 s.
 
         `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
         host is full or more than 95 % busy. Open the channels of a group beside each other, so that their hosts need
@@ -160,6 +165,9 @@ class Connection(Files, Reference):
             overlap=overlap,
             archive=archive,
             archive_bytes=archive_bytes,
+            replicas=replicas,
+            ack=ack,
+            min_replicas=min_replicas,
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)

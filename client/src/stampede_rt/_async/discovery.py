@@ -14,10 +14,11 @@ from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.values.grouping import GroupInfo
-from stampede_rt.values.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
+from stampede_rt.values.model import ChannelInfo, HostInfo, SupernodeInfo
 from stampede_rt.values.peering import PeerInfo
 from stampede_rt.values.policy import parse_name
 from stampede_rt.values.queueing import QueueInfo
+from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.groups import group_info
 from stampede_rt.wire.peers import peer_info

@@ -12,13 +12,13 @@ from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import Full
+from stampede_rt.errors import Full, NotReplicated
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import PutExchange, ServerEndpoint
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.codecs import Coding
-from stampede_rt.values.model import Item
+from stampede_rt.values.model import Item, PutItem
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import content_type_of
 from stampede_rt.values.queueing import Enqueued, parse_message_id
@@ -65,9 +65,10 @@ class Puts:
         If the host says that the channel is full, another program has changed the policy. This put is then repeated
         with its wait, and the handle uses streams of its own from then on.
         """
+        number = numbers.next()
         if not (may_fill or self._has_been_full or PutExchange.one_at_a_time):
             try:
-                return await self._put(numbers, item, Wait(0.0), shares=True)
+                return await self._put(numbers.producer_id, number, item, Wait(0.0), shares=True)
             except Full:
                 self._has_been_full = True
                 if wait.seconds == 0:
@@ -78,7 +79,10 @@ class Puts:
             left = wait.after(asked_s - began_s)
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
-                return await self._put(numbers, item, part, shares=PutExchange.one_at_a_time)
+                return await self._put(numbers.producer_id, number, item, part, shares=PutExchange.one_at_a_time)
+            except NotReplicated:  # the host recognises the repetition
+                if part is left:
+                    raise
             except Full:
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
@@ -86,14 +90,16 @@ class Puts:
                     raise
             renew_s = RENEW_S
 
-    async def _put(self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, *, shares: bool) -> channel_pb.PutAck:
+    async def _put(
+        self, producer_id: int, number: int, item: SingleItem, wait: Wait, *, shares: bool
+    ) -> channel_pb.PutAck:
         """Put over a stream of this handle; with `shares` over a stream that all handles use."""
         seconds = wait.seconds or 0.0
-        number, ends_s = numbers.next(), monotonic_s() + seconds
+        ends_s = monotonic_s() + seconds
 
         async def put_at(binding: Binding, timeout_s: float) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
-            head = put_head(binding.subject_id, binding.epoch, numbers.producer_id)
+            head = put_head(binding.subject_id, binding.epoch, producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
             owner = (self._open_stream, binding.target) if shares else self._handle_id
             blocks_until_s = 0.0 if shares else ends_s  # on a shared stream no put makes another one wait for room
@@ -170,7 +176,9 @@ class SingleItem:
             len(self.payload),
             ack.incarnation,
         )
-        return state.coding.item(fields) if state.coding else Item._make(fields)
+        item: PutItem = state.coding.item(fields) if state.coding else PutItem._make(fields)
+        item.acknowledged_copies = ack.copies or 1  # without replicas the host leaves it out
+        return item
 
     def run_parts(self) -> list[bytes]:
         """Return the encoded run that contains only this item."""

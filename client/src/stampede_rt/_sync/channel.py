@@ -24,9 +24,10 @@ from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.transports.ring_mapping import boottime_nanos
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
-from stampede_rt.values.model import ChannelStats, Item, OnFull, Policy
+from stampede_rt.values.model import Ack, Item, OnFull, Policy
 from stampede_rt.values.policy import parse_policy
 from stampede_rt.values.reading import RENEW_S, Wait
+from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
@@ -63,15 +64,16 @@ class Channel(Reader):
         `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host stamps the
         item with the time at which it accepts the item. `duration` is text such as "33ms", a timedelta, or int
         nanoseconds. `timeout` in seconds is the longest wait for room on a full channel with on_full="block"; None
-        waits without a limit. The client tries again after a broken connection, and the host never stores an item
-        twice. Puts that are under way at the same time may arrive in any order. If their order matters, wait for the
-        end of each put before you begin the next one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError;
-        Unavailable if the host cannot be reached.
+        waits without a limit. With ack="replica" it is also the longest wait for the replicas. The client tries again
+        after a broken connection, and the host never stores an item twice. Puts that are under way at the same time may
+        arrive in any order. If their order matters, wait for the end of each put before you begin the next one. Raises
+        TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; NotReplicated if the replicas did not have the item in
+        time, though the channel has accepted it; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
         on_full = self.info.policy.on_full
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
-        may_fill = on_full in ("block", "reject")
+        may_fill = on_full in ("block", "reject") or self.info.policy.ack == "replica"
         with span("put", channel=self.name):
             ack = self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, ack)
@@ -171,13 +173,17 @@ class Channel(Reader):
         max_age_unconsumed: DurationLike | None = None,
         archive: DurationLike | None = None,
         archive_bytes: int | str | None = None,
+        replicas: int | None = None,
+        ack: Ack | None = None,
+        min_replicas: int | None = None,
     ) -> Policy:
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
         keep all held items. With fewer, the channel removes the places whose leases end first. `archive` and
-        `archive_bytes` record the channel from now on, or change the limits of its archive. Blocks for at most 10 s.
-        Raises InvalidArgument, ChannelNotFound, Unavailable.
+        `archive_bytes` record the channel from now on, or change the limits of its archive. To give a channel replicas,
+        state `replicas` and `ack="replica"` together; to take them away, `replicas=0` and `ack="host"`. Blocks for at
+        most 10 s. Raises InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
             max_age=max_age,
@@ -189,8 +195,14 @@ class Channel(Reader):
             max_age_unconsumed=max_age_unconsumed,
             archive=archive,
             archive_bytes=archive_bytes,
+            replicas=replicas,
+            ack=ack,
+            min_replicas=min_replicas,
         )
+        return self._set_policy(policy)
 
+    def _set_policy(self, policy: Policy) -> Policy:
+        """Change the stated settings of the policy, and return the whole policy."""
         identity, since_s = request_id(), age_clock_s()
 
         def configure_at(binding: Binding, timeout_s: float) -> Policy:

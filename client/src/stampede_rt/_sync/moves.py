@@ -11,8 +11,8 @@ from stampede_rt.errors import HostNotFound
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
-from stampede_rt.values.model import ChannelStats
 from stampede_rt.values.proxying import DrainInfo, MoveInfo
+from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.escaping import TerminalParser
-from stampede_rt.values.policy import ON_FULL
+from stampede_rt.values.policy import ACKS, ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_duration, parse_instant
 
 if TYPE_CHECKING:
@@ -174,6 +174,11 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most so much on disk, such as "200GiB"')
     parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
+    parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
+    parser.add_argument("--ack", choices=ACKS, help="when a put is acknowledged")
+    parser.add_argument(
+        "--min-replicas", type=int, metavar="N", help="with --ack replica, acknowledge no put with fewer in sync"
+    )
     parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')
 
 
@@ -189,6 +194,9 @@ def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
         "archive",
         "archive_bytes",
         "on_full",
+        "replicas",
+        "ack",
+        "min_replicas",
         "content_type",
     )
     return {name: getattr(arguments, name) for name in names}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from stampede_rt.values.model import ChannelStats
+from stampede_rt.values.statistics import ChannelStats
 
 Look = Mapping[str, tuple[str, ChannelStats]]
 """By the name of each channel: its host, and its counters."""

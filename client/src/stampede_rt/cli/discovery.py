@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
-from stampede_rt.values.model import ChannelInfo, ChannelStats
+from stampede_rt.values.model import ChannelInfo
 from stampede_rt.values.proxying import ProxyInfo
+from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         stats = channel.stats()
         info = channel.info
         proxies = rt.proxies(channel) if stats.copies else []
+        replicas = _replicas(rt, stats) if stats.policy.replicas else []
     people = arguments.output == "table"
     instant = format_instant if people else (lambda value: value)
     facts: dict[str, Any] = {
@@ -92,6 +94,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "waiting_puts": stats.waiting_puts,
         "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
         "transport": stats.transport,
+        "replicas": _replicas_text(stats, replicas) if people else replicas,
         "proxies": _proxies(proxies) if people else [asdict(one) for one in proxies],
     }
     print_facts(facts, arguments.output)
@@ -110,6 +113,29 @@ def _consumers(stats: ChannelStats) -> str:
     held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]
     of = "" if stats.policy.consumers is None else f" of {stats.policy.consumers}"
     return f"{len(stats.consumers)}{of} taken" + (f" ({', '.join(held)})" if held else "")
+
+
+def _replicas(rt: Connection, stats: ChannelStats) -> list[dict[str, Any]]:
+    """Return the replicas of a channel, those in sync first."""
+    names = {one.host_id: one.name for one in rt.hosts()}
+    replicas = [
+        {"host": names.get(one.host_id, one.host_id.hex()), "in_sync": one.in_sync, "waiting": one.waiting}
+        for one in stats.copies
+        if one.replica
+    ]
+    return sorted(replicas, key=lambda one: (not one["in_sync"], one["host"]))
+
+
+def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
+    if not stats.policy.replicas:
+        return "none"
+    shown = [
+        f"{one['host']} ({'in sync' if one['in_sync'] else 'out of sync'}, {one['waiting']} items behind)"
+        for one in replicas
+    ]
+    in_sync = sum(one["in_sync"] for one in replicas)
+    lacking = f", {stats.not_replicated} items not replicated in time" if stats.not_replicated else ""
+    return f"{in_sync} of {stats.policy.replicas} in sync" + (f": {', '.join(shown)}" if shown else "") + lacking
 
 
 def _proxies(proxies: list[ProxyInfo]) -> str:

@@ -137,6 +137,9 @@ def policy_text(policy: Policy) -> str:
         parts.append("archive " + ("for ever" if forever else format_duration(policy.archive_nanos)))
     if policy.archive_bytes is not None:
         parts.append(f"archive {bytes_text(policy.archive_bytes)}")
+    if policy.replicas:
+        least = "" if policy.min_replicas is None else f", at least {policy.min_replicas}"
+        parts.append(f"{policy.replicas} replica{'s' if policy.replicas > 1 else ''} (ack {policy.ack}{least})")
     return ", ".join(parts)
 
 

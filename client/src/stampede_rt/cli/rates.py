@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing, parse_count
 from stampede_rt.cli.output import bytes_text
-from stampede_rt.values.model import ChannelStats
+from stampede_rt.values.statistics import ChannelStats
 
 if TYPE_CHECKING:
     from stampede_rt import Channel

@@ -13,10 +13,19 @@ class OnFull(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ON_FULL_DROP_OLDEST: _ClassVar[OnFull]
     ON_FULL_BLOCK: _ClassVar[OnFull]
     ON_FULL_REJECT: _ClassVar[OnFull]
+
+class Ack(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ACK_UNSPECIFIED: _ClassVar[Ack]
+    ACK_HOST: _ClassVar[Ack]
+    ACK_REPLICA: _ClassVar[Ack]
 ON_FULL_UNSPECIFIED: OnFull
 ON_FULL_DROP_OLDEST: OnFull
 ON_FULL_BLOCK: OnFull
 ON_FULL_REJECT: OnFull
+ACK_UNSPECIFIED: Ack
+ACK_HOST: Ack
+ACK_REPLICA: Ack
 
 class RetentionPolicy(_message.Message):
     __slots__ = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
@@ -33,13 +42,16 @@ class RetentionPolicy(_message.Message):
     def __init__(self, max_age_nanos: _Optional[int] = ..., max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., consumers: _Optional[int] = ..., max_age_unconsumed_nanos: _Optional[int] = ...) -> None: ...
 
 class ChannelSpec(_message.Message):
-    __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "archive_nanos", "archive_bytes")
+    __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "replicas", "ack", "min_replicas", "archive_nanos", "archive_bytes")
     RETENTION_FIELD_NUMBER: _ClassVar[int]
     ON_FULL_FIELD_NUMBER: _ClassVar[int]
     MAX_FUTURE_NANOS_FIELD_NUMBER: _ClassVar[int]
     CONTENT_TYPE_FIELD_NUMBER: _ClassVar[int]
     MAX_ITEM_BYTES_FIELD_NUMBER: _ClassVar[int]
     OVERLAP_NANOS_FIELD_NUMBER: _ClassVar[int]
+    REPLICAS_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
+    MIN_REPLICAS_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_NANOS_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_BYTES_FIELD_NUMBER: _ClassVar[int]
     retention: RetentionPolicy
@@ -48,9 +60,12 @@ class ChannelSpec(_message.Message):
     content_type: str
     max_item_bytes: int
     overlap_nanos: int
+    replicas: int
+    ack: Ack
+    min_replicas: int
     archive_nanos: int
     archive_bytes: int
-    def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ..., archive_nanos: _Optional[int] = ..., archive_bytes: _Optional[int] = ...) -> None: ...
+    def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ..., replicas: _Optional[int] = ..., ack: _Optional[_Union[Ack, str]] = ..., min_replicas: _Optional[int] = ..., archive_nanos: _Optional[int] = ..., archive_bytes: _Optional[int] = ...) -> None: ...
 
 class ChannelRecord(_message.Message):
     __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids", "created_by")
@@ -75,7 +90,7 @@ class ChannelRecord(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class ChannelCounters(_message.Message):
-    __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed", "rejected_overloaded")
+    __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed", "rejected_overloaded", "not_replicated")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
     COLLECTED_BY_AGE_FIELD_NUMBER: _ClassVar[int]
@@ -91,6 +106,7 @@ class ChannelCounters(_message.Message):
     DELIVERED_BYTES_FIELD_NUMBER: _ClassVar[int]
     REJECTED_MALFORMED_FIELD_NUMBER: _ClassVar[int]
     REJECTED_OVERLOADED_FIELD_NUMBER: _ClassVar[int]
+    NOT_REPLICATED_FIELD_NUMBER: _ClassVar[int]
     accepted: int
     held: int
     collected_by_age: int
@@ -106,10 +122,11 @@ class ChannelCounters(_message.Message):
     delivered_bytes: int
     rejected_malformed: int
     rejected_overloaded: int
-    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ...) -> None: ...
+    not_replicated: int
+    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ..., not_replicated: _Optional[int] = ...) -> None: ...
 
 class ChannelStatus(_message.Message):
-    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers", "copy", "fed_copies")
+    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers", "copy", "fed_copies", "replicated_next_seq")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     NEWEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
@@ -123,6 +140,7 @@ class ChannelStatus(_message.Message):
     CONSUMERS_FIELD_NUMBER: _ClassVar[int]
     COPY_FIELD_NUMBER: _ClassVar[int]
     FED_COPIES_FIELD_NUMBER: _ClassVar[int]
+    REPLICATED_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     record: ChannelRecord
     counters: ChannelCounters
     newest_unix_nano: int
@@ -136,7 +154,8 @@ class ChannelStatus(_message.Message):
     consumers: _containers.RepeatedCompositeFieldContainer[ConsumerStatus]
     copy: CopyStatus
     fed_copies: _containers.RepeatedCompositeFieldContainer[FedCopyStatus]
-    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ..., copy: _Optional[_Union[CopyStatus, _Mapping]] = ..., fed_copies: _Optional[_Iterable[_Union[FedCopyStatus, _Mapping]]] = ...) -> None: ...
+    replicated_next_seq: int
+    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ..., copy: _Optional[_Union[CopyStatus, _Mapping]] = ..., fed_copies: _Optional[_Iterable[_Union[FedCopyStatus, _Mapping]]] = ..., replicated_next_seq: _Optional[int] = ...) -> None: ...
 
 class CopyStatus(_message.Message):
     __slots__ = ("source_host_id", "staleness_nanos", "source_next_seq", "missed", "ready", "reconnects")
@@ -155,18 +174,22 @@ class CopyStatus(_message.Message):
     def __init__(self, source_host_id: _Optional[bytes] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., missed: _Optional[int] = ..., ready: bool = ..., reconnects: _Optional[int] = ...) -> None: ...
 
 class FedCopyStatus(_message.Message):
-    __slots__ = ("host_id", "waiting", "subscriptions", "heard_ago_nanos", "ready")
+    __slots__ = ("host_id", "waiting", "subscriptions", "heard_ago_nanos", "ready", "in_sync", "replica")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     WAITING_FIELD_NUMBER: _ClassVar[int]
     SUBSCRIPTIONS_FIELD_NUMBER: _ClassVar[int]
     HEARD_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     READY_FIELD_NUMBER: _ClassVar[int]
+    IN_SYNC_FIELD_NUMBER: _ClassVar[int]
+    REPLICA_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     waiting: int
     subscriptions: int
     heard_ago_nanos: int
     ready: bool
-    def __init__(self, host_id: _Optional[bytes] = ..., waiting: _Optional[int] = ..., subscriptions: _Optional[int] = ..., heard_ago_nanos: _Optional[int] = ..., ready: bool = ...) -> None: ...
+    in_sync: bool
+    replica: bool
+    def __init__(self, host_id: _Optional[bytes] = ..., waiting: _Optional[int] = ..., subscriptions: _Optional[int] = ..., heard_ago_nanos: _Optional[int] = ..., ready: bool = ..., in_sync: bool = ..., replica: bool = ...) -> None: ...
 
 class ConsumerStatus(_message.Message):
     __slots__ = ("consumer_id", "lease_nanos", "waiting")

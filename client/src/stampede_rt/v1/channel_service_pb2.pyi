@@ -59,7 +59,7 @@ class PutResponse(_message.Message):
     def __init__(self, acks: _Optional[_Iterable[_Union[PutAck, _Mapping]]] = ...) -> None: ...
 
 class PutAck(_message.Message):
-    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "rejections", "error", "host_time_unix_nano", "incarnation", "later_parts", "duplicate")
+    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "rejections", "error", "host_time_unix_nano", "incarnation", "later_parts", "duplicate", "copies")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     ITEMS_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
@@ -70,6 +70,7 @@ class PutAck(_message.Message):
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     LATER_PARTS_FIELD_NUMBER: _ClassVar[int]
     DUPLICATE_FIELD_NUMBER: _ClassVar[int]
+    COPIES_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     items: int
     first_seq: int
@@ -80,7 +81,8 @@ class PutAck(_message.Message):
     incarnation: int
     later_parts: _containers.RepeatedCompositeFieldContainer[PutPart]
     duplicate: bool
-    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., rejections: _Optional[_Iterable[_Union[PutRejection, _Mapping]]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., host_time_unix_nano: _Optional[int] = ..., incarnation: _Optional[int] = ..., later_parts: _Optional[_Iterable[_Union[PutPart, _Mapping]]] = ..., duplicate: bool = ...) -> None: ...
+    copies: int
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., rejections: _Optional[_Iterable[_Union[PutRejection, _Mapping]]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., host_time_unix_nano: _Optional[int] = ..., incarnation: _Optional[int] = ..., later_parts: _Optional[_Iterable[_Union[PutPart, _Mapping]]] = ..., duplicate: bool = ..., copies: _Optional[int] = ...) -> None: ...
 
 class PutPart(_message.Message):
     __slots__ = ("index", "first_seq", "stamped_unix_nano")

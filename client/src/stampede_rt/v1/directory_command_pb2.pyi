@@ -328,18 +328,20 @@ class CommitMoveCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class SetReplicaInSyncCommand(_message.Message):
-    __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync")
+    __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     IN_SYNC_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_NUMBER_FIELD_NUMBER: _ClassVar[int]
     subject: _subject_pb2.Subject
     epoch: int
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
-    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
+    change_number: int
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ...) -> None: ...
 
 class OpenQueueCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "created_by", "created_max")

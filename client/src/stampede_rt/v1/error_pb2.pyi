@@ -52,6 +52,7 @@ class ErrorReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ERROR_REASON_STALE_REGISTRATION: _ClassVar[ErrorReason]
     ERROR_REASON_CERTIFICATE_EXPIRED: _ClassVar[ErrorReason]
     ERROR_REASON_TOKEN_EXPIRED: _ClassVar[ErrorReason]
+    ERROR_REASON_NOT_REPLICATED: _ClassVar[ErrorReason]
 
 class AbsenceReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -104,6 +105,7 @@ ERROR_REASON_WRONG_CLUSTER: ErrorReason
 ERROR_REASON_STALE_REGISTRATION: ErrorReason
 ERROR_REASON_CERTIFICATE_EXPIRED: ErrorReason
 ERROR_REASON_TOKEN_EXPIRED: ErrorReason
+ERROR_REASON_NOT_REPLICATED: ErrorReason
 ABSENCE_REASON_UNSPECIFIED: AbsenceReason
 ABSENCE_REASON_COLLECTED: AbsenceReason
 ABSENCE_REASON_NEVER: AbsenceReason

@@ -50,20 +50,22 @@ class RemoveReplicaResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class SetReplicaInSyncRequest(_message.Message):
-    __slots__ = ("request_id", "subject", "epoch", "host_id", "boot_incarnation", "in_sync")
+    __slots__ = ("request_id", "subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     IN_SYNC_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_NUMBER_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     subject: _subject_pb2.Subject
     epoch: int
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
-    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
+    change_number: int
+    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ...) -> None: ...
 
 class SetReplicaInSyncResponse(_message.Message):
     __slots__ = ("replica",)

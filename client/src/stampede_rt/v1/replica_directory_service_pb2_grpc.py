@@ -32,8 +32,9 @@ class ReplicaDirectoryServiceStub(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     def __init__(self, channel):
@@ -76,8 +77,9 @@ class ReplicaDirectoryServiceServicer(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     def AddReplica(self, request, context):
@@ -102,7 +104,8 @@ class ReplicaDirectoryServiceServicer(object):
     def SetReplicaInSync(self, request, context):
         """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
         only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
-        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
+        with an earlier number than the last one).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -167,8 +170,9 @@ class ReplicaDirectoryService(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     @staticmethod

@@ -33,8 +33,9 @@ class ReplicaDirectoryServiceStub:
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     @_typing.overload
@@ -55,7 +56,8 @@ class ReplicaDirectoryServiceStub:
     SetReplicaInSync: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]
     """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
     only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
+    with an earlier number than the last one).
     """
     ReportReplicaLoads: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -74,8 +76,9 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -93,7 +96,8 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     SetReplicaInSync: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
     only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
+    with an earlier number than the last one).
     """
     ReportReplicaLoads: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -111,8 +115,9 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
-    items to the other copies, which are not in sync until they have all items.
+    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
+    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
     @_abc_1.abstractmethod
@@ -146,7 +151,8 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_replica_directory_service_pb2.SetReplicaInSyncResponse, _abc.Awaitable[_replica_directory_service_pb2.SetReplicaInSyncResponse]]:
         """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
         only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
-        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
+        with an earlier number than the last one).
         """
 
     @_abc_1.abstractmethod

@@ -26,7 +26,7 @@ FEED_CAUSE_BYTES: FeedCause
 FEED_CAUSE_CONSUMPTION: FeedCause
 
 class FeedRequest(_message.Message):
-    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released")
+    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released", "held_next_seq")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     SENT_NANOS_FIELD_NUMBER: _ClassVar[int]
@@ -35,6 +35,7 @@ class FeedRequest(_message.Message):
     HOLD_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_EPOCH_FIELD_NUMBER: _ClassVar[int]
     RELEASED_FIELD_NUMBER: _ClassVar[int]
+    HELD_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     open: FeedOpen
     credit_bytes: int
     sent_nanos: int
@@ -43,7 +44,8 @@ class FeedRequest(_message.Message):
     hold: bool
     committed_epoch: int
     released: bool
-    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ...) -> None: ...
+    held_next_seq: int
+    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
     __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id")

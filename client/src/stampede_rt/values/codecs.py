@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from stampede_rt.errors import CodecError, InvalidArgument
-from stampede_rt.values.model import Item
+from stampede_rt.values.model import PutItem
 from stampede_rt.values.payloads import check_payload
 
 
@@ -152,7 +152,7 @@ class Coding:
         return item
 
 
-class CodedItem(Item):
+class CodedItem(PutItem):
     """An item of a handle with a codec. It decodes its payload at the first use of `value`, and keeps the value."""
 
     coding: Coding | None = None

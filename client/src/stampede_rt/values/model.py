@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol, overload, runtime_checkable
 
-from stampede_rt.values.proxying import CopyStats
 from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32  # the payload bytes that the `repr` of an item shows
@@ -20,6 +19,8 @@ COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # of `array`: 8 bytes
 
 OnFull = Literal["drop_oldest", "block", "reject"]
 """The effect of a put on a full channel or queue."""
+Ack = Literal["host", "replica"]
+"""When a put is acknowledged: when the host of the channel has the item, or when its replicas have it, too."""
 ChangeKind = Literal["added", "updated", "removed"]
 
 
@@ -48,6 +49,14 @@ class Item(NamedTuple):
         """The payload as the handle's codec decodes it, or the payload itself without a codec."""
         return self.payload
 
+    @property
+    def copies(self) -> int | None:
+        """On an item that `put` returned: the hosts that hold it and can own the channel, the present owner included.
+
+        Without replicas this is 1. None for an item that was read.
+        """
+        return None
+
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Item) and tuple(self) == tuple(other))
 
@@ -63,6 +72,17 @@ class Item(NamedTuple):
         extra = f", attributes={dict(self.attributes)}" if self.attributes else ""
         kind = f", content_type={self.content_type!r}" if self.content_type else ""
         return f"Item(time={self.time}, seq={self.seq}, duration={self.duration}, payload={payload}{extra}{kind})"
+
+
+class PutItem(Item):
+    """An item that `put` returned."""
+
+    acknowledged_copies: int | None = None
+
+    @property
+    def copies(self) -> int | None:
+        """See `Item.copies`."""
+        return self.acknowledged_copies
 
 
 class Reason(str):
@@ -202,7 +222,9 @@ class Policy:
     `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
     `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.
     If it is None, the next later item always ends the span. With `archive_nanos` or `archive_bytes` the channel is
-    recorded: its host keeps the items in an archive, for that time and up to that many bytes.
+    recorded: its host keeps the items in an archive, for that time and up to that many bytes. `replicas` is the number
+    of copies that can become the owner. `ack`: when a put is acknowledged. `min_replicas`: with fewer replicas in sync
+    no put is acknowledged.
     """
 
     max_age_nanos: int | None = None
@@ -217,6 +239,9 @@ class Policy:
     overlap_nanos: int | None = None
     archive_nanos: int | None = None
     archive_bytes: int | None = None
+    replicas: int | None = None
+    ack: Ack | None = None
+    min_replicas: int | None = None
 
     @property
     def is_recorded(self) -> bool:
@@ -284,59 +309,6 @@ class SupernodeInfo:
     endpoint: str
     is_leader: bool
     healthy: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ConsumerStats:
-    """A consumer place of a channel.
-
-    `waiting` is the number of held items that the consumer has still to consume. `lease_nanos` is the rest of the
-    place's lease. If it is 0, the lease has ended, and the place holds back no item until a consumer takes the place.
-    """
-
-    consumer_id: int
-    lease_nanos: int
-    waiting: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelStats:
-    """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
-
-    - `collected` counts the collected items by cause: age, count, bytes, consumption. `rejected` counts the refused
-      items by reason.
-    - `newest` and `oldest` are the times of the newest and the oldest held item, `frontier` is the latest end of the
-      spans of collected items, and `advance` the highest advance. Each is None if there is no such item or advance.
-    - `consumers` lists the taken places; `policy.consumers` counts all places.
-    - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
-      round trip of the call. The offset is None in a list of channels.
-    - `transport`: how this program reaches the channel's data: "grpc", "socket", or "shared" while reads of the newest
-      items need no call; None in a list of channels.
-    - `subscriptions` and `waiting_gets` do not count readers that follow the channel in shared memory.
-    - `copies`: the copies that the host feeds.
-    """
-
-    accepted: int
-    held: int
-    collected: Mapping[str, int]
-    rejected: Mapping[str, int]
-    accepted_bytes: int
-    held_bytes: int
-    delivered_bytes: int
-    newest: int | None
-    oldest: int | None
-    frontier: int | None
-    advance: int | None
-    subscriptions: int
-    waiting_gets: int
-    waiting_puts: int
-    incarnation: int
-    host_time: int
-    policy: Policy = field(default_factory=Policy)
-    consumers: Sequence[ConsumerStats] = ()
-    clock_offset_nanos: int | None = None
-    transport: str | None = None
-    copies: Sequence[CopyStats] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

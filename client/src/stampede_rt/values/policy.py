@@ -7,7 +7,7 @@ import re
 from typing import get_args
 
 from stampede_rt.errors import InvalidArgument, InvalidName
-from stampede_rt.values.model import OnFull, Policy
+from stampede_rt.values.model import Ack, OnFull, Policy
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
@@ -31,6 +31,8 @@ _SIZE_UNITS = {
 }
 _SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(" + "|".join(_SIZE_UNITS) + ")")
 ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
+ACKS: tuple[Ack, ...] = get_args(Ack)
+REPLICAS_MAX = 4
 
 
 def parse_name(name: str, what: str = "channel") -> str:
@@ -56,6 +58,9 @@ def parse_policy(
     overlap: DurationLike | None = None,
     archive: DurationLike | None = None,
     archive_bytes: int | str | None = None,
+    replicas: int | None = None,
+    ack: Ack | None = None,
+    min_replicas: int | None = None,
 ) -> Policy:
     """Return the policy that the arguments state. An argument that is None is not stated.
 
@@ -63,6 +68,8 @@ def parse_policy(
     """
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
+    if ack is not None and ack not in ACKS:
+        raise InvalidArgument(f"ack is {ack!r}; write one of {', '.join(map(repr, ACKS))}")
     return Policy(
         max_age_nanos=duration_of("max_age", max_age, least=1),
         max_items=count_of("max_items", max_items),
@@ -75,7 +82,19 @@ def parse_policy(
         overlap_nanos=duration_of("overlap", overlap, least=1),
         archive_nanos=archive_nanos_of(archive),
         archive_bytes=archive_bytes_of(archive_bytes),
+        replicas=_replicas_of("replicas", replicas),
+        ack=ack,
+        min_replicas=_replicas_of("min_replicas", min_replicas),
     )
+
+
+def _replicas_of(what: str, value: int | None) -> int | None:
+    if value is None:
+        return None
+    count = whole_number_of(what, value)
+    if not 0 <= count <= REPLICAS_MAX:
+        raise InvalidArgument(f"{what} is {value!r}; it must be 0 to {REPLICAS_MAX}")
+    return count
 
 
 def archive_nanos_of(value: DurationLike | None) -> int | None:

@@ -64,10 +64,13 @@ class CopyStats:
     """A copy of a channel, as the host that feeds it sees it.
 
     `waiting`: the items that the host has still to send. `subscriptions`: as the copy last reported them. `ready`: the
-    copy serves readers.
+    copy serves readers. `replica`: it is a replica, which serves no readers and becomes the owner if the owner is lost
+    while the replica is `in_sync`.
     """
 
     host_id: bytes
     waiting: int
     subscriptions: int
     ready: bool
+    replica: bool = False
+    in_sync: bool = False

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 
 from stampede_rt.v1 import channel_pb2, directory_pb2, replica_pb2
 from stampede_rt.values.model import (
+    Ack,
     Change,
     ChangeKind,
     ChannelInfo,
-    ChannelStats,
-    ConsumerStats,
     HostInfo,
     LoadInfo,
     OnFull,
@@ -18,12 +17,15 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.proxying import CopyStats, ProxyInfo
+from stampede_rt.values.statistics import ChannelStats, ConsumerStats
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
     "block": channel_pb2.ON_FULL_BLOCK,
     "reject": channel_pb2.ON_FULL_REJECT,
 }
+_ACKS: dict[Ack, channel_pb2.Ack] = {"host": channel_pb2.ACK_HOST, "replica": channel_pb2.ACK_REPLICA}
+_FROM_ACKS = {value: key for key, value in _ACKS.items()}
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
 _CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
     directory_pb2.CHANGE_KIND_ADDED: "added",
@@ -53,6 +55,9 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
         overlap_nanos=policy.overlap_nanos,
         archive_nanos=policy.archive_nanos,
         archive_bytes=policy.archive_bytes,
+        replicas=policy.replicas,
+        ack=_ACKS[policy.ack] if policy.ack else channel_pb2.ACK_UNSPECIFIED,
+        min_replicas=policy.min_replicas,
     )
 
 
@@ -82,6 +87,9 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
         overlap_nanos=spec.overlap_nanos if spec.HasField("overlap_nanos") else None,
         archive_nanos=spec.archive_nanos if spec.HasField("archive_nanos") else None,
         archive_bytes=spec.archive_bytes if spec.HasField("archive_bytes") else None,
+        replicas=spec.replicas if spec.HasField("replicas") else None,
+        ack=_FROM_ACKS.get(spec.ack),
+        min_replicas=spec.min_replicas if spec.HasField("min_replicas") else None,
     )
 
 
@@ -160,9 +168,18 @@ def channel_stats(
         clock_offset_nanos=clock_offset_nanos,
         transport=transport,
         copies=[
-            CopyStats(host_id=one.host_id, waiting=one.waiting, subscriptions=one.subscriptions, ready=one.ready)
+            CopyStats(
+                host_id=one.host_id,
+                waiting=one.waiting,
+                subscriptions=one.subscriptions,
+                ready=one.ready,
+                replica=one.replica,
+                in_sync=one.in_sync,
+            )
             for one in status.fed_copies
         ],
+        replicated=status.replicated_next_seq if status.HasField("replicated_next_seq") else None,
+        not_replicated=status.counters.not_replicated,
     )
 
 

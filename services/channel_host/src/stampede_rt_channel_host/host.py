@@ -16,6 +16,7 @@ from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, m
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
 from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
@@ -39,6 +40,7 @@ from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
+from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroups
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
@@ -118,10 +120,10 @@ class ChannelHost:
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
         )
         self._access = AccessWatch(self._supernodes, access)
-        self._gatekeeper = GatekeeperServicer(self.store, identity, access, tickets)
+        self.changes, self._streams = ChannelChanges(self.store, queries), OpenStreams()
+        self._gatekeeper = GatekeeperServicer(self.store, self.changes, identity, access, tickets)
         self.copies = CopyKeeper(identity, self.store, ReplicaDirectory(self._supernodes), dial, copy_bytes_per_second)
         self._make_moves(copy_bytes_per_second)
-        self._streams = OpenStreams()
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
         self._entering: asyncio.Future[None] | None = None
@@ -144,7 +146,8 @@ class ChannelHost:
         )
 
     def _make_moves(self, bytes_per_second: int) -> None:
-        """Make the parts for moves of channels, which use the parts for copies and groups."""
+        """Make the parts for replicas and moves of channels, which use the parts for copies and groups."""
+        self.replicas = ReplicaKeeper(self.identity, self.store, ReplicaDirectory(self._supernodes), self._dial)
         self._move_directory = MoveDirectory(self._supernodes, self.identity)
         self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory)
         self.moves_here = IncomingMoves(
@@ -226,7 +229,7 @@ class ChannelHost:
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
-        for part in (self.groups, self.copies, self.moves_here, self.moves_away):
+        for part in (self.groups, self.replicas, self.copies, self.moves_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self.store.recordings.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.cli.channel_rates import arranged, rates_of
-from stampede_rt.values.model import ChannelStats
+from stampede_rt.values.statistics import ChannelStats
 
 S = 10**9
 STATS = ChannelStats(

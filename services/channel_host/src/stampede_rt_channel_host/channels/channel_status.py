@@ -11,6 +11,7 @@ from stampede_rt_channel_host.channels.fed_copies import FedCopy
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.core.channel import ConsumerStanding, Counters, Pieces
+from stampede_rt_channel_host.core.replication import ReplicaState
 
 
 def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
@@ -18,7 +19,7 @@ def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[chan
 
     Only the number of items that each consumer has still to consume may be a little older.
     """
-    consumers = yield from hosted.channel.counting_consumers(now())
+    consumers = yield from hosted.core.counting_consumers(now())
     return _status(hosted, consumers, now())
 
 
@@ -42,7 +43,8 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
             for one in consumers
         ],
         copy=None if hosted.copy is None else _copy_status(hosted, hosted.copy),
-        fed_copies=[_fed_status(one) for one in hosted.fed or ()],
+        fed_copies=[_fed_status(hosted, one) for one in hosted.fed or ()],
+        replicated_next_seq=None if hosted.replication is None else hosted.replication.replicated_next_seq,
     )
 
 
@@ -57,19 +59,23 @@ def _copy_status(hosted: HostedChannel, copy: CopyState) -> channel_pb2.CopyStat
     )
 
 
-def _fed_status(copy: FedCopy) -> channel_pb2.FedCopyStatus:
+def _fed_status(hosted: HostedChannel, copy: FedCopy) -> channel_pb2.FedCopyStatus:
+    states = {} if hosted.replication is None else hosted.replication.states()
     return channel_pb2.FedCopyStatus(
         host_id=copy.host_id,
         waiting=copy.waiting(),
         subscriptions=copy.subscriptions,
         heard_ago_nanos=copy.heard_ago_nanos,
         ready=copy.takes_readers,
+        replica=copy.is_replica,
+        in_sync=states.get(copy.host_id) is ReplicaState.IN,
     )
 
 
 def _counters(hosted: HostedChannel, now: int) -> channel_pb2.ChannelCounters:
-    message = counters_to(hosted.channel.counters(now))
+    message = counters_to(hosted.core.counters(now))
     message.delivered_bytes = hosted.delivered_bytes
+    message.not_replicated = 0 if hosted.replication is None else hosted.replication.not_replicated
     return message
 
 

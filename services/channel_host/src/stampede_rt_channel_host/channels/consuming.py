@@ -23,8 +23,8 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") 
     pieces may have consumed some of the items.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
-    yield from hosted.channel.catching_up(store.now())
-    hosted.channel.check_consumption(request.consumer_id, seqs, lease_nanos)
+    yield from hosted.core.catching_up(store.now())
+    hosted.core.check_consumption(request.consumer_id, seqs, lease_nanos)
     while len(seqs) > SEQS_PER_PIECE:
         part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
         # a lease of 0 in the request gives the consumer's place up: only the last piece may do that

@@ -49,6 +49,7 @@ class CopyState:
         self.source_next_seq = 0
         self.heard_nanos: int | None = None
         self.caught_up = False
+        self.is_replica = False  # it has items that readers must not see yet, so it serves nobody
         self.reconnects = 0
         self.may_inherit: Inheritance | None = None  # set if the host may become the owner, with this copy's items
         self.floors: dict[bytes, CutFloor] = {}  # by group: the cut up to which the copy may show the group
@@ -66,7 +67,7 @@ class CopyState:
     @property
     def is_ready(self) -> bool:
         """Whether the copy can serve readers."""
-        return self.caught_up and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
+        return self.caught_up and not self.is_replica and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
 
     def merge_floors(self, floors: Iterable[CutFloor]) -> None:
         """Take in the cuts of groups that the source has told. A cut falls only if its group has begun anew."""
@@ -89,6 +90,8 @@ class CopyState:
         """Raises StaleBinding (MOVED) if the copy of channel `name`, with seqs below `next_seq`, does not meet the
         demand.
         """
+        if self.is_replica:
+            raise refusals.copy_cannot(name, "is a replica, which serves nobody before it becomes the owner")
         if not self.is_ready:
             raise refusals.copy_cannot(name, "has lost its source, or has not caught up with it yet")
         stale, least = demand.max_staleness_nanos, demand.least_seq
@@ -108,7 +111,7 @@ class CopyState:
 
     async def ready(self, name: str, seconds_max: float) -> None:
         """Wait until the copy can serve readers. Raises StaleBinding (MOVED) after `seconds_max`."""
-        await self._wait(lambda: self.is_ready, seconds_max)
+        await self._wait(lambda: self.is_ready or self.is_replica, seconds_max)
         self.check(name, 0, Freshness())
 
     async def caught_up_once(self) -> None:

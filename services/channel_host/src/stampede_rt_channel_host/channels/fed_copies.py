@@ -24,10 +24,11 @@ eighth of a fair share more."""
 class FedCopy:
     """One copy that this host feeds. `waiting` returns the number of items that the host has still to send to it."""
 
-    def __init__(self, host_id: bytes, target: str, waiting: Callable[[], int]) -> None:
+    def __init__(self, host_id: bytes, target: str, waiting: Callable[[], int], *, is_replica: bool = False) -> None:
         self.host_id = host_id
         self.target = target
         self.waiting = waiting
+        self.is_replica = is_replica
         self.subscriptions = 0  # as last reported, plus the readers that the host has sent there since
         self.ready = False
         self.heard_nanos = time.monotonic_ns()

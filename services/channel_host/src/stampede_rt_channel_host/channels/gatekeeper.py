@@ -10,6 +10,7 @@ from stampede_rt.transports.futexes import is_supported
 from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
+from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
 from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
@@ -30,11 +31,13 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     """Binds callers to channels, and changes channels at the host and in the directory."""
 
     def __init__(
-        self, store: ChannelStore, identity: HostIdentity, access: AccessControl, tickets: SocketTickets | None = None
-    ) -> None:
+        self, store: ChannelStore, changes: ChannelChanges, identity: HostIdentity, access: AccessControl,
+        tickets: SocketTickets | None = None,
+    ) -> None:  # fmt: skip
         """`tickets`: those of the host's sockets; None if no caller has a certificate."""
         self._tickets = tickets or SocketTickets()
         self._store = store
+        self._changes = changes
         self._identity = identity
         self._access = access
         # the addresses of the data services; set once the server listens, before the host gets a lease
@@ -108,7 +111,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_request_id(request.request_id)
         since_s = _first_sent_s(context)
         await self._wait_for_move(request.channel_id)
-        await self._store.drop(request.channel_id, request.epoch, request.request_id, since_s)
+        await self._changes.drop(request.channel_id, request.epoch, request.request_id, since_s)
         return pb.DropChannelResponse()
 
     @errors_as_status
@@ -119,7 +122,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         await self._wait_for_move(request.channel_id)
-        hosted = await self._store.configure(
+        hosted = await self._changes.configure(
             request.channel_id, request.epoch, policy_change(request.spec), request.request_id, _first_sent_s(context)
         )
         return pb.ConfigureChannelResponse(channel=channel_message(hosted.record))

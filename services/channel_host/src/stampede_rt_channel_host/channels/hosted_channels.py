@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.channel_ring import ChannelRing
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopies
@@ -15,14 +13,15 @@ from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.moving import Moving
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.recording import Recording
+from stampede_rt_channel_host.channels.replication import Replication, waits_for_replicas
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
-    ChannelCore,
     Consumed,
     FedChannel,
     Pieces,
@@ -32,17 +31,6 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
-
-
-class NewCopy(NamedTuple):
-    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were.
-
-    `knows_owner`: it is fed with the facts that only the owner knows, too, so that it can become the owner.
-    """
-
-    state: CopyState
-    lost_before: int | None
-    knows_owner: bool = False
 
 
 _orders = itertools.count()
@@ -65,6 +53,18 @@ class HostedChannel:
     """The recording of a channel with an archive."""
     largest_run_bytes = 0
     """The length of the largest run that was too large for a ring."""
+    registration = 0
+    """The number of the host's last registration when the store took `record` over."""
+    fed: FedCopies | None = None
+    """The copies that this host feeds; most channels have none."""
+    due: int | None = None
+    """When the sweep looks at the channel; `Deadlines` sets it."""
+    changes = 0
+    """The number of changes of the channel at this host."""
+    delivered_items = delivered_bytes = 0
+    replication: Replication | None = None
+    """The replicas, if the channel has some and this host owns it."""
+    _gets: WaitingGets | None = None
 
     def __init__(
         self,
@@ -76,9 +76,9 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
         deliveries: SharedDeliveries | None = None,
-        begun: NewCopy | ChannelCore | None = None,
+        begun: NewCopy | OwnedCore | None = None,
     ) -> None:
-        """Set up the channel of `record`. `begun`: it is a copy of that channel, or goes on with the items of a copy.
+        """Set up the channel of `record`. `begun`: it is a copy of that channel, or goes on with these items.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work for which no caller waits (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
@@ -87,14 +87,16 @@ class HostedChannel:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.registration = 0  # the number of the host's last registration when the store took `record` over
         self.copy: CopyState | None = begun.state if isinstance(begun, NewCopy) else None
-        self.fed: FedCopies | None = None  # the copies that this host feeds; most channels have none
-        self.channel = _new_core(record, now(), begun)
-        self._gets: WaitingGets | None = None
-        self._begin, self._limits = begin, limits
-        self._charge = memory.charge_for(record.created_by)
-        self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
+        # `core` takes puts, consumption and advances; readers see `channel`. Without replicas they are the same.
+        self.core = new_core(record, now(), begun)
+        if self.copy is None and waits_for_replicas(record.policy):
+            self.replication = Replication(self.core, now, self._announce)
+        self.channel = self.core if self.replication is None else self.replication.shown
+        self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
+        self.puts = ChannelPuts(self.core, self._charge, now, self._accepted, self._touched, may_serve)
+        if isinstance(begun, OwnedCore):
+            self.puts.retries = begun.retries
         self.subscriptions = Observers(begin)
         self.match_streams = Observers(begin)  # streams of matches for the items of this channel
         # Observers for groups: one for all groups that have the channel, and one for the blocked gets of each group.
@@ -104,13 +106,27 @@ class HostedChannel:
         # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
         self.group_readers: dict[object, None] = {}
         self.deliveries = deliveries or SharedDeliveries()
-        self.delivered_items = self.delivered_bytes = 0
-        self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
         self.order = next(_orders)  # decides between channels that are due at the same time
-        self._on_touched = on_touched
-        self._now = now
-        self.changes = 0
-        """The number of changes of the channel at this host."""
+        self._on_touched, self._now = on_touched, now
+        if self.replication is not None:
+            begin(self.replication.filling())
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the host serves the channel: a new owner waits for the replicas first."""
+        return self.replication is None or self.replication.is_ready
+
+    def core_of_owner(self, record: RecordedChannel) -> OwnedCore | None:
+        """The channel that this copy becomes with its host as the owner; None if the copy does not know enough.
+
+        The directory makes a copy's host the owner in the same incarnation only if the copy is a replica in sync.
+        """
+        copy = self.channel
+        if self.copy is None or not self.copy.is_replica or not isinstance(copy, FedChannel):
+            return None
+        if copy.owner_facts is None or copy.incarnation != record.incarnation:
+            return None
+        return OwnedCore(*copy.as_owner(self._now()))
 
     @property
     def gets(self) -> WaitingGets:
@@ -133,12 +149,16 @@ class HostedChannel:
             self.end_move()
         if record.spec_version != self.record.spec_version:
             now = self._now()
-            self.channel.configure(record.policy, now)
+            self.core.configure(record.policy, now)
+            if self.replication is not None:
+                self.replication.configure(record.policy)
             self.record, self.epoch = record, record.epoch
             self.changed(now)
         self.record, self.epoch = record, record.epoch
         if self.recording is not None:
             self.recording.set_policy(record.policy, record.epoch)
+        if self.replication is not None:
+            self.replication.resume()
         self._touched()
 
     def has_same_items(self, record: RecordedChannel) -> bool:
@@ -163,7 +183,7 @@ class HostedChannel:
         Raises InFuture if `instant` is too far ahead of the host's clock.
         """
         now = self._now()
-        advanced = self.channel.advance(instant, now)
+        advanced = self.core.advance(instant, now)
         self.changed(now)
         return advanced
 
@@ -175,22 +195,26 @@ class HostedChannel:
         or its consumption takes too much memory.
         """
         now = self._now()
-        self.channel.check_consumption(consumer_id, seqs, lease_nanos)
+        self.core.check_consumption(consumer_id, seqs, lease_nanos)
         most, shares = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs), self._charge.consumption_shares
         if not (self._charge.has_room(most) and shares.has_room(owner, most)):
-            wanted = self.channel.consumption_bytes(consumer_id, seqs)
+            wanted = self.core.consumption_bytes(consumer_id, seqs)
             shares.check(owner, wanted)
             if wanted:
                 # consumption frees items, so it may use a little more memory than puts (CONSUMPTION_SHARE)
                 self._charge.claim(wanted - self._charge.spare_bytes)
-        consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
-        shares.note(owner, self.channel)
+        consumed = self.core.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
+        shares.note(owner, self.core)
+        if self.replication is not None:
+            self.replication.accepted(now)
         self.puts.changed(now)  # this also calls `_touched`
         return consumed
 
     def changed(self, now: int) -> None:
         """Wake the readers and the waiting gets and puts of the channel, after an advance or a change of the policy."""
-        self._announce(now)
+        self._accepted(now)
+        if self.replication is not None:
+            self._announce(now)
         self.puts.changed(now)
 
     def make_room(self, wanted_bytes: int) -> None:
@@ -205,6 +229,8 @@ class HostedChannel:
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
         self.close_ring()
+        if self.replication is not None:
+            self.replication.end(error)
         for observer in [*self.group_observers]:  # each call is short: an observer leaves long work to the scheduler
             observer.end(error)
         subscriptions, match_streams = self.subscriptions.ending(error), self.match_streams.ending(error)
@@ -216,21 +242,31 @@ class HostedChannel:
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
         """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
+        yield from self.replaced(error)
+        yield  # afterwards the interrupted calls do not use the channel any more
+        if not self.is_inherited:
+            yield from self.channel.emptying()
+        if self.core is not self.channel:
+            yield from self.core.emptying()
+
+    def replaced(self, error: StampedeError) -> Pieces[None]:
+        """As `ending`, because another object serves the channel with these items. Its memory counts no more here."""
         if self.copy is not None:
             self.copy.on_dropped()
         if self.recording is not None:
             self.recording.stop()
+        if self.replication is not None:
+            self.replication.close()
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
         yield from self.ending(error)
-        yield  # afterwards the interrupted calls do not use the channel any more
-        if not self.is_inherited:
-            yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
         """Free a bounded number of outdated items. Returns True if others are left, for which to call again soon."""
-        more = self.channel.collect(now)
+        more = self.core.collect(now)
+        if self.replication is not None:
+            more = self.replication.collect(now) or more
         self._repeat_in_ring()
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
@@ -241,7 +277,9 @@ class HostedChannel:
 
         This call also frees a few outdated items.
         """
-        due = (self.channel.next_deadline(now), self.puts.next_expiry())
+        due: tuple[int | None, ...] = (self.core.next_deadline(now), self.puts.next_expiry())
+        if self.replication is not None:
+            due = (*due, self.channel.next_deadline(now))
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
 
@@ -280,12 +318,20 @@ class HostedChannel:
 
     def footprint_bytes(self) -> int:
         """The bytes kept for the channel: stored items, waiting puts, and the retry window."""
-        return self.channel.footprint_bytes + self.puts.footprint_bytes
+        shown = 0 if self.replication is None else self.replication.footprint_bytes
+        return self.core.footprint_bytes + shown + self.puts.footprint_bytes
 
     def _touched(self) -> None:
         """Report the memory of the channel to the budget, and the change to `on_touched`."""
         self._charge.set(self.footprint_bytes())
         self._on_touched(self)
+
+    def _accepted(self, now: int) -> None:
+        """Wake the readers after a change of `core`; if the channel has replicas, once the change is shown."""
+        if self.replication is None:
+            self._announce(now)
+        else:
+            self.replication.accepted(now)
 
     def _announce(self, now: int) -> None:
         self.changes += 1
@@ -302,21 +348,3 @@ class HostedChannel:
 
 def _ignore(hosted: HostedChannel) -> None:
     """The callback of a channel that has left the host."""
-
-
-def _new_core(record: RecordedChannel, now: int, copy: NewCopy | ChannelCore | None) -> ChannelCore:
-    """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
-    if isinstance(copy, ChannelCore):
-        return copy
-    incarnation, name = record.incarnation, record.name
-    if copy is None:
-        lost_before = now if record.epoch > 1 else None
-        return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
-    return FedChannel(
-        record.policy,
-        incarnation=incarnation,
-        name=name,
-        lost_before=copy.lost_before,
-        cut=slice_run,
-        knows_owner=copy.knows_owner,
-    )

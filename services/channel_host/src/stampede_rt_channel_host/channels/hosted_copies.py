@@ -7,8 +7,9 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
-from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
+from stampede_rt_channel_host.core.channel import FedChannel
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -22,7 +23,7 @@ class HostedCopies:
 
     def __init__(
         self, channels: Mapping[bytes, HostedChannel],
-        add: Callable[[RecordedChannel, NewCopy | ChannelCore], HostedChannel],
+        add: Callable[[RecordedChannel, NewCopy | OwnedCore], HostedChannel],
         forget: Callable[[bytes, StampedeError], None],
     ) -> None:  # fmt: skip
         self._channels = channels
@@ -72,8 +73,7 @@ class HostedCopies:
         channel, retries = copy.channel.as_owner(heir.host_time)
         copy.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
-        owner = self._add(record, channel)
-        owner.puts.retries = retries
+        owner = self._add(record, OwnedCore(channel, retries))
         owner.begin_move().hold()
         self.on_inherited([*copy.copy.floors.values()])
         return owner

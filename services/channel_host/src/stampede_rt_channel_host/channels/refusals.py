@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, error_for
+from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, Unavailable, error_for
 
 SHUTTING_DOWN = error_for(
     "SHUTTING_DOWN", "this host is shutting down; resolve the channel again for its new host, or wait for this one"
@@ -56,6 +56,13 @@ def move_conflict(name: str) -> StampedeError:
     """The error for a move of a channel of which another move is under way."""
     return error_for(
         "MOVE_CONFLICT", f"another move of channel {name} is under way; wait until it is over", {"channel": name}
+    )
+
+
+def not_ready(name: str) -> StampedeError:
+    """The error of a new owner that waits for the replicas in sync, or for the directory."""
+    return Unavailable(
+        f"channel {name} has a new owner, which waits for the replicas; try again", metadata={"channel": name}
     )
 
 

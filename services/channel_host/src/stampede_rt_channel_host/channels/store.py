@@ -8,25 +8,22 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from itertools import islice
-from typing import Any
 
-from sortedcontainers import SortedList
-
-from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
+from stampede_rt.errors import ChannelNotFound, StampedeError
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.channel_table import ChannelTable, comparing
 from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
-from stampede_rt_channel_host.channels.copy_state import Freshness
-from stampede_rt_channel_host.channels.deletions import Deletions
+from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere
-from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
+from stampede_rt_channel_host.channels.replication import waits_for_replicas
 from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -35,20 +32,14 @@ from stampede_rt_channel_host.channels.totals import ChannelTotals
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
-from stampede_rt_channel_host.core.channel import ChannelCore, Pieces, batched_keys, one_after_another, rest_of
-from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
-from stampede_rt_runtime.access.control import check_access, current_account, own_name
-from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_channel_host.core.channel import Pieces, one_after_another, rest_of
+from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.overload import RefusedCalls
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_MAX = 100_000
 CHANNELS_ENDED_PER_PIECE = 128
-CHANNELS_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
-RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
-_ID_END = b"\xff" * 17  # above every id
 
 
 class ChannelStore:
@@ -78,13 +69,11 @@ class ChannelStore:
         self._clocks = HostClocks(clock)
         self.now = self._clocks.now
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
-        self._channels: dict[bytes, HostedChannel] = {}
-        self._names: Any = SortedList()  # the name of each channel, with the channel's id
+        self._channels = ChannelTable(identity.name)
         self._single_flight = SingleFlight()
-        self._deletions = Deletions()
-        self._creation_shares = CreationShares(identity.name, "channels", CHANNELS_MAX)
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
-        self._registrations = 0  # the number of registrations whose answers have come
+        self.registrations = 0
+        """The number of registrations whose answers have come."""
         self.memory = memory
         self.copies = HostedCopies(self._channels, self._add, self.forget)
         self.refused_calls = refused_calls or RefusedCalls()
@@ -95,6 +84,8 @@ class ChannelStore:
         self.departed = ChannelTotals()
         """The counters of the channels that this host served before."""
         self.rings = Rings(memory, self._clocks.read)
+        self.on_replicated: Callable[[HostedChannel], None] = lambda hosted: None
+        """Called with each channel that this host owns and that has replicas."""
 
     def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
         """The channel that this host owns, for one data request.
@@ -103,11 +94,15 @@ class ChannelStore:
         """
         self._check_lease()
         hosted = self._channels.get(channel_id)
-        if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_heir:
+        if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_heir or not hosted.is_ready:
             raise elsewhere(hosted) or refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
         return hosted
+
+    def serves(self, hosted: HostedChannel) -> bool:
+        """Whether this object still serves its channel at this host."""
+        return self._channels.get(hosted.record.channel_id) is hosted
 
     def find_readable(self, channel_id: bytes, epoch: int, demand: Freshness | None) -> HostedChannel:
         """The channel, or a copy of it that meets `demand`, for one read. None: only the owner will do.
@@ -134,56 +129,41 @@ class ChannelStore:
 
     async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
         """The channel under `epoch`. Asks the directory first if this host does not know the channel, or knows another
-        epoch or an older spec.
+        epoch or an older spec. If the channel has replicas, waits until it is ready, a few seconds at most.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
         """
+        await self._learn(channel_id, epoch, spec_version)
+        hosted = self._channels.get(channel_id)
+        if hosted is not None and hosted.replication is not None and not await hosted.replication.ready():
+            raise refusals.not_ready(hosted.record.name)
+        return self.find_readable(channel_id, epoch, Freshness())
+
+    async def bind_for_feed(self, channel_id: bytes, epoch: int) -> HostedChannel:
+        """As `bind`, for a feed. Does not wait for the replicas: the feed may be that of a replica.
+
+        Raises the errors of `bind`.
+        """
+        await self._learn(channel_id, epoch, 0)
+        self._check_lease()
+        hosted = self._channels.get(channel_id)
+        if hosted is None or hosted.is_ready or hosted.epoch != epoch:
+            return self.find_readable(channel_id, epoch, Freshness())
+        return hosted
+
+    async def become_owner(self, channel_id: bytes, epoch: int) -> None:
+        """Own a channel of which this host has a replica: the directory has made this host the owner.
+
+        Raises ChannelNotFound, StaleBinding, Unavailable.
+        """
+        await self._learn(channel_id, epoch, 0)
+
+    async def _learn(self, channel_id: bytes, epoch: int, spec_version: int) -> None:
+        """Ask the directory for the channel if this host does not know it so."""
         if not self._knows(channel_id, epoch, spec_version):
             async with self._single_flight.about(channel_id):
                 if not self._knows(channel_id, epoch, spec_version):
                     await self._ask(channel_id)
-        return self.find_readable(channel_id, epoch, Freshness())
-
-    async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
-        """Delete the channel in the directory and at this host. The streams of its readers end with CHANNEL_NOT_FOUND.
-
-        Safe to repeat. `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the
-        errors of `bind`, and those that the directory answers.
-        """
-        if request_id in self._deletions:
-            return
-        await self.bind(channel_id, epoch)
-        hosted = self.find(channel_id, epoch)  # not a copy
-        check_access(AccessVerb.DELETE, AccessKind.CHANNEL, hosted.record.name)
-        current_account().change()
-        try:
-            await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
-        except ChannelNotFound:
-            logger.info(
-                "the channel is deleted already",
-                extra={"event": "channel_already_deleted", "channel": hosted.record.name},
-            )
-        self._deletions.note(request_id, own_name())
-        self.forget(channel_id, refusals.deleted(hosted.record.name))
-
-    async def configure(
-        self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float
-    ) -> HostedChannel:
-        """Change the policy in the directory, then at this host. Safe to repeat. `change`: the fields to change.
-
-        Raises the errors of `bind`, InvalidArgument for a policy that no channel can have, and the errors that the
-        directory answers.
-        """
-        await self.bind(channel_id, epoch)
-        hosted = self.find(channel_id, epoch)  # not a copy
-        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
-        current_account().change()
-        self.recordings.check_change(hosted.record, change.stated)  # so that the directory takes no impossible policy
-        registrations = self._registrations
-        record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
-        if registrations != self._registrations:
-            return await self.bind(channel_id, record.epoch, record.spec_version)
-        return await self.recordings.adopt(record, hosted, self.adopt)
 
     def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
         """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
@@ -192,41 +172,33 @@ class ChannelStore:
         does not name all channels of the host. The store then serves an unnamed channel again only after its next
         `bind`.
         """
-        self._registrations += 1
-        registration = self._registrations
-        listed: dict[bytes, RecordedChannel] = {}
-        unread = iter(records)
-        while part := [*islice(unread, RECORDS_PER_PIECE)]:
-            listed.update((record.channel_id, record) for record in part)
-            yield
-        for names in batched_keys(self._names, CHANNELS_COMPARED_PER_PIECE):
-            left: list[Pieces[None]] = []
-            for _, channel_id in names:
-                hosted = self._channels.get(channel_id)
-                if hosted is not None and (hosted.copy or hosted.is_heir) and channel_id not in listed:
-                    continue  # the directory lists only the channels that this host owns
-                if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
-                    self._compare(hosted, listed.get(channel_id), left, is_complete=is_complete)
-            self.scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
-            yield
+        self.registrations += 1
+        yield from comparing(
+            self._channels,
+            records,
+            self.registrations,
+            lambda hosted, record: self._compare(hosted, record, is_complete=is_complete),
+            self.scheduler.begin,
+        )
 
     def _compare(
-        self, hosted: HostedChannel, record: RecordedChannel | None, left: list[Pieces[None]], *, is_complete: bool
-    ) -> None:
+        self, hosted: HostedChannel, record: RecordedChannel | None, *, is_complete: bool
+    ) -> list[Pieces[None]]:
         """Adopt `record`, the directory's record of a channel that has not changed here since the registration.
 
-        `record` None: the directory's answer does not name the channel. Then the store drops the channel, and adds the
-        rest of that work to `left`. If the answer was not complete, the store asks the directory at the next `bind`
-        instead.
+        `record` None: the directory's answer does not name the channel. Then the store drops the channel, and returns
+        the rest of that work. If the answer was not complete, the store asks the directory at the next `bind` instead.
         """
         if record is not None and not (record.policy.is_recorded and not hosted.has_same_items(record)):
             self.adopt(record)
         elif is_complete:
             logger.warning("channel went elsewhere", extra={"event": "channel_moved", "channel": hosted.record.name})
-            error = refusals.not_here(self._identity.name, hosted.record.channel_id)
-            left += self._drop(hosted.record.channel_id, error)
+            return self._drop(
+                hosted.record.channel_id, refusals.not_here(self._identity.name, hosted.record.channel_id)
+            )
         else:
             hosted.epoch = 0  # `find` refuses it: the next bind asks the directory
+        return []
 
     def fence(self) -> None:
         """End all waits and streams, because the lease has ended. The callers must look for the channels elsewhere."""
@@ -245,16 +217,15 @@ class ChannelStore:
         self.scheduler.begin(self._ending(error))
 
     def _ending(self, error: StampedeError) -> Pieces[None]:
-        for names in batched_keys(self._names, CHANNELS_ENDED_PER_PIECE):
-            for _, channel_id in names:
-                if (hosted := self._channels.get(channel_id)) is not None:  # if None, it has left meanwhile
+        for batch in self._channels.batches(CHANNELS_ENDED_PER_PIECE):
+            for hosted in batch:
+                if self.serves(hosted):  # else it has left meanwhile
                     yield from hosted.ending(error)
             yield
 
     def named_after(self, name: str, count: int) -> list[HostedChannel]:
         """The first `count` channels whose names follow `name`, sorted by name."""
-        behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
-        return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
+        return self._channels.named_after(name, count)
 
     @property
     def count(self) -> int:
@@ -285,7 +256,7 @@ class ChannelStore:
         held = self._channels.get(channel_id)
         try:
             record = await confirmed_record(
-                self._directory, channel_id, lambda: self._registrations, self._identity.name
+                self._directory, channel_id, lambda: self.registrations, self._identity.name
             )
         except ChannelNotFound:
             if held is not None:
@@ -304,10 +275,16 @@ class ChannelStore:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
         if held is not None and held.copy is not None:  # this host has become the owner
+            core = held.core_of_owner(record)
+            if core is not None:
+                return self._continue(held, record, core, gone(record.name))
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
+            if held.copy is None and waits_for_replicas(record.policy) != (held.replication is not None):
+                core = OwnedCore(held.core, held.puts.retries)
+                return self._continue(held, record, core, refusals.not_here(self._identity.name, record.channel_id))
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
-                held.registration = self._registrations
+                held.registration = self.registrations
                 held.update(record)
             return held
         if held is not None:
@@ -316,10 +293,24 @@ class ChannelStore:
             self.forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         return self._add(record)
 
-    def _add(self, record: RecordedChannel, begun: NewCopy | ChannelCore | None = None) -> HostedChannel:
-        if len(self._channels) >= CHANNELS_MAX:
-            raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
-        self._creation_shares.check(record.created_by)
+    def _continue(
+        self, held: HostedChannel, record: RecordedChannel, core: OwnedCore, error: StampedeError
+    ) -> HostedChannel:
+        """Serve the items of `held` in another way: as their owner, or with replicas or without.
+
+        Its callers get `error`, and come back with their cursors and numbers.
+        """
+        logger.info(
+            "the host continues a channel",
+            extra={"event": "channel_continued", "channel": record.name, "next_seq": core.channel.next_seq},
+        )
+        core.channel.configure(record.policy, self.now())
+        self._take_out(held)
+        self.scheduler.begin(held.replaced(error))
+        return self._add(record, core)
+
+    def _add(self, record: RecordedChannel, begun: NewCopy | OwnedCore | None = None) -> HostedChannel:
+        self._channels.check_room(record.created_by)
         hosted = HostedChannel(
             record,
             self.memory,
@@ -331,10 +322,10 @@ class ChannelStore:
             self.deliveries,
             begun,
         )
-        hosted.registration = self._registrations
-        self._channels[record.channel_id] = hosted
-        self._names.add((record.name, record.channel_id))
-        self._creation_shares.note(record.created_by, +1)
+        hosted.registration = self.registrations
+        self._channels.add(hosted)
+        if hosted.replication is not None:
+            self.on_replicated(hosted)
         return hosted
 
     def forget(self, channel_id: bytes, error: StampedeError) -> None:
@@ -343,11 +334,13 @@ class ChannelStore:
 
     def _drop(self, channel_id: bytes, error: StampedeError) -> list[Pieces[None]]:
         """Drop the channel, and end the calls of some of its callers with `error`. Returns the rest of this work."""
-        hosted = self._channels.pop(channel_id, None)
+        hosted = self._channels.get(channel_id)
         if hosted is None:
             return []
-        self.departed.add_counts(hosted, hosted.channel.latest_counters())
-        self._names.remove((hosted.record.name, channel_id))
-        self._creation_shares.note(hosted.record.created_by, -1)
-        self.sweep.forget(hosted)
+        self.departed.add_counts(hosted, hosted.core.latest_counters())
+        self._take_out(hosted)
         return rest_of(hosted.leaving(error))
+
+    def _take_out(self, hosted: HostedChannel) -> None:
+        self._channels.remove(hosted)
+        self.sweep.forget(hosted)

@@ -72,9 +72,9 @@ class Sweep:
             hosted = following()
             if hosted is None:
                 return False
-            before = hosted.channel.freed_entries
+            before = hosted.core.freed_entries
             more = self._look_at(hosted)
-            freed_entries += hosted.channel.freed_entries - before
+            freed_entries += hosted.core.freed_entries - before
             if more or freed_entries >= ENTRIES_PER_STEP_MAX:
                 return True
         return True

@@ -13,7 +13,8 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, NewCopy
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
 GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants so many bytes at a time; each request costs the source a message
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
+REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 BROKEN_AFTER_SECONDS = 3.0  # a source that is silent for so long has lost the copy
 RUNS_PER_TURN = 64  # to store a run takes about 15 us
 METHOD = "/stampede_rt.v1.ReplicaService/Feed"
@@ -50,7 +52,7 @@ class CopyFeed:
         self._owner_facts = owner_facts
         self._granted = WINDOW_BYTES
         self._news = asyncio.Event()
-        self._lost_before: int | None = None
+        self._is_opened = False  # the source has accepted the copy's place
 
     async def run(self, source: FeedSource, channel: grpc.aio.Channel) -> None:
         """Feed the copy until the stream breaks. Raises the error that broke it."""
@@ -98,12 +100,13 @@ class CopyFeed:
             sent_nanos=self._state.steady_nanos(),
             subscriptions=0 if held is None else len(held.subscriptions),
             ready=self._state.is_ready,
+            held_next_seq=held.channel.next_seq if self._is_opened and held is not None else 0,
         )
 
     async def _write_all(self, write: Callable[[pb.FeedRequest], Any]) -> None:
         while True:  # until `run` cancels this task, or an error ends it
             try:
-                async with asyncio.timeout(REQUEST_SECONDS):
+                async with asyncio.timeout(REPLICA_REQUEST_SECONDS if self._owner_facts else REQUEST_SECONDS):
                     await self._news.wait()
             except TimeoutError:
                 pass
@@ -123,6 +126,7 @@ class CopyFeed:
             opened = response.opened
             lost = opened.lost_before_unix_nano if opened.HasField("lost_before_unix_nano") else None
             self._begin(state, begins_anew=opened.begins_anew, lost_before=lost)
+            self._is_opened = True
         elif state.HasField("channel"):
             self._update(recorded_channel(state.channel))
         await self._apply(state, [one.run for one in response.runs])
@@ -182,6 +186,8 @@ class CopyFeed:
             copy.caught_up = True
             self._news.set()  # the source may send readers now
         copy.note_progress()
+        if self._owner_facts:
+            self._news.set()  # puts wait for the word of a replica
         self._granted += charge_bytes
         if self._granted >= GRANT_BYTES:
             self._news.set()

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -24,7 +25,7 @@ from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.copies.messages import place_of, state_to
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
-from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelFeed, FeedPart, LagWatch
+from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
@@ -53,6 +54,10 @@ class FeedStream:
         self._heard_nanos = 0  # the copy's clock, as its last request had it
         self._sent_heard_nanos = -1
         self._sent_record = b""
+        self._source: ChannelCore  # the channel that is fed; set when the feed begins
+        self._replication: Replication | None = None  # of the channel, if the copy is a replica
+        self._host_id = b""
+        self._begins_anew = False
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
@@ -76,22 +81,25 @@ class FeedStream:
         opening = request.open
         if len(opening.host_id) != ID_BYTES or not opening.target:
             raise InvalidArgument("the feed's open has no host_id of 16 bytes, or no target; state both")
-        hosted = await self._store.bind(opening.channel_id, opening.epoch)  # perhaps nobody has used it yet
+        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps nobody has used it yet
         if hosted.fed is None:
             hosted.fed = FedCopies()
         if len([*hosted.fed]) >= FEEDS_MAX:
             raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
         if opening.owner_facts and hosted.copy is not None:
             raise refusals.copy_cannot(hosted.record.name, "does not know what only the owner knows")
-        place = place_of(opening.place, hosted.epoch) if opening.HasField("place") else None
-        window = hosted.puts.retries if opening.owner_facts else None
-        feed = ChannelFeed(hosted.channel, place, self._store.now(), window)
-        copy = FedCopy(opening.host_id, opening.target, lambda: hosted.channel.next_seq - feed.next_seq)
+        feed = await self._begin(hosted, opening)
+        copy = FedCopy(
+            opening.host_id,
+            opening.target,
+            lambda: self._source.next_seq - feed.next_seq,
+            is_replica=self._replication is not None,
+        )
         if opening.move_id:
             self._move = self._moves.begin(hosted, opening.host_id, opening.target)
         else:
             hosted.fed.add(copy)
-        hosted.group_observers[self] = None
+        self._observe(hosted, opening, feed)
         self._take(request, hosted, copy)
         reading = self._stream.spawn(self._read(hosted, copy))
         try:
@@ -100,9 +108,43 @@ class FeedStream:
             reading.cancel()
             feed.close()
             hosted.group_observers.pop(self, None)
+            if self._replication is not None:
+                self._replication.discard(opening.host_id, self)
             hosted.fed.discard(copy)
             if self._move is not None:
                 self._move.feed_ended()
+
+    async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
+        """The feed at the copy's place. A replica gets all accepted items, other copies those that readers see.
+
+        A replica that has to begin anew waits until the directory's log has it as out of sync.
+        """
+        place = place_of(opening.place, hosted.epoch) if opening.HasField("place") else None
+        if not opening.owner_facts:
+            if not hosted.is_ready:
+                raise refusals.not_ready(hosted.record.name)
+            self._source = hosted.channel
+            return ChannelFeed(hosted.channel, place, self._store.now())
+        self._source, self._replication = hosted.core, hosted.replication
+        self._begins_anew = place is not None and _has_others_items(hosted, opening.place)
+        place = None if self._begins_anew else place
+        feed = ChannelFeed(
+            hosted.core, place, self._store.now(), hosted.puts.retries, is_exact=hosted.replication is not None
+        )
+        self._begins_anew |= feed.begins_anew
+        holds_nothing = place is None or self._begins_anew
+        if self._replication is None or not holds_nothing or await self._replication.begin_anew(opening.host_id):
+            return feed
+        feed.close()
+        raise refusals.not_ready(hosted.record.name)
+
+    def _observe(self, hosted: HostedChannel, opening: pb.FeedOpen, feed: ChannelFeed) -> None:
+        self._host_id = opening.host_id
+        if self._replication is None:
+            hosted.group_observers[self] = None
+            return
+        self._replication.add(opening.host_id, self, refusals.not_ready(hosted.record.name))
+        self._replication.report(opening.host_id, self, feed.next_seq)
 
     async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
         async for raw in requests_of(self._context.read):
@@ -110,6 +152,8 @@ class FeedStream:
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             self._take(request, hosted, copy)
+            if self._replication is not None:
+                self._replication.report(self._host_id, self, request.held_next_seq)
         self._credit.end()
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
@@ -133,8 +177,8 @@ class FeedStream:
             self._credit.end()  # ends the feed
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        lost_before = hosted.channel.lost_before
-        opened = pb.FeedOpened(begins_anew=feed.begins_anew, lost_before_unix_nano=lost_before)
+        lost_before = self._source.lost_before
+        opened = pb.FeedOpened(begins_anew=feed.begins_anew or self._begins_anew, lost_before_unix_nano=lost_before)
         await self._write(self._response(hosted, self._bare(feed), opened))
 
     async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
@@ -158,7 +202,7 @@ class FeedStream:
         """Whether the changes are held, and the copy has everything."""
         if self._move is None or not self._move.is_held or self._has_handed_off or feed.owner is None:
             return False
-        return feed.next_seq == hosted.channel.next_seq and feed.owner.is_complete(self._store.now())
+        return feed.next_seq == self._source.next_seq and feed.owner.is_complete(self._store.now())
 
     async def _hand_off(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         self._has_handed_off = True
@@ -166,7 +210,7 @@ class FeedStream:
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         """End a feed that a host waits for, if it would never be level. A proxy shows its readers its age instead."""
-        behind = hosted.channel.next_seq - feed.next_seq
+        behind = self._source.next_seq - feed.next_seq
         if feed.owner is not None and self._lag.stays_behind(behind, self._store.now()):
             raise Overloaded(
                 f"the copy of channel {hosted.record.name} cannot catch up: it is {behind} items behind, no fewer than "
@@ -195,11 +239,11 @@ class FeedStream:
         """The encoded message, without the part's items."""
         state = state_to(part, self._store.now())
         state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
-        state.source_next_seq = hosted.channel.next_seq
+        state.source_next_seq = self._source.next_seq
         if hosted.copy is not None:
             state.staleness_nanos = hosted.copy.staleness_nanos
             state.source_next_seq = max(state.source_next_seq, hosted.copy.source_next_seq)
-        if part.next_seq == hosted.channel.next_seq:
+        if part.next_seq == self._source.next_seq:
             state.floors.extend(map(floor_to_message, self._new_floors(hosted)))
         if hosted.record.message != self._sent_record:
             self._sent_record = hosted.record.message
@@ -225,3 +269,13 @@ class FeedStream:
                 f"the copy took nothing for {WRITE_SECONDS_MAX:g} s, and its feed is ended; feed it again when it can "
                 "take items"
             ) from None
+
+
+def _has_others_items(hosted: HostedChannel, place: pb.FeedPlace) -> bool:
+    """Whether the copy may have items of a former owner that this owner does not have."""
+    if hosted.replication is None or place.owner_epoch >= hosted.epoch:
+        return False
+    if place.incarnation != hosted.core.incarnation:
+        return False
+    start = hosted.replication.start
+    return place.owner_epoch + 1 < hosted.epoch or place.next_seq > start

@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 COPIES_MAX = 1000  # the feeds of one host; each has a stream and two tasks
 READY_SECONDS_MAX = 5.0  # the longest wait of a caller that binds a new copy
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.1, 2.0
+REPLICA_PAUSE_SECONDS_MAX = 0.3  # a replica that has become the owner should hear of it soon
 REPORT_SECONDS = 2.0
 LOADS_MAX = 1000  # in one report
 
@@ -111,15 +112,18 @@ class CopyKeeper:
                 source = await self._source_of(copy)
                 if source is None:
                     return
-                if source.target and self._store.lease_held():
+                if source.host_id == self._identity.host_id:
+                    await self._store.become_owner(copy.record.channel_id, source.epoch)
+                elif source.target and self._store.lease_held():
                     await self._feed(copy, source)
             except StampedeError as error:
                 extra = {"event": "copy_feed_broken", "channel": copy.record.name, "why": str(error)}
                 logger.info("the feed of a copy is broken; the host tries again", extra=extra)
+            pause_max_s = REPLICA_PAUSE_SECONDS_MAX if copy.state.is_replica else PAUSE_SECONDS_MAX
             if copy.state.staleness_nanos < 2 * PAUSE_SECONDS_MAX * 10**9:
                 pause_s = PAUSE_SECONDS_MIN
             await self._pause(copy, pause_s)
-            pause_s = min(2 * pause_s, PAUSE_SECONDS_MAX)
+            pause_s = min(2 * pause_s, pause_max_s)
 
     async def _source_of(self, copy: _Copy) -> FeedSource | None:
         """The source of the copy. None if the directory has the copy no more; then drops the copy."""
@@ -131,12 +135,21 @@ class CopyKeeper:
             return None
         if source is None:
             self._end(channel_id, gone(name))
+        elif source.is_replica and not copy.state.is_replica:
+            copy.state.is_replica = True
+            copy.state.note_progress()
         return source
 
     async def _feed(self, copy: _Copy, source: FeedSource) -> None:
         channel = self._dial(source.target)
         feed = CopyFeed(
-            self._store, copy.record, copy.state, self._identity.host_id, self.target, self._bytes_per_second
+            self._store,
+            copy.record,
+            copy.state,
+            self._identity.host_id,
+            self.target,
+            self._bytes_per_second,
+            owner_facts=copy.state.is_replica,
         )
         try:
             await feed.run(source, channel)

@@ -42,6 +42,11 @@ class OutgoingMoves:
                 f"channel {hosted.record.name} is recorded, and its archive stays at host {self.identity.name}, so it "
                 "cannot move; leave it there"
             )
+        if hosted.replication is not None:
+            raise InvalidArgument(
+                f"channel {hosted.record.name} has replicas, and cannot move yet; a replica in sync takes over at once "
+                f"when host {self.identity.name} leaves"
+            )
         if self._under_way >= MOVES_MAX:
             raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
         self._under_way += 1

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from stampede_rt.v1 import replica_directory_service_pb2 as pb
 from stampede_rt.v1 import replica_directory_service_pb2_grpc, replica_pb2, subject_pb2
+from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 
 CALL_SECONDS_MAX = 4.0
 
 
 class FeedSource(NamedTuple):
-    """The host that feeds a copy, and the epoch of the channel. `target` is empty if that host is not alive."""
+    """The host that feeds a copy, and the epoch of the channel. `target` is empty if that host is not alive.
+
+    If the source is the host of the copy itself, this host has become the owner.
+    """
 
     host_id: bytes
     target: str
     epoch: int
+    is_replica: bool = False
+
+
+class ListedReplica(NamedTuple):
+    """A replica as the directory lists it. `target` is the gatekeeper of its host; empty if the host is not alive."""
+
+    known: KnownReplica
+    target: str
+
+
+class ListedReplicas(NamedTuple):
+    """The replicas of a channel, without its proxies; and its owner."""
+
+    owner_host_id: bytes
+    epoch: int
+    replicas: list[ListedReplica]
 
 
 class ReplicaDirectory:
@@ -37,12 +59,57 @@ class ReplicaDirectory:
         """
         request = pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
+        if response.owner_host_id == host_id:
+            return FeedSource(host_id, "", response.epoch)
         replica = next((one for one in response.replicas if one.host_id == host_id), None)
         if replica is None:
             return None
-        source = next((one for one in response.hosts if one.host_id == replica.source_host_id), None)
-        target = source.gatekeepers[0].target if source is not None and source.alive and source.gatekeepers else ""
-        return FeedSource(replica.source_host_id, target, response.epoch)
+        is_replica = replica.kind == replica_pb2.REPLICA_KIND_WARM
+        target = _targets(response).get(replica.source_host_id, "")
+        return FeedSource(replica.source_host_id, target, response.epoch, is_replica)
+
+    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
+        """The replicas of a channel. Raises ChannelNotFound."""
+        request = pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
+        response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
+        targets = _targets(response)
+        replicas = [
+            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), targets.get(one.host_id, ""))
+            for one in response.replicas
+            if one.kind == replica_pb2.REPLICA_KIND_WARM
+        ]
+        return ListedReplicas(response.owner_host_id, response.epoch, replicas)
+
+    async def add_replica(self, channel_id: bytes, epoch: int) -> None:
+        """Add a replica at a host that the directory chooses. Raises Unavailable (NO_HOST) if there is none."""
+        request = pb.AddReplicaRequest(
+            request_id=os.urandom(ID_BYTES),
+            subject=subject_pb2.Subject(channel_id=channel_id),
+            epoch=epoch,
+            kind=replica_pb2.REPLICA_KIND_WARM,
+            acknowledged=True,
+        )
+        await self._call("AddReplica", request)
+
+    async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
+        """Remove the replica at a host."""
+        request = pb.RemoveReplicaRequest(
+            request_id=os.urandom(ID_BYTES), subject=subject_pb2.Subject(channel_id=channel_id), host_id=host_id
+        )
+        await self._call("RemoveReplica", request)
+
+    async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
+        """Set or clear a replica's flag in the log. Raises StaleBinding, HostNotFound, InvalidArgument."""
+        request = pb.SetReplicaInSyncRequest(
+            request_id=os.urandom(ID_BYTES),
+            subject=subject_pb2.Subject(channel_id=channel_id),
+            epoch=epoch,
+            host_id=change.host_id,
+            boot_incarnation=change.boot_incarnation,
+            in_sync=change.in_sync,
+            change_number=change.number,
+        )
+        await self._call("SetReplicaInSync", request)
 
     async def report(
         self, host_id: bytes, boot_incarnation: int, loads: Sequence[replica_pb2.ReplicaLoad]
@@ -55,3 +122,8 @@ class ReplicaDirectory:
     async def _call(self, method: str, request: object) -> Any:
         stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
         return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)
+
+
+def _targets(response: pb.ListReplicasResponse) -> dict[bytes, str]:
+    """The gatekeepers of the live hosts, by host."""
+    return {one.host_id: one.gatekeepers[0].target for one in response.hosts if one.alive and one.gatekeepers}

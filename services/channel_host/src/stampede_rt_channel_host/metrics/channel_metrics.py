@@ -33,7 +33,7 @@ class ChannelMetrics:
         after = ""
         while found := self._store.named_after(after, CHANNELS_PER_PIECE):
             for hosted in found:
-                counted = hosted.channel.latest_counters()
+                counted = hosted.core.latest_counters()
                 totals.add(hosted, counted)
                 self._note(busiest, hosted, counted.accepted_bytes + hosted.delivered_bytes)
             after = found[-1].record.name
@@ -87,7 +87,7 @@ def _of_readers(readers: Readers) -> Iterator[Family]:
 
 def _of_each(shown: list[HostedChannel], now: int) -> Iterator[Family]:
     """The metrics of single channels."""
-    counted_by_name = [(hosted.record.name, hosted.channel.latest_counters()) for hosted in shown]
+    counted_by_name = [(hosted.record.name, hosted.core.latest_counters()) for hosted in shown]
     counts = {
         name: dict(counts_of(hosted, counted)) for hosted, (name, counted) in zip(shown, counted_by_name, strict=True)
     }

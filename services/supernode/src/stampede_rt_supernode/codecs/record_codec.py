@@ -8,7 +8,7 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_pb2, directory_pb2, peer_pb2
-from stampede_rt.values.model import OnFull, Policy
+from stampede_rt.values.model import Ack, OnFull, Policy
 from stampede_rt_supernode.codecs.group_codec import group_record
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import peer_record
@@ -31,23 +31,34 @@ _ON_FULL_TO_WIRE: dict[OnFull | None, channel_pb2.OnFull] = {
     "reject": channel_pb2.ON_FULL_REJECT,
 }
 _ON_FULL_FROM_WIRE = {wire: name for name, wire in _ON_FULL_TO_WIRE.items()}
+_ACK_TO_WIRE: dict[Ack | None, channel_pb2.Ack] = {
+    None: channel_pb2.ACK_UNSPECIFIED,
+    "host": channel_pb2.ACK_HOST,
+    "replica": channel_pb2.ACK_REPLICA,
+}
+_ACK_FROM_WIRE = {wire: name for name, wire in _ACK_TO_WIRE.items()}
 _CHANGE_KINDS = {
     ChangeKind.ADDED: directory_pb2.CHANGE_KIND_ADDED,
     ChangeKind.UPDATED: directory_pb2.CHANGE_KIND_UPDATED,
     ChangeKind.REMOVED: directory_pb2.CHANGE_KIND_REMOVED,
 }
 _LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
-_SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "archive_nanos", "archive_bytes")
+_SPEC_FIELDS = (
+    "max_future_nanos", "content_type", "max_item_bytes", "overlap_nanos", "archive_nanos", "archive_bytes", "replicas",
+    "min_replicas",
+)  # fmt: skip
 _POLICIES_MAX = 1024
 
 
 def policy_from(spec: channel_pb2.ChannelSpec) -> Policy:
-    """The policy in a message. Raises InvalidArgument for an unknown value of on_full."""
+    """The policy in a message. Raises InvalidArgument for an unknown value of on_full or ack."""
     if spec.on_full not in _ON_FULL_FROM_WIRE:
         raise InvalidArgument(f"on_full is {spec.on_full}, which this version does not know; see OnFull for the values")
+    if spec.ack not in _ACK_FROM_WIRE:
+        raise InvalidArgument(f"ack is {spec.ack}, which this version does not know; see Ack for the values")
     limits = {name: _optional(spec.retention, name) for name in _LIMIT_FIELDS}
     others = {name: _optional(spec, name) for name in _SPEC_FIELDS}
-    return Policy(on_full=_ON_FULL_FROM_WIRE[spec.on_full], **limits, **others)
+    return Policy(on_full=_ON_FULL_FROM_WIRE[spec.on_full], ack=_ACK_FROM_WIRE[spec.ack], **limits, **others)
 
 
 def _optional(message: channel_pb2.ChannelSpec | channel_pb2.RetentionPolicy, name: str) -> Any:
@@ -59,6 +70,7 @@ def spec_of(policy: Policy) -> channel_pb2.ChannelSpec:
     return channel_pb2.ChannelSpec(
         retention=channel_pb2.RetentionPolicy(**{name: getattr(policy, name) for name in _LIMIT_FIELDS}),
         on_full=_ON_FULL_TO_WIRE[policy.on_full],
+        ack=_ACK_TO_WIRE[policy.ack],
         **{name: getattr(policy, name) for name in _SPEC_FIELDS},
     )
 

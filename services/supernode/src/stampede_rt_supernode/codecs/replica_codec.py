@@ -59,6 +59,7 @@ def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
         in_sync=replica.in_sync,
         acknowledged=replica.acknowledged,
         epoch=replica.epoch,
+        change_number=replica.change_number,
     )
 
 
@@ -73,6 +74,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
         in_sync=record.in_sync,
         acknowledged=record.acknowledged,
         epoch=record.epoch,
+        change_number=record.change_number,
     )
 
 

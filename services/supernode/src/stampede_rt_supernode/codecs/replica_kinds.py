@@ -62,6 +62,7 @@ def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
         host_id=operation.host_id,
         boot_incarnation=operation.boot_incarnation,
         in_sync=operation.in_sync,
+        change_number=operation.change_number,
     )
 
 
@@ -72,6 +73,7 @@ def _read_in_sync(message: pb.SetReplicaInSyncCommand) -> SetReplicaInSync:
         host_id=message.host_id,
         boot_incarnation=message.boot_incarnation,
         in_sync=message.in_sync,
+        change_number=message.change_number,
     )
 
 

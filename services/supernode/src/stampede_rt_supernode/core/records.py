@@ -156,7 +156,8 @@ class ReplicaRecord:
 
     `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, so its host may
     become the owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync.
-    `epoch`: the epoch of the channel when this copy was added or last changed.
+    `epoch`: the epoch of the channel when this copy was added or last changed. `change_number`: the owner's number of
+    its last change of `in_sync` in this epoch; 0: there was none.
     """
 
     channel_id: bytes
@@ -167,6 +168,7 @@ class ReplicaRecord:
     in_sync: bool = False
     acknowledged: bool = False
     epoch: int
+    change_number: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,8 +1,9 @@
 """Applies the loss of a host to its channels, their copies and groups, and its mailboxes. Pure.
 
-A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the former
-owner's registration, and no other host gets the channel in between. But the incarnation changes, because items that
-were put and not acknowledged may be lost.
+A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the
+former owner's registration, and no other host gets the channel in between. If puts waited for the replica, it also
+holds all items that a reader has seen. The incarnation then stays: nobody can have a position or a cursor of an item
+that is lost.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> None:
-    """Replace a channel's record by `after`, which has a higher epoch, a new incarnation, and perhaps another owner.
+    """Replace a channel's record by `after`, which has a higher epoch, another owner or incarnation, or both.
 
     The caller must then call `note_lost_cuts`, once for all channels of one log entry, because these channels may be in
     the same groups.
@@ -59,9 +60,12 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
 
 
 def _lost_nothing(tables: Tables, channel: ChannelRecord, heir: HostRecord) -> bool:
-    """Whether the heir is the former owner of a channel that has just moved, and so has all items."""
+    """Whether the heir has all items that were acknowledged, and all that a reader has seen.
+
+    It is a replica for which puts waited, or the former owner of a channel that has just moved.
+    """
     copy = tables.replicas.at(channel.channel_id, heir.host_id)
-    return copy is not None and copy.kind is ReplicaKind.MOVE
+    return copy is not None and (copy.kind is ReplicaKind.MOVE or copy.acknowledged)
 
 
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:

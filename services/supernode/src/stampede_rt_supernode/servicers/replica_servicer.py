@@ -79,6 +79,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
             host_id=request.host_id,
             boot_incarnation=request.boot_incarnation,
             in_sync=request.in_sync,
+            change_number=request.change_number,
         )
         done = await self._calls.submit(context, operation, ReplicaInSyncSet, request.request_id)
         return pb.SetReplicaInSyncResponse(replica=replica_record(done.replica))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -21,6 +22,7 @@ from tests.support.supernode.operations import (
     register,
     remove_replica,
     set_in_sync,
+    update,
 )
 
 
@@ -56,8 +58,8 @@ def refusal(log: Log, operation: Operation) -> Refused:
     return result
 
 
-def warm_in_sync(log: Log, host: int) -> None:
-    added(log, add_replica(cam(log).channel_id, host, warm=True))
+def warm_in_sync(log: Log, host: int, *, acknowledged: bool = True) -> None:
+    added(log, add_replica(cam(log).channel_id, host, warm=True, acknowledged=acknowledged))
     assert isinstance(log.apply(set_in_sync(cam(log).channel_id, host)), ReplicaInSyncSet)
 
 
@@ -145,12 +147,21 @@ def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
     added(log, add_replica(before.channel_id, 3))
     log.apply(end(1))
     after = cam(log)
-    assert (after.host_id, after.epoch, after.incarnation) == (id_of(2), 2, before.incarnation + 1)
+    assert (after.host_id, after.epoch, after.incarnation) == (id_of(2), 2, before.incarnation)
     assert after.proxy_host_ids == (id_of(3),)
     assert [(one.source_host_id, one.epoch) for one in copies(log)] == [(id_of(2), 2)]
     assert log.directory.tables.hosts[id_of(2)].channels == 1
     late = refusal(log, set_in_sync(before.channel_id, 2, False))
     assert late.reason == "WRONG_EPOCH", "the former owner cannot acknowledge without the replica any more"
+
+
+def test_a_replica_for_which_no_put_waited_takes_over_with_a_new_incarnation(log: Log) -> None:
+    before = cam(log)
+    warm_in_sync(log, 2, acknowledged=False)
+    warm_in_sync(log, 3)
+    log.apply(deregister(1))
+    assert (cam(log).host_id, cam(log).incarnation) == (id_of(2), before.incarnation + 1)
+    assert [one.in_sync for one in copies(log)] == [False]
 
 
 @pytest.mark.parametrize("end", [ENDINGS["expired"], ENDINGS["left"]], ids=["expired", "left"])
@@ -175,6 +186,25 @@ def test_a_copy_goes_with_the_registration_of_its_host(log: Log, end: Callable[[
     assert cam(log).host_id == id_of(1), "there is nobody to take over"
 
 
+def test_a_change_of_the_flag_that_a_later_one_has_overtaken_is_refused(log: Log) -> None:
+    warm_in_sync(log, 2)
+    channel_id = cam(log).channel_id
+    log.apply(replace(set_in_sync(channel_id, 2, False), change_number=7))
+    log.apply(replace(set_in_sync(channel_id, 2, False), change_number=7))
+    late = refusal(log, replace(set_in_sync(channel_id, 2), change_number=6))
+    assert late.metadata["field"] == "change_number"
+    assert [one.in_sync for one in copies(log)] == [False]
+
+
+def test_replicas_end_when_puts_wait_for_them_no_more_or_for_the_first_time(log: Log) -> None:
+    added(log, add_replica(cam(log).channel_id, 3))
+    for replicas, ack in ((1, "replica"), (0, "host")):
+        warm_in_sync(log, 2)
+        log.apply(update(cam(log).channel_id, 1, replicas=replicas, ack=ack))
+        assert [one.host_id for one in copies(log)] == [id_of(3)]
+        assert cam(log).proxy_host_ids == (id_of(3),)
+
+
 def test_an_expiry_that_comes_too_late_moves_nothing(log: Log) -> None:
     warm_in_sync(log, 2)
     log.apply(register(1))
@@ -188,7 +218,7 @@ def test_an_heir_is_the_replica_at_the_host_with_the_fewest_channels(log: Log) -
     warm_in_sync(log, 3)
     log.apply(deregister(1))
     assert cam(log).host_id == id_of(3)
-    assert [(one.host_id, one.in_sync) for one in copies(log)] == [(id_of(2), False)]
+    assert [(one.host_id, one.in_sync) for one in copies(log)] == [(id_of(2), True)]
 
 
 def test_a_channel_that_is_placed_anew_at_a_copy_has_no_copy_there(log: Log) -> None:

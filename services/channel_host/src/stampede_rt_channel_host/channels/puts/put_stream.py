@@ -20,6 +20,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.acks import refused
+from stampede_rt_channel_host.channels.puts.held_acks import WAIT_NANOS_DEFAULT, AckOfReplicas, HeldAcks
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
@@ -75,6 +76,8 @@ class PutStream:
         self._acks: list[pb.PutAck] = []
         self._closed = False
         self._is_writing = False
+        self._judged_at: HostedChannel | None = None  # the channel of the latest run
+        self._held_back: HeldAcks | None = None  # made when the stream first puts into a channel with replicas
         self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
@@ -94,11 +97,15 @@ class PutStream:
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
                 await self._take(received)
+            if self._held_back is not None:
+                await self._held_back.all_passed()
             self._closed = True
             self._news.set()
             await writer
         finally:
             writer.cancel()
+            if self._held_back is not None:
+                self._held_back.close()
             self._requests.close()
 
     def _read_request(self, raw: Any, received_s: float) -> _ReceivedRequest | None:
@@ -118,14 +125,17 @@ class PutStream:
 
         Returns False for any other message.
         """
-        is_idle = not (self._acks or self._is_writing or self._whole.is_joining or self._requests.is_ahead)
+        owes = self._acks or self._is_writing or self._held_back
+        is_idle = not (owes or self._whole.is_joining or self._requests.is_ahead)
         if not is_idle or raw[:1] == PIECE_TAG:
             return False
         try:
             request = read_request(raw)
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
-            if not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX or self._store.find(channel_id, epoch).puts.may_wait:
+            hosted = self._store.find(channel_id, epoch)
+            may_wait = hosted.puts.may_wait or hosted.replication is not None
+            if may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
                 return False
         except StampedeError:  # the loop that reads the requests comes to the same error
             return False
@@ -141,16 +151,13 @@ class PutStream:
         self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
         self._work.spend_read()
         while received.puts:
+            ack: pb.PutAck | AckOfReplicas
             if received.too_much:
                 ack = _refuse_size(received.puts.popleft(), self._store.now())
             else:
                 ack = await self._put(received)
-            while len(self._acks) >= ACKS_QUEUED_MAX:
-                self._news.set()
-                self._room.clear()
-                await self._room.wait()
-            self._acks.append(ack)  # after the await, during which the writer may replace the list
-        if received.is_single and not self._is_writing:
+            await self._pass_on(ack)
+        if received.is_single and self._acks and not self._is_writing:
             await self._write()
             return
         self._news.set()
@@ -162,10 +169,40 @@ class PutStream:
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
         return ack
 
-    async def _put(self, received: _ReceivedRequest) -> pb.PutAck:
+    async def _pass_on(self, ack: pb.PutAck | AckOfReplicas) -> None:
+        """Leave an ack to the writer, once it and all acks before it are due."""
+        if isinstance(ack, AckOfReplicas) or self._held_back:
+            if self._held_back is None:
+                self._held_back = HeldAcks(self._queue, self._stream.spawn)
+            await self._held_back.add(ack)
+        else:
+            await self._queue(ack)
+
+    async def _queue(self, ack: pb.PutAck) -> None:
+        while len(self._acks) >= ACKS_QUEUED_MAX:
+            self._news.set()
+            self._room.clear()
+            await self._room.wait()
+        self._acks.append(ack)  # after the await, during which the writer may replace the list
+        if self._held_back:
+            self._news.set()
+
+    async def _put(self, received: _ReceivedRequest) -> pb.PutAck | AckOfReplicas:
         """The ack of the first run. Waits while the run waits for room."""
-        judged = self._judge(received.puts.popleft(), received.received_s)
-        return judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
+        put = received.puts.popleft()
+        judged = self._judge(put, received.received_s)
+        ack = judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
+        return self._held_back_by_replicas(ack, put, received.received_s)
+
+    def _held_back_by_replicas(self, ack: pb.PutAck, put: Put, received_s: float) -> pb.PutAck | AckOfReplicas:
+        """The ack, which waits for the replicas of its channel if there are any."""
+        hosted = self._judged_at
+        if hosted is None or hosted.replication is None or not ack.HasField("first_seq"):
+            return ack
+        wait_nanos = put.wait_nanos
+        if wait_nanos is not None:
+            wait_nanos = left_nanos(wait_nanos if wait_nanos > 0 else WAIT_NANOS_DEFAULT, received_s)
+        return AckOfReplicas(ack, hosted.record.name, hosted.replication, hosted.core.next_seq, wait_nanos)
 
     def _judge(self, put: Put, received_s: float) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
         """The ack of a run, or the run and its channel if the run has to wait for room."""
@@ -177,7 +214,7 @@ class PutStream:
                 raise InvalidArgument(
                     "the put names no channel; set channel_id and epoch in the stream's first request"
                 )
-            hosted = self._store.find(self._channel_id, self._epoch)
+            hosted = self._judged_at = self._store.find(self._channel_id, self._epoch)
             self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
                 run = self._read(put, received_s)

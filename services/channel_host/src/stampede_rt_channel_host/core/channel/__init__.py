@@ -62,6 +62,7 @@ from stampede_rt_channel_host.core.channel.pieces import (
     run_to_end,
 )
 from stampede_rt_channel_host.core.channel.reading import Pending
+from stampede_rt_channel_host.core.channel.replicated_view import ReplicatedView
 from stampede_rt_channel_host.core.channel.run import (
     ABSENT,
     ITEM_OVERHEAD_BYTES,
@@ -138,6 +139,7 @@ __all__ = [
     "ReachTracker",
     "ReadAnswer",
     "Rejection",
+    "ReplicatedView",
     "Run",
     "SavedCursor",
     "Seal",

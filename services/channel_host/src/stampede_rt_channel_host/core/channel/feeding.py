@@ -94,11 +94,14 @@ class ChannelFeed:
     """The source's side of one feed. Call `close` at its end."""
 
     def __init__(
-        self, source: ChannelCore, place: FeedPlace | None, now: int, window: RetryWindow | None = None
-    ) -> None:
+        self, source: ChannelCore, place: FeedPlace | None, now: int, window: RetryWindow | None = None, *,
+        is_exact: bool = False,
+    ) -> None:  # fmt: skip
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
+        `is_exact`: a part tells which items have left only if it brings the copy to the end of the source. So no item
+        leaves the copy before the copy has the items that took its place.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
@@ -108,6 +111,7 @@ class ChannelFeed:
         self.begins_anew = not _continues(source, held, place)
         first_seq = 1 if self.begins_anew or place is None else place.next_seq
         self._source = source
+        self._is_exact = is_exact
         self._cursor = AllCursor(iter(()), first_seq)
         self._cleared: ItemKey | None = None
         self._sent: tuple[Collection | None, int | None] = None, None
@@ -130,9 +134,12 @@ class ChannelFeed:
         has_runs = self.owner is None or self.owner.is_level  # else the copy must not get the items of unknown runs
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held, _ = self._source.look(now)
-        collection, advance = collection_of(held), self._source.advanced_to
+        collection: Collection | None = collection_of(held)
+        advance = self._source.advanced_to
         cleared, self._cleared = self._cleared, None
         known_collection, known_advance = self._sent
+        if self._is_exact and self.next_seq < held.next_seq:
+            collection, advance = known_collection, known_advance
         if self.next_seq == before and owner is None and (known_collection, known_advance) == (collection, advance):
             return None
         self._sent = collection, advance

@@ -10,11 +10,13 @@ from dataclasses import fields, replace
 
 from stampede_rt.errors import ChannelExists, InvalidArgument
 from stampede_rt.values.model import OVERLAP_NANOS_MAX, Policy
+from stampede_rt.values.policy import REPLICAS_MAX
 from stampede_rt.values.timeline import format_duration
 
 ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
+ACKS = ("host", "replica")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
 # The values of unstated fields once a limit was stated. content_type is not here: unstated, it has no effect on items.
 IN_EFFECT_UNSTATED = {  # by field
@@ -22,6 +24,9 @@ IN_EFFECT_UNSTATED = {  # by field
     "on_full": "drop_oldest",
     "max_future_nanos": 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
+    "replicas": 0,
+    "ack": "host",
+    "min_replicas": 1,
 }
 # The field that only the creation sets, because another value would change the spans of items that readers have seen.
 FIXED = "overlap_nanos"
@@ -36,6 +41,8 @@ _RANGES = {  # by field: the least and the greatest value, and the text of this 
     "archive_nanos": (1, 2**63 - 1, "more than 0"),
     "archive_bytes": (2**20, 2**64 - 1, "at least 1048576 (1 MiB)"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
+    "replicas": (0, REPLICAS_MAX, f"0 to {REPLICAS_MAX}"),
+    "min_replicas": (0, REPLICAS_MAX, f"0 to {REPLICAS_MAX}"),
 }
 
 
@@ -58,6 +65,8 @@ def check_ranges(channel: str, policy: Policy) -> None:
             raise _invalid(channel, name, out_of_range(name, value, allowed))
     if policy.on_full is not None and policy.on_full not in ON_FULL:
         raise _invalid(channel, "on_full", f"on_full is {policy.on_full!r}; it must be one of {', '.join(ON_FULL)}")
+    if policy.ack is not None and policy.ack not in ACKS:
+        raise _invalid(channel, "ack", f"ack is {policy.ack!r}; it must be one of {', '.join(ACKS)}")
     _check_content_type(channel, policy.content_type)
 
 
@@ -81,6 +90,26 @@ def check_policy(channel: str, policy: Policy) -> None:
             "max_age_unconsumed that is not below max_age"
         )
         raise _invalid(channel, "max_age_unconsumed_nanos", text)
+    _check_replicas(channel, policy)
+
+
+def _check_replicas(channel: str, policy: Policy) -> None:
+    replicas, waits = policy.replicas or 0, policy.ack == "replica"
+    if waits and not replicas:
+        text = 'ack="replica" waits for replicas, and the channel has none; state replicas of 1 or more with it'
+        raise _invalid(channel, "ack", text)
+    if replicas and not waits:
+        text = (
+            'a replica takes over without a loss only if puts wait for it; state ack="replica" with replicas, or leave '
+            "replicas out"
+        )
+        raise _invalid(channel, "replicas", text)
+    if replicas and policy.is_recorded:
+        text = "a channel with replicas cannot have an archive yet; leave replicas and ack out, or the archive"
+        raise _invalid(channel, "replicas", text)
+    if waits and policy.min_replicas is not None and policy.min_replicas > replicas:
+        text = f"min_replicas is {policy.min_replicas}, and the channel has {replicas}; state at most {replicas}"
+        raise _invalid(channel, "min_replicas", text)
 
 
 def check_fixed(channel: str, held: Policy, changes: Policy) -> None:

@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.hosts.placement import (
 )
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
-from stampede_rt_supernode.core.replicas.transitions import check_epoch
+from stampede_rt_supernode.core.replicas.transitions import check_epoch, end_replicas
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import forget_channel, give_owner
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
@@ -111,8 +111,11 @@ def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
     policy = merge(channel.policy, operation.policy)
     check_policy(channel.name, policy)
     if policy != channel.policy:
-        channel = replace(channel, policy=policy, policy_version=channel.policy_version + 1)
-        tables.replace_channel(channel)
+        changed = replace(channel, policy=policy, policy_version=channel.policy_version + 1)
+        tables.replace_channel(changed)
+        if (policy.ack == "replica") != (channel.policy.ack == "replica"):
+            end_replicas(tables, changed)
+        channel = tables.channels[channel.channel_id]
     return ChannelUpdated(channel=channel)
 
 

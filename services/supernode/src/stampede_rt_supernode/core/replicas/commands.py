@@ -36,7 +36,7 @@ class RemoveReplica(Operation):
 class SetReplicaInSync(Operation):
     """The owner at `epoch` reports whether a warm replica is in sync.
 
-    `host_id` and `boot_incarnation` are those of the replica's host.
+    `host_id` and `boot_incarnation` are those of the replica's host. `change_number` grows with each change.
     """
 
     channel_id: bytes
@@ -44,6 +44,7 @@ class SetReplicaInSync(Operation):
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
+    change_number: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -135,8 +135,8 @@ def _source(tables: Tables, channel: ChannelRecord, operation: AddReplica) -> by
         return source
     if operation.kind is ReplicaKind.WARM:
         text = f"a warm replica of channel {channel.name} is fed by the owner only; leave source_host_id out"
-    elif tables.replicas.at(channel.channel_id, source) is None:
-        text = f"host {source.hex()} holds no copy of channel {channel.name} to feed another; leave source_host_id out"
+    elif (there := tables.replicas.at(channel.channel_id, source)) is None or there.kind is not ReplicaKind.PROXY:
+        text = f"host {source.hex()} holds no proxy of channel {channel.name} to feed another; leave source_host_id out"
     else:
         return source
     raise InvalidArgument(text, metadata={"channel": channel.name, "field": "source_host_id"})
@@ -169,12 +169,17 @@ def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: Chan
     """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
-    fed. No copy is in sync any more.
+    fed. If the incarnation is new, no copy is in sync any more. Else a copy that was in sync stays so: it holds all
+    items that were acknowledged or shown.
     """
     held = tables.replicas.of(before.channel_id)
     left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
-    return tuple(replace(one, in_sync=False, epoch=after.epoch) for one in moved)
+    goes_on = before.incarnation == after.incarnation
+    return tuple(
+        replace(one, in_sync=one.in_sync and one.acknowledged and goes_on, epoch=after.epoch, change_number=0)
+        for one in moved
+    )
 
 
 def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
@@ -190,7 +195,8 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     """Set `in_sync` of a copy as its owner reports it, if epoch and boot incarnation agree.
 
     The owner reports False, and waits until that is in the log, before it acknowledges a put without the replica. A
-    late report of a former owner has another epoch. So a replica that becomes the owner has all acknowledged items.
+    late report of a former owner has another epoch, and one that a later report has overtaken has a lower number. So a
+    replica that becomes the owner has all acknowledged items.
     """
     check_set_in_sync(operation)
     channel = channel_by_id(tables, operation.channel_id)
@@ -207,10 +213,22 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
         raise _no_copy(
             channel, channel.host_id, "owns it without a lease, so its report does not count; register again"
         )
-    changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch)
+    if operation.change_number < replica.change_number:
+        text = f"channel {channel.name}: a later change of the replica is in the log; report its present state"
+        raise InvalidArgument(text, metadata={"channel": channel.name, "field": "change_number"})
+    number = operation.change_number
+    changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch, change_number=number)
     held = tables.replicas.of(channel.channel_id)
     store(tables, channel, tuple(changed if one is replica else one for one in held))
     return ReplicaInSyncSet(replica=changed)
+
+
+def end_replicas(tables: Tables, channel: ChannelRecord) -> None:
+    """Remove the replicas of a channel, because its owner did not wait for them until now, or waits no more."""
+    held = tables.replicas.of(channel.channel_id)
+    gone = {one.host_id for one in held if one.kind is ReplicaKind.WARM}
+    left = (one for one in held if one.host_id not in gone)
+    store(tables, channel, tuple(_fed(one, gone, channel.host_id) for one in left))
 
 
 def _no_copy(channel: ChannelRecord, host_id: bytes, what: str) -> HostNotFound:

@@ -1,0 +1,66 @@
+"""The counters of a channel, as callers get them. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.proxying import CopyStats
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ConsumerStats:
+    """A consumer place of a channel.
+
+    `waiting` is the number of held items that the consumer has still to consume. `lease_nanos` is the rest of the
+    place's lease. If it is 0, the lease has ended, and the place holds back no item until a consumer takes the place.
+    """
+
+    consumer_id: int
+    lease_nanos: int
+    waiting: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelStats:
+    """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
+
+    - `collected` counts the collected items by cause: age, count, bytes, consumption. `rejected` counts the refused
+      items by reason.
+    - `newest` and `oldest` are the times of the newest and the oldest held item, `frontier` is the latest end of the
+      spans of collected items, and `advance` the highest advance. Each is None if there is no such item or advance.
+    - `consumers` lists the taken places; `policy.consumers` counts all places.
+    - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
+      round trip of the call. The offset is None in a list of channels.
+    - `transport`: how this program reaches the channel's data: "grpc", "socket", or "shared" while reads of the newest
+      items need no call; None in a list of channels.
+    - `subscriptions` and `waiting_gets` do not count readers that follow the channel in shared memory.
+    - `copies`: the copies that the host feeds: proxies and replicas.
+    - `replicated`: all items with a smaller seq are replicated, so that readers see them; None without replicas.
+      `not_replicated`: the accepted items of puts that ended with NotReplicated.
+    """
+
+    accepted: int
+    held: int
+    collected: Mapping[str, int]
+    rejected: Mapping[str, int]
+    accepted_bytes: int
+    held_bytes: int
+    delivered_bytes: int
+    newest: int | None
+    oldest: int | None
+    frontier: int | None
+    advance: int | None
+    subscriptions: int
+    waiting_gets: int
+    waiting_puts: int
+    incarnation: int
+    host_time: int
+    policy: Policy = field(default_factory=Policy)
+    consumers: Sequence[ConsumerStats] = ()
+    clock_offset_nanos: int | None = None
+    transport: str | None = None
+    copies: Sequence[CopyStats] = ()
+    replicated: int | None = None
+    not_replicated: int = 0

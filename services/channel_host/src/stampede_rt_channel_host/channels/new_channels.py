@@ -1,0 +1,47 @@
+"""The beginnings of channels and copies at a host."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel
+from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+
+class NewCopy(NamedTuple):
+    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were.
+
+    `knows_owner`: it is fed with the facts that only the owner knows, too, so that it can become the owner.
+    """
+
+    state: CopyState
+    lost_before: int | None
+    knows_owner: bool = False
+
+
+class OwnedCore(NamedTuple):
+    """The state of a channel at its owner: the items, and the retry window of the producers."""
+
+    channel: ChannelCore
+    retries: RetryWindow
+
+
+def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:
+    """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
+    if isinstance(copy, OwnedCore):
+        return copy.channel
+    incarnation, name = record.incarnation, record.name
+    if copy is None:
+        lost_before = now if record.epoch > 1 else None
+        return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
+    return FedChannel(
+        record.policy,
+        incarnation=incarnation,
+        name=name,
+        lost_before=copy.lost_before,
+        cut=slice_run,
+        knows_owner=copy.knows_owner,
+    )

@@ -1,0 +1,227 @@
+"""The replicas of one channel at its owner: what they have, what readers see, and the acks that wait for them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, FedChannel, Pieces, ReplicatedView
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
+
+READY_SECONDS_MAX = 3.0  # a caller that binds the channel waits so long for the replicas of a new owner
+
+
+class ReplicaFeed(Protocol):
+    """The feed of one replica."""
+
+    def wake(self) -> None:
+        """The channel has new items."""
+
+    def end(self, error: StampedeError) -> None:
+        """The host does not feed the replica over this stream any more."""
+
+
+def waits_for_replicas(policy: Policy) -> bool:
+    """Whether puts into a channel with this policy wait for replicas."""
+    return policy.ack == "replica"
+
+
+class Replication:
+    """The replicas of the channel `core`. `shown` is the channel as readers see it: with replicated items only.
+
+    Calls `on_shown` with the time after each change of `shown`.
+    """
+
+    ended: StampedeError | None = None
+    not_replicated = 0
+    """The items of puts that ended with NOT_REPLICATED."""
+    _is_filled = False
+
+    def __init__(
+        self, core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None],
+        steady_nanos: Callable[[], int] = time.monotonic_ns,
+    ) -> None:  # fmt: skip
+        """The caller must perform `filling` once."""
+        self._core = core
+        self._now = now
+        self._on_shown = on_shown
+        self._steady_nanos = steady_nanos
+        self._view = ReplicatedView(core, now(), slice_run)
+        self._in_sync = ReplicasInSync(core.next_seq, _least(core.policy))
+        self._feeds: dict[bytes, ReplicaFeed] = {}
+        self._changed = asyncio.Event()
+        self.news = asyncio.Event()
+        """Set when the keeper of the replicas has something to do."""
+
+    @property
+    def shown(self) -> FedChannel:
+        """The channel as readers see it."""
+        return self._view.shown
+
+    @property
+    def replicated_next_seq(self) -> int:
+        """All items before this seq are replicated."""
+        return self._in_sync.replicated
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether readers and producers may use the channel."""
+        return self._is_filled and self._in_sync.is_ready
+
+    @property
+    def min_replicas(self) -> int:
+        """With fewer replicas in sync nothing is replicated."""
+        return self._in_sync.min_replicas
+
+    @property
+    def start(self) -> int:
+        """The channel's next seq when this host became its owner."""
+        return self._in_sync.start
+
+    def filling(self) -> Pieces[None]:
+        """Take in the items that the channel has from before, in pieces."""
+        yield from self._view.filling(self._now())
+        self._is_filled = True
+        self.accepted(self._now())
+
+    async def ready(self) -> bool:
+        """Wait until readers and producers may use the channel, READY_SECONDS_MAX at most. Returns whether they may."""
+        try:
+            async with asyncio.timeout(READY_SECONDS_MAX):
+                while not self.is_ready and self.ended is None:
+                    await self._changed.wait()
+        except TimeoutError:
+            pass
+        return self.is_ready
+
+    def configure(self, policy: Policy) -> None:
+        """Take over another policy."""
+        self._view.shown.configure(policy, self._now())
+        self._in_sync.min_replicas = _least(policy)
+        self.news.set()
+
+    def accepted(self, now: int) -> None:
+        """The channel has changed: send that to the replicas, and show it once it is replicated."""
+        if not self._is_filled:
+            return
+        self._view.stage(now)
+        self._in_sync.put(self._core.next_seq)
+        for feed in self._feeds.values():
+            feed.wake()
+        self._go_on(now)
+
+    @property
+    def footprint_bytes(self) -> int:
+        """The memory that the channel takes beside that of `core`: the index of what readers see."""
+        return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES
+
+    def collect(self, now: int) -> bool:
+        """Free memory of what readers see no more, and show what has left the channel. Returns True if more is left."""
+        self.accepted(now)
+        return self._view.shown.collect(now)
+
+    def know(self, replicas: list[KnownReplica]) -> None:
+        """Take over the replicas that the directory has."""
+        self._in_sync.know(replicas, self._steady_nanos())
+        self._go_on(self._now())
+
+    def states(self) -> dict[bytes, ReplicaState]:
+        """The state of each replica, by its host."""
+        return self._in_sync.states()
+
+    def changes(self) -> list[ReplicaChange]:
+        """The flags that the directory must set or clear now."""
+        return self._in_sync.changes(self._steady_nanos())
+
+    def confirm(self, change: ReplicaChange) -> None:
+        """The directory's log has the change."""
+        self._in_sync.confirm(change)
+        self._go_on(self._now())
+
+    def is_fed(self, host_id: bytes) -> bool:
+        """Whether the replica at this host has a feed."""
+        return host_id in self._feeds
+
+    async def begin_anew(self, host_id: bytes) -> bool:
+        """Wait until the replica at this host may lose its items, READY_SECONDS_MAX at most. Returns whether it may."""
+        try:
+            async with asyncio.timeout(READY_SECONDS_MAX):
+                while not self._in_sync.drop(host_id, self._steady_nanos()) and self.ended is None:
+                    self.news.set()
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return self.ended is None
+
+    def add(self, host_id: bytes, feed: ReplicaFeed, error: StampedeError) -> None:
+        """Note the feed of a replica. An earlier feed of the same replica ends with `error`."""
+        former = self._feeds.get(host_id)
+        self._feeds[host_id] = feed
+        if former is not None:
+            former.end(error)
+
+    def discard(self, host_id: bytes, feed: ReplicaFeed) -> None:
+        """Forget an ended feed. Idempotent."""
+        if self._feeds.get(host_id) is feed:
+            del self._feeds[host_id]
+            self.news.set()
+
+    def report(self, host_id: bytes, feed: ReplicaFeed, held_next_seq: int) -> None:
+        """The replica at the end of this feed holds all items before the seq `held_next_seq`."""
+        if self._feeds.get(host_id) is feed:
+            self._in_sync.report(host_id, min(held_next_seq, self._core.next_seq), self._steady_nanos())
+            if self._in_sync.states().get(host_id) is ReplicaState.OUT:
+                self.news.set()
+            self._go_on(self._now())
+
+    def copies(self, next_seq: int) -> int:
+        """The number of hosts that hold all items before `next_seq`, and may become the owner."""
+        return self._in_sync.copies(next_seq)
+
+    async def replicated(self, next_seq: int, seconds_max: float | None) -> bool:
+        """Wait until all items before `next_seq` are replicated, or the host gives the channel up.
+
+        Waits `seconds_max` at most; None: without a limit. Returns whether they are replicated.
+        """
+        try:
+            async with asyncio.timeout(seconds_max):
+                while self.replicated_next_seq < next_seq and self.ended is None:
+                    await self._changed.wait()
+        except TimeoutError:
+            pass
+        return self.replicated_next_seq >= next_seq
+
+    def end(self, error: StampedeError) -> None:
+        """End the feeds and the waits: the host stops serving the channel. The host may serve it again later."""
+        for feed in [*self._feeds.values()]:
+            feed.end(error)
+        self.ended = error
+        self._wake()
+
+    def resume(self) -> None:
+        """The host serves the channel again."""
+        self.ended = None
+        self.news.set()
+
+    def close(self) -> None:
+        """Give the channel up. Idempotent."""
+        self._view.close()
+
+    def _go_on(self, now: int) -> None:
+        """Show what is replicated, and release those who wait for it."""
+        if self._is_filled and self._view.show(self._in_sync.replicated, now):
+            self._on_shown(now)
+        self._wake()
+
+    def _wake(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+
+def _least(policy: Policy) -> int:
+    return 1 if policy.min_replicas is None else policy.min_replicas

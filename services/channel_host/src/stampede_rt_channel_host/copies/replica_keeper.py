@@ -1,0 +1,191 @@
+"""The owner's side of replicas: adds missing ones, and tells the directory which of them are in sync."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+
+import grpc
+
+from stampede_rt.errors import (
+    ChannelNotFound,
+    HostNotFound,
+    InvalidArgument,
+    StaleBinding,
+    StampedeError,
+    Unavailable,
+)
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import gatekeeper_service_pb2, gatekeeper_service_pb2_grpc
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.replication import Replication
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
+from stampede_rt_channel_host.core.replication import ReplicaState
+
+logger = logging.getLogger(__name__)
+
+ROUND_SECONDS = 0.2  # a replica that is silent for a second loses its flag at most so much later
+MISSING_SECONDS, LIST_SECONDS = 1.0, 10.0  # how old the list of the directory may be, with replicas missing and without
+PAUSE_SECONDS = 0.02
+BIND_SECONDS_MAX = 2.0
+
+
+class ReplicaKeeper:
+    """Keeps the replicas of the channels that one host owns, with a task for each of these channels."""
+
+    def __init__(
+        self, identity: HostIdentity, store: ChannelStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel],
+    ) -> None:  # fmt: skip
+        """`dial` opens connections to other hosts."""
+        self._identity = identity
+        self._store = store
+        self._directory = directory
+        self._dial = dial
+        self._tasks: set[asyncio.Task[None]] = set()
+        store.on_replicated = self._begin
+
+    def _begin(self, hosted: HostedChannel) -> None:
+        keeping = _Keeping(self._identity.host_id, self._store, self._directory, self._dial, hosted)
+        task = asyncio.create_task(keeping.run(), name=f"replicas of {hosted.record.name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._check)
+
+    async def aclose(self) -> None:
+        """End all tasks."""
+        tasks = [*self._tasks]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _check(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (failure := task.exception()) is not None:
+            logger.error(
+                "the keeper of replicas has ended with a defect",
+                exc_info=failure,
+                extra={"event": "task_defect", "task": task.get_name()},
+            )
+
+
+class _Keeping:
+    """Keeps the replicas of one channel.
+
+    It does one thing after the other, so that its list of them is never older than its last change.
+    """
+
+    def __init__(
+        self, host_id: bytes, store: ChannelStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel], hosted: HostedChannel,
+    ) -> None:  # fmt: skip
+        assert hosted.replication is not None, "the store names only channels with replicas"
+        self._host_id = host_id
+        self._store = store
+        self._directory = directory
+        self._dial = dial
+        self._hosted = hosted
+        self._replication: Replication = hosted.replication
+        self._channel_id = hosted.record.channel_id
+        self._listed_s = -LIST_SECONDS
+        self._lacks = True
+        self._has_told = False
+
+    async def run(self) -> None:
+        """Keep the replicas until the host gives the channel up."""
+        while self._store.serves(self._hosted):  # paced by the wait for news
+            try:
+                if self._store.lease_held():
+                    await self._round()
+            except ChannelNotFound:
+                return
+            except StampedeError as error:
+                self._listed_s = -LIST_SECONDS
+                self._tell(error)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(ROUND_SECONDS):
+                    await self._replication.news.wait()
+            await asyncio.sleep(PAUSE_SECONDS)  # news come with each report of a replica that is out of sync
+            self._replication.news.clear()
+
+    async def _round(self) -> None:
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._listed_s >= (MISSING_SECONDS if self._lacks else LIST_SECONDS):
+            listed = await self._list()
+            if listed.owner_host_id != self._host_id or listed.epoch != self._hosted.epoch:
+                return  # the store learns of it from its next caller, or from its next registration
+            self._listed_s = now_s
+            await self._make_complete(listed)
+        for change in self._replication.changes():
+            try:
+                await self._directory.change(self._channel_id, self._hosted.epoch, change)
+            except (HostNotFound, InvalidArgument):  # the replica is gone, or has begun anew
+                self._listed_s = -LIST_SECONDS
+                continue
+            self._replication.confirm(change)
+            self._note(change.in_sync, change.host_id)
+        wanted = self._hosted.record.policy.replicas or 0
+        in_sync = sum(state is ReplicaState.IN for state in self._replication.states().values())
+        if in_sync == wanted:
+            self._has_told = False
+        self._lacks = in_sync != wanted or len(self._replication.states()) != wanted
+
+    async def _list(self) -> ListedReplicas:
+        listed = await self._directory.replicas_of(self._channel_id)
+        if listed.owner_host_id == self._host_id and listed.epoch == self._hosted.epoch:
+            self._replication.know([one.known for one in listed.replicas])
+        return listed
+
+    async def _make_complete(self, listed: ListedReplicas) -> None:
+        """Add missing replicas, remove those too many, and begin those that have no feed."""
+        wanted, replicas = self._hosted.record.policy.replicas or 0, listed.replicas
+        failure: StampedeError | None = None
+        if len(replicas) < wanted:
+            try:
+                for _ in range(wanted - len(replicas)):
+                    await self._directory.add_replica(self._channel_id, self._hosted.epoch)
+            except Unavailable as error:  # no host is left
+                failure = error
+            replicas = (await self._list()).replicas
+        await self._remove(sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)])
+        idle = [one for one in replicas if one.target and not self._replication.is_fed(one.known.host_id)]
+        await asyncio.gather(*(self._start(one) for one in idle))
+        if failure is not None:
+            self._tell(failure)
+
+    async def _remove(self, replicas: list[ListedReplica]) -> None:
+        for one in replicas:
+            await self._directory.remove_replica(self._channel_id, one.known.host_id)
+            self._listed_s = -LIST_SECONDS
+
+    async def _start(self, replica: ListedReplica) -> None:
+        """Have the host of a replica begin it. It answers MOVED, because it serves no readers."""
+        channel = self._dial(replica.target)
+        stub = gatekeeper_service_pb2_grpc.GatekeeperServiceStub(channel)
+        request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._channel_id, epoch=self._hosted.epoch)
+        try:
+            await stub.BindChannel(request, timeout=BIND_SECONDS_MAX)
+        except grpc.RpcError as error:
+            if not isinstance(from_rpc_error(error, replica.target), StaleBinding):
+                self._tell(from_rpc_error(error, replica.target))
+        finally:
+            await channel.close(None)
+
+    def _tell(self, error: StampedeError) -> None:
+        """Log a failure, once until the next success."""
+        if not self._has_told:
+            self._has_told = True
+            logger.warning(
+                "the replicas of a channel are incomplete; the host tries again",
+                extra={"event": "replicas_incomplete", "channel": self._hosted.record.name, "why": str(error)},
+            )
+
+    def _note(self, in_sync: bool, host_id: bytes) -> None:
+        facts = {"channel": self._hosted.record.name, "host_id": host_id.hex()}
+        if in_sync:
+            logger.info("a replica is in sync", extra={"event": "replica_in_sync"} | facts)
+        else:
+            logger.info("a replica is out of sync", extra={"event": "replica_out_of_sync"} | facts)

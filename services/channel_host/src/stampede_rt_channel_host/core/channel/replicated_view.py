@@ -1,0 +1,82 @@
+"""The part of a channel that readers see, if its items must be replicated first. Pure.
+
+The owner accepts items into the channel at once. Readers read a copy of the channel in the same process. It is fed as a
+copy at another host is, but each part comes only when all its items are replicated. A part is taken right after each
+change of the channel. So the copy goes through the same states as the channel, a little later.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from stampede_rt_channel_host.core.channel.channel import ChannelCore
+from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
+from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, FeedPart
+from stampede_rt_channel_host.core.channel.held_items import Cut
+from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.run import ColumnRun, OneRun, Run, Slice, make_run
+
+PIECE_BYTES = 256 * 2**10
+_WHOLE = 2**62  # more bytes than any channel holds
+
+
+class ReplicatedView:
+    """The part of `source` that readers see, as the channel `shown`."""
+
+    def __init__(self, source: ChannelCore, now: int, cut: Cut) -> None:
+        """`cut` copies the body of some items out of a run's body."""
+        self.shown = FedChannel(
+            source.policy,
+            incarnation=source.incarnation,
+            name=source.name,
+            lost_before=source.lost_before,
+            cut=cut,
+        )
+        self._cut = cut
+        self._feed = ChannelFeed(source, None, now, is_exact=True)
+        self._parts: deque[FeedPart] = deque()
+
+    def filling(self, now: int) -> Pieces[None]:
+        """Show the items that the channel has from before, in pieces. The caller must let nobody read them yet."""
+        while (part := self._feed.take(now, PIECE_BYTES)) is not None:
+            self._apply(part, now)
+            yield
+
+    def stage(self, now: int) -> None:
+        """Take in the latest change of the channel. It is shown once its items are replicated."""
+        while (part := self._feed.take(now, _WHOLE)) is not None:  # a part has a bounded number of slices
+            self._parts.append(part)
+
+    def show(self, replicated: int, now: int) -> bool:
+        """Show the changes whose items are all before the seq `replicated`. Returns whether there were any."""
+        has_shown = False
+        while self._parts and self._parts[0].next_seq <= replicated:
+            self._apply(self._parts.popleft(), now)
+            has_shown = True
+        return has_shown
+
+    def _apply(self, part: FeedPart, now: int) -> None:
+        self.shown.apply(
+            first_seq=part.first_seq,
+            cleared=part.cleared,
+            runs=[self._run_of(one.slice) for one in part.slices],
+            next_seq=part.next_seq,
+            collection=part.collection,
+            advance=part.advance,
+            now=now,
+        )
+
+    def _run_of(self, part: Slice) -> Run:
+        """The items as a run of the shown channel. It shares the columns and the body of a whole run."""
+        run = part.run
+        if isinstance(run, OneRun):
+            return OneRun(run.first_seq, run.first_time, run.duration, run.length, run.body)
+        if part.is_whole:
+            return ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body)
+        durations = None if run.durations is None else run.durations[part.lo : part.hi]
+        body = self._cut(run.body, part.lo, part.hi)
+        return make_run(part.first_seq, run.times[part.lo : part.hi], durations, run.lengths[part.lo : part.hi], body)
+
+    def close(self) -> None:
+        """End the feed. Idempotent."""
+        self._feed.close()

@@ -1,0 +1,178 @@
+"""Which replicas of a channel are in sync, and which items are replicated. Pure.
+
+The directory's log has a flag for each replica. If the owner is lost, a replica with this flag becomes the owner. So a
+replica with the flag must hold every item that was acknowledged or shown to a reader. The owner cannot know at which
+moment the log takes a change of a flag. It therefore waits for a replica from before it asks to set the flag until the
+log has confirmed that the flag is cleared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+from typing import NamedTuple
+
+LAG_NANOS_MAX = 1_000_000_000
+"""A replica that was silent, or behind, for longer than this loses its flag."""
+
+
+class ReplicaState(Enum):
+    """The flag of a replica in the directory's log, as the owner knows it."""
+
+    OUT = "out of sync"  # the log has no flag: the owner does not wait for the replica
+    JOINING = "joining"  # the log may have the flag
+    IN = "in sync"  # the log has the flag
+    LEAVING = "leaving"  # the log may still have the flag
+
+
+class KnownReplica(NamedTuple):
+    """A replica as the directory knows it. Its host has a new `boot_incarnation` after each restart."""
+
+    host_id: bytes
+    boot_incarnation: int
+    in_sync: bool
+
+
+class ReplicaChange(NamedTuple):
+    """A flag for the directory to set or to clear.
+
+    The directory ignores a change whose `number` is not above that of the last change. So a change that comes late
+    never overtakes a later one.
+    """
+
+    host_id: bytes
+    boot_incarnation: int
+    in_sync: bool
+    number: int
+
+
+class _Replica:
+    """`next_seq`: it holds all items before this seq. `caught_up`: when it last had all items that the owner had."""
+
+    def __init__(self, boot_incarnation: int, state: ReplicaState, now: int) -> None:
+        self.boot_incarnation = boot_incarnation
+        self.state = state
+        self.next_seq = 0
+        self.caught_up = now
+        self.mark = 0, now  # the owner's next seq, and the time, at an earlier report
+        self.change = 0  # the number of the latest change of the flag
+
+    @property
+    def is_waited_for(self) -> bool:
+        return self.state is not ReplicaState.OUT
+
+    def report(self, next_seq: int, owner_next_seq: int, now: int) -> None:
+        self.next_seq = next_seq
+        mark_seq, mark_time = self.mark
+        if next_seq >= owner_next_seq:
+            self.caught_up = now
+        elif next_seq >= mark_seq:
+            self.caught_up = max(self.caught_up, mark_time)
+        if next_seq >= mark_seq:
+            self.mark = owner_next_seq, now
+
+
+class ReplicasInSync:
+    """The replicas of one channel. `now` is a steady clock in nanoseconds.
+
+    All items before `replicated` are at every replica for which the owner waits, and were at `min_replicas` replicas
+    with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see no
+    others. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
+    owner. They need no minimum of replicas.
+    """
+
+    def __init__(self, start: int, min_replicas: int) -> None:
+        self.start = start
+        self.replicated = 1
+        self.min_replicas = min_replicas
+        self._next_seq = start
+        self._replicas: dict[bytes, _Replica] = {}
+        self._is_known = False
+        self._last_change = 0
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether readers may see the items that the owner had when it began."""
+        return self._is_known and self.replicated >= self.start
+
+    def know(self, replicas: Iterable[KnownReplica], now: int) -> None:
+        """Take over the replicas that the directory has. Before the first call nothing is replicated."""
+        known = {one.host_id: one for one in replicas}
+        for host_id in [*self._replicas]:
+            if host_id not in known or known[host_id].boot_incarnation != self._replicas[host_id].boot_incarnation:
+                del self._replicas[host_id]  # the directory would not make it the owner
+        for one in known.values():
+            if one.host_id not in self._replicas:
+                state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
+                self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, now)
+        self._is_known = True
+        self._go_on()
+
+    def states(self) -> dict[bytes, ReplicaState]:
+        """The state of each replica, by its host."""
+        return {host_id: one.state for host_id, one in self._replicas.items()}
+
+    def put(self, next_seq: int) -> None:
+        """The owner has accepted the items before `next_seq`."""
+        self._next_seq = next_seq
+        self._go_on()
+
+    def report(self, host_id: bytes, next_seq: int, now: int) -> None:
+        """A replica says that it holds all items before `next_seq`."""
+        replica = self._replicas.get(host_id)
+        if replica is not None:
+            replica.report(next_seq, self._next_seq, now)
+            self._go_on()
+
+    def changes(self, now: int) -> list[ReplicaChange]:
+        """The flags that the directory must set or clear now. Repeats a change until `confirm` has come for it."""
+        return [change for host_id, one in self._replicas.items() if (change := self._change(host_id, one, now))]
+
+    def _change(self, host_id: bytes, one: _Replica, now: int) -> ReplicaChange | None:
+        lags = now - one.caught_up > LAG_NANOS_MAX
+        if one.state in (ReplicaState.IN, ReplicaState.JOINING) and lags:
+            self._become(one, ReplicaState.LEAVING, now)
+        elif one.state is ReplicaState.OUT and not lags and one.next_seq >= max(self.replicated, self.start):
+            self._become(one, ReplicaState.JOINING, now)
+        if one.state in (ReplicaState.JOINING, ReplicaState.LEAVING):
+            return ReplicaChange(host_id, one.boot_incarnation, one.state is ReplicaState.JOINING, one.change)
+        return None
+
+    def _become(self, one: _Replica, state: ReplicaState, now: int) -> None:
+        one.state = state
+        self._last_change = one.change = max(now, self._last_change + 1)
+
+    def confirm(self, change: ReplicaChange) -> None:
+        """The log has the change. Ignores a change that another one has overtaken."""
+        one = self._replicas.get(change.host_id)
+        if one is None or (one.boot_incarnation, one.change) != (change.boot_incarnation, change.number):
+            return
+        if change.in_sync and one.state is ReplicaState.JOINING:
+            one.state = ReplicaState.IN
+        elif not change.in_sync and one.state is ReplicaState.LEAVING:
+            one.state = ReplicaState.OUT
+        self._go_on()
+
+    def drop(self, host_id: bytes, now: int) -> bool:
+        """The replica loses its items. Returns False while it may have the flag: then clear the flag first."""
+        one = self._replicas.get(host_id)
+        if one is None:
+            return self._is_known
+        if one.state in (ReplicaState.IN, ReplicaState.JOINING):
+            self._become(one, ReplicaState.LEAVING, now)
+        if one.state is ReplicaState.OUT:
+            one.next_seq = 0
+        return one.state is ReplicaState.OUT
+
+    def copies(self, next_seq: int) -> int:
+        """The number of hosts that hold all items before `next_seq` and may become the owner, the owner included."""
+        return 1 + sum(one.state is ReplicaState.IN and one.next_seq >= next_seq for one in self._replicas.values())
+
+    def _go_on(self) -> None:
+        if not self._is_known:
+            return
+        waited_for = [one for one in self._replicas.values() if one.is_waited_for]
+        least = min((one.next_seq for one in waited_for), default=self._next_seq)
+        in_sync = sum(one.state is ReplicaState.IN for one in waited_for)
+        most = self._next_seq if in_sync >= self.min_replicas else self.start
+        self.replicated = max(self.replicated, min(least, most, self._next_seq))

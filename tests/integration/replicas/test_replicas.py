@@ -1,0 +1,129 @@
+"""Channels with replicas, between real processes: owners and replicas that are killed or frozen under a producer."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceProcess
+from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
+
+
+@contextmanager
+def frozen(process: ServiceProcess) -> Iterator[None]:
+    """The process is stopped meanwhile."""
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+
+
+def opened(rt: Any, replicas: int = 1, **policy: Any) -> Any:
+    return rt.channel("cam", max_items=100_000, host="h1", replicas=replicas, ack="replica", **policy)
+
+
+def in_sync(channel: Any) -> list[bytes]:
+    return [one.host_id for one in channel.stats().copies if one.in_sync]
+
+
+def host_of(cluster: LocalCluster, rt: Any, host_id: bytes) -> ServiceProcess:
+    name = next(one.name for one in rt.hosts() if one.host_id == host_id)
+    return cluster.hosts[int(name[1:]) - 1]
+
+
+def owner_of(rt: Any, channel: Any) -> str:
+    return str(next(one.host for one in rt.channels() if one.name == channel.name))
+
+
+def holds_all(channel: Any, last: int) -> None:
+    """Every acknowledged item is there once, with the same seq."""
+    assert [item.seq for item in channel.get(st.OLDEST, st.NEWEST)] == [*range(1, last + 1)]
+
+
+@pytest.mark.parametrize("replicas", [1, 2])
+def test_after_a_killed_owner_nothing_acknowledged_or_seen_is_lost_or_doubled(
+    cluster: LocalCluster, replicas: int
+) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt, replicas)
+        eventually(lambda: len(in_sync(channel)) == replicas, "the replicas are in sync")
+        incarnation = channel.incarnation
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 100)
+            cluster.hosts[0].kill()
+            passes(producing, 100)
+            last = producing.stop()
+            all_saw(readers, last)
+        assert channel.incarnation == incarnation
+        assert owner_of(rt, channel) in ("h2", "h3")
+        holds_all(channel, last)
+        eventually(lambda: len(in_sync(channel)) == 1, "the owner has found another replica")
+
+
+def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt)
+        eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
+        incarnation = channel.incarnation
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 100)
+            with frozen(cluster.hosts[0]):
+                passes(producing, 100)
+            passes(producing, 100)
+            last = producing.stop()
+            all_saw(readers, last)
+        assert (channel.incarnation, owner_of(rt, channel) == "h1") == (incarnation, False)
+        holds_all(channel, last)
+        eventually(lambda: len(in_sync(channel)) == 1, "there is a replica again")
+
+
+@pytest.mark.parametrize("how", ["killed", "frozen"])
+def test_puts_go_on_with_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt)
+        eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
+        (lost,) = in_sync(channel)
+        process = host_of(cluster, rt, lost)
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 100)
+            if how == "killed":
+                process.kill()
+                passes(producing, 100)
+                eventually(lambda: in_sync(channel) not in ([], [lost]), "another host has the replica")
+            else:
+                with frozen(process):
+                    eventually(lambda: lost not in in_sync(channel), "the log has it as out of sync")
+                passes(producing, 100)
+            last = producing.stop()
+            all_saw(readers, last)
+        assert owner_of(rt, channel) == "h1"
+        holds_all(channel, last)
+
+
+def test_a_channel_gets_replicas_and_loses_them_again_while_it_is_used(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = rt.channel("cam", max_items=100_000, host="h1")
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 50)
+            channel.configure(replicas=2, ack="replica", min_replicas=2)
+            eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
+            passes(producing, 50)
+            assert channel.put(b"an item").copies == 3
+            channel.configure(replicas=0, ack="host")
+            passes(producing, 50)
+            eventually(lambda: channel.stats().copies == [], "the replicas are gone")
+            producing.stop()
+            last = channel.put(b"the last").seq
+            all_saw(readers, last)
+        holds_all(channel, last)
