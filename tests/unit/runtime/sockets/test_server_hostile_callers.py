@@ -307,6 +307,27 @@ async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
         assert [await first.message() for _ in range(2)] == [frame[5:]] * 2
 
 
+async def test_a_stream_reads_nothing_while_its_long_frame_waits_for_a_place(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame_buffers, "PLACES", 1)
+    whole, long = frame_of(FrameKind.MESSAGE, bytes(200_000)), frame_of(FrameKind.MESSAGE, bytes(20_000))
+    short = [frame_of(FrameKind.MESSAGE, name) for name in (b"1", b"2", b"3")]
+    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+        for stream in (first, second):
+            await stream.begin(ECHO)
+        first.writer.write(whole[:-1])
+        made = one.server.sockets._streams
+        await until(lambda: sum(found._is_filling for found in made) == 1)
+        second.writer.write(short[0] + short[1] + long[:3000])
+        assert [await second.message() for _ in range(2)] == [b"1", b"2"]
+        second.writer.write(long[3000:] + short[2])  # one more read makes the rest short
+        await until(lambda: sum(found._is_paused for found in made) == 1)
+        first.writer.write(whole[-1:])
+        assert await first.message() == whole[5:]
+        assert [await second.message() for _ in range(2)] == [long[5:], b"3"]
+
+
 async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "is_of_this_user", lambda connected: False)
     async with port() as one, raw_stream(one.target) as stream:

@@ -168,6 +168,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             if self._has_ended:
                 return EOF
             if self._must_wait_for_place():
+                self._pause()  # it may have resumed when a message before the frame was read
                 await self._place.take(self._frames.wanted_bytes)
                 self._is_filling = True
                 if self._is_lost:
