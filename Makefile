@@ -19,7 +19,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images bench bench-docs clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images bench bench-docs bench-moves clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -105,6 +105,9 @@ images: setup  ## build the images of deploy/ and prove the compose file, withou
 
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
+
+bench-moves: setup  ## 100 moves of a channel under load: the pauses that producers and readers notice
+	$(RUN)/python -m tests.benchmarks.moves
 
 bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a quiet machine; BENCH='--rounds 3' for less
 	mkdir -p out/bench
