@@ -10,10 +10,17 @@ from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryConnection
 from tests.contract.surfaces import Surface, connected
-from tests.support.cluster import cluster_fixture
+from tests.support.cluster import cluster_fixture, find_secret_of
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="session")
 grouped_cluster = cluster_fixture(hosts=2, supernodes=1, scope="session")
+
+
+@pytest.fixture(autouse=True)
+def secret(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clients of a test find the secret of its cluster: both clusters run at the same time."""
+    for name in {"cluster", "grouped_cluster"} & {*request.fixturenames}:
+        find_secret_of(request.getfixturevalue(name), monkeypatch)
 
 
 OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "waiting")
@@ -56,10 +63,11 @@ def _parameters(item: pytest.Item) -> set[str]:
 
 
 @pytest.fixture(params=["memory", "aio", "sync"])
-async def surface(request: pytest.FixtureRequest) -> AsyncIterator[Surface]:
+async def surface(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Surface]:
     if request.param == "memory":
         yield Surface(MemoryConnection())
         return
     running: LocalCluster = request.getfixturevalue("cluster")
+    find_secret_of(running, monkeypatch)
     async with connected(request.param, running.address) as surface:
         yield surface

@@ -17,6 +17,8 @@ from tests.support.operator import operating
 
 LINES_SHOWN = 12
 TESTER = "tester"
+SECRET_VARIABLE = "STAMPEDE_SECRET_FILE"
+_secret_files: dict[str, str] = {}  # by the address of each running cluster
 
 
 def cluster_fixture(
@@ -38,6 +40,11 @@ def cluster_fixture(
 def judges_tests() -> bool:
     """Whether the tests run as a client whom rules judge (`make test-acl`)."""
     return bool(os.environ.get("STAMPEDE_TEST_ACL"))
+
+
+def find_secret_of(cluster: LocalCluster, patch: pytest.MonkeyPatch) -> None:
+    """Let the clients in this process find the secret or token of `cluster`, and not of one that started later."""
+    patch.setenv(SECRET_VARIABLE, _secret_files[cluster.address])
 
 
 def with_rules(cluster: LocalCluster, folder: Path) -> Path:
@@ -62,9 +69,10 @@ def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Ite
     """
     made = planned or LocalCluster(**settings)
     with pytest.MonkeyPatch.context() as patch, made, tempfile.TemporaryDirectory() as folder:
-        patch.setenv("STAMPEDE_SECRET_FILE", str(made.secret_file))
+        patch.setenv(SECRET_VARIABLE, str(made.secret_file))
         if judges_tests():
-            patch.setenv("STAMPEDE_SECRET_FILE", str(with_rules(made, Path(folder))))
+            patch.setenv(SECRET_VARIABLE, str(with_rules(made, Path(folder))))
+        _secret_files[made.address] = os.environ[SECRET_VARIABLE]
         try:
             yield made
         finally:
