@@ -198,7 +198,7 @@ async def subscribing(scene: Scene) -> Awaitable[Any]:
 async def waiting_get(scene: Scene) -> Awaitable[Any]:
     channel, own = await scene.channel(), await scene.own.channel(scene.name("a"))
     waiting = asyncio.ensure_future(channel.newest(timeout=30))
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while not (await own.stats()).waiting_gets:
             pass  # each look is a round trip
     return waiting
@@ -218,7 +218,7 @@ async def putting(scene: Scene) -> Awaitable[Any]:
 async def taking(scene: Scene) -> Awaitable[Any]:
     queue, own = await scene.queue(), await scene.own.queue(scene.name("jobs"))
     waiting = asyncio.ensure_future(queue.get(timeout=30))
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while not (await own.stats()).waiting_gets:
             pass  # each look is a round trip
     return waiting
@@ -252,7 +252,7 @@ async def test_an_open_stream_ends_when_the_rule_that_allows_it_goes(scene: Scen
     await scene.forbid(verb, kind, thing)
     refused = f"{scene.who} may (not {verb}|do nothing with( this)?) {kind}"
     with pytest.raises(st.PermissionDenied, match=refused):
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             await waiting
 
 
@@ -361,7 +361,7 @@ async def test_a_watch_tells_of_what_one_may_list_by_the_rules_of_each_moment(sc
     await scene.allow("list", "channel", "shown-*")
     opening = scene.rt.watch(scene.name("*"))
     watch = await opening if inspect.isawaitable(opening) else opening
-    async with watch, asyncio.timeout(10):
+    async with watch, asyncio.timeout(45):
         for thing in ("hidden-1", "shown-1"):
             await scene.own.channel(scene.name(thing))
         assert (await anext(watch)).subject.name == scene.name("shown-1")
@@ -376,7 +376,7 @@ async def test_a_watch_of_peers_tells_of_those_one_may_list(scene: Scene) -> Non
     await scene.allow("list", "peer", "shown")
     opening = scene.rt.watch_peers(scene.name("*"))
     watch = await opening if inspect.isawaitable(opening) else opening
-    async with watch, asyncio.timeout(10):
+    async with watch, asyncio.timeout(45):
         for thing in ("hidden", "shown"):
             peer = await scene.connect(name=scene.name(thing))
             await peer.mailbox.get(timeout=0)

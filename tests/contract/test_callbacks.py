@@ -49,7 +49,7 @@ async def joined(handle: Any) -> bool:
 
 
 async def until(condition: Callable[[], bool], channel: Any) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while not condition():
             await channel.stats()
 

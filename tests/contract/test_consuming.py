@@ -59,7 +59,7 @@ async def put_three(channel: Any) -> st.Items:
 
 
 async def waiting_puts(channel: Any, count: int) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while (await channel.stats()).waiting_puts != count:
             pass
 

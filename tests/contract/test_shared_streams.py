@@ -19,7 +19,7 @@ pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 async def shared(things: AsyncIterator[Any], bring: Callable[[int], Awaitable[object]]) -> list[Any]:
     """Step with CALLERS callers at once. Bring one thing after the other until all of them have one."""
     steps = [asyncio.ensure_future(anext(things)) for _ in range(CALLERS)]
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         for number in range(CALLERS):
             await asyncio.sleep(0)  # the callers begin to wait
             await bring(number)
@@ -72,6 +72,6 @@ async def test_the_end_of_a_subscription_ends_all_callers(surface: Surface) -> N
         steps = [asyncio.ensure_future(anext(items)) for _ in range(CALLERS)]
         await asyncio.sleep(0)
         items.close()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             ended = await asyncio.gather(*steps, return_exceptions=True)
     assert [type(one) for one in ended] == [StopAsyncIteration] * CALLERS

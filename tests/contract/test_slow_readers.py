@@ -115,7 +115,7 @@ async def test_a_slow_function_is_called_with_the_newest(surface: Surface) -> No
 
 
 async def until(condition: Any, channel: Any) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while not condition():
             await channel.stats()
 

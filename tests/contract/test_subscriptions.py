@@ -90,7 +90,7 @@ async def test_close_ends_the_iteration(surface: Surface) -> None:
         await take(items, 1)
         step = asyncio.ensure_future(anext(items, None))
         items.close()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             assert await step is None
 
 

@@ -24,7 +24,7 @@ async def rig() -> AsyncIterator[Rig]:
 async def begun(channel: Opened, **fields: Any) -> Any:
     """A subscription that holds, without credit."""
     call = await channel.subscribe_slowly(**fields)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         assert (await call.read()).HasField("opened")
     return call
 
@@ -34,7 +34,7 @@ async def grant(call: Any, credit_bytes: int) -> None:
 
 
 async def read(call: Any) -> pb.SubscribeResponse:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         response: pb.SubscribeResponse = await call.read()
     return response
 

@@ -48,7 +48,7 @@ class Exchange:
         await self.call.write(request)
 
     async def read(self) -> pb.GetResponse:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             response = await self.call.read()
         assert isinstance(response, pb.GetResponse)
         return response

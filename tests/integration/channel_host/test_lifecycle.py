@@ -45,7 +45,7 @@ async def _to_the_end(call: Any) -> None:
 
 async def subscribed(channel: Opened) -> Any:
     call = channel.subscribe()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         assert (await call.read()).HasField("opened")
     return call
 

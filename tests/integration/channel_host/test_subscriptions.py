@@ -35,7 +35,7 @@ class Reader:
     @classmethod
     async def of(cls, channel: Opened, **fields: Any) -> Reader:
         call = channel.subscribe(**fields)
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             first = await call.read()
         assert isinstance(first, pb.SubscribeResponse), await call.code()
         assert first.HasField("opened")

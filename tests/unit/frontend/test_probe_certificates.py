@@ -16,7 +16,7 @@ from stampede_rt_runtime.tls import load_tls
 
 async def why_it_failed(target: str, dialer: Dialer) -> str:
     roster = SupernodeRoster((target,))
-    async with Prober(roster, dialer, explain=dialer.explain), asyncio.timeout(10):
+    async with Prober(roster, dialer, explain=dialer.explain), asyncio.timeout(45):
         while not roster.failures():  # noqa: ASYNC110  (there is no event for it)
             await asyncio.sleep(0.01)
     return roster.failures()[0]

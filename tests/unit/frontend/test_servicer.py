@@ -64,7 +64,7 @@ async def frontend(*seeds: str) -> AsyncIterator[Bind]:
 
 
 async def bind_until(bind: Bind, met: Callable[[frontend_service_pb2.BindResponse], bool]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         while not met(await bind()):
             pass  # each call is a round trip, so the loop waits for the network, not for a clock
 

@@ -216,7 +216,7 @@ async def test_the_health_check_uses_the_certificate_of_the_service_beside_it(
 
 
 async def refusal(target: str, files: TlsFiles | None) -> str:
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(45):
         found = await asyncio.to_thread(explain_refusal, target, TlsReader(files) if files else None)
     assert found is not None
     assert "\n" not in found.message

@@ -82,7 +82,7 @@ async def test_a_former_connection_is_closed_when_its_last_call_has_ended() -> N
     last = call()
     second.end()
     last.end()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(45):
         await renewals.made[0].closed.wait()
     assert not renewals.made[1].closed.is_set()
 
@@ -92,7 +92,7 @@ async def test_an_idle_connection_is_closed_at_the_renewal() -> None:
     channel = renewals.channel()
     renewals.renew()
     channel.current()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(45):
         await renewals.made[0].closed.wait()
 
 

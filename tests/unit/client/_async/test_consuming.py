@@ -42,7 +42,7 @@ class FakeHost:
         return pb.ConsumeResponse(consumed=len(request.seqs), lease_nanos=LEASE_NANOS)
 
     async def asked_again(self, condition: Callable[[pb.ConsumeRequest], bool] = lambda request: True) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(45):
             while True:
                 self.asked.clear()
                 await self.asked.wait()
@@ -127,7 +127,7 @@ async def test_a_renewal_that_fails_for_a_while_is_tried_again(session: Any, sta
 async def test_a_place_that_is_lost_is_not_renewed_and_may_be_taken_again(session: Any, state: ChannelState) -> None:
     await consume(session, state, [])
     session.host.refusals = [st.ChannelFull("all places are taken")]
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         await session.detached.wait()
     assert not session.consumer_places
     await consume(session, state, [])

@@ -43,5 +43,5 @@ async def test_a_ring_that_comes_after_its_caller_was_cancelled_is_closed(monkey
         await opening
     assert not ring.closed.is_set()
     may_come.set()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         await ring.closed.wait()

@@ -95,7 +95,7 @@ async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_m
     stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
     servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
     server, address = await served(servicer.add_to_server)
-    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(10):
+    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(45):
         old = await opened_stream(channel)
         new = await opened_stream(channel)
         assert await old.code() is grpc.StatusCode.UNAVAILABLE
@@ -125,7 +125,7 @@ async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once
     stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
     servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
     server, address = await served(servicer.add_to_server)
-    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(10):
+    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(45):
         call = await opened_stream(channel)
         told = set()
         for promised in (7, 8, 9):
@@ -191,7 +191,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
         ReportLimiter(),
     )
     running = asyncio.create_task(link.run())
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(45):
         await peer.heard_second.wait()
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
