@@ -55,7 +55,7 @@ class Exchange:
 
 
 async def filled(rig: Rig) -> tuple[Opened, int]:
-    """Items a, b, c at t, t+10, t+20; c lasts 5."""
+    """A channel with the items a, b and c at t, t + 10 and t + 20 ns, and t. The item c lasts 5 ns."""
     channel = await rig.open()
     t = rig.now() - S
     await channel.put(run_of(b"a", b"b", b"c", times=[t, t + 10, t + 20], durations=[-1, -1, 5]))
@@ -396,7 +396,10 @@ async def test_the_status_adds_up(rig: Rig) -> None:
 
 
 async def test_a_reader_that_takes_nothing_keeps_no_more_than_a_bound_of_items_that_retention_let_go(rig: Rig) -> None:
-    """The host once kept all answers to released calls: here 200 MB of a channel that holds 1 MB."""
+    """200 gets wait, each for its own item of 1 MiB, and the reader reads no answer. The channel holds one item.
+
+    The host once kept all 200 answers in memory.
+    """
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=1))
     channel = await rig.open(spec=spec)
     call = rig.channels.Get()
@@ -412,7 +415,7 @@ async def test_a_reader_that_takes_nothing_keeps_no_more_than_a_bound_of_items_t
     assert len(kept) <= 16
     del kept
     answered = [await call.read() for _ in range(200)]
-    assert sorted(one.call_id for one in answered) == list(range(1, 201)), "each is answered, with why if it is empty"
+    assert sorted(one.call_id for one in answered) == list(range(1, 201)), "each call has one answer"
     with_items = [one for one in answered if one.runs]
     assert 1 <= len(with_items) <= 16
     gone = {one.summary.reason for one in answered if not one.runs}

@@ -8,7 +8,7 @@ from stampede_rt.wire.records import change_kind
 
 
 def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
-    """Return a peer, as callers see it."""
+    """Return the peer of a record of the directory."""
     return PeerInfo(
         peer_id=record.peer_id,
         name=record.name,

@@ -28,7 +28,8 @@ PROBE_DEADLINE_SECONDS = 1.0
 PROBE_PERIOD_SECONDS = 1.0
 WOKEN_PER_TURN = 16
 """The most waiting callers that the front-end wakes in one turn of the event loop."""
-_RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause doubles up to the period
+_RETRY_SECONDS_MIN = 0.05
+"""Half the first pause after a failed probe. Each further failure doubles the pause, up to PROBE_PERIOD_SECONDS."""
 
 
 class Prober:
@@ -93,7 +94,7 @@ class Prober:
         """
         for healthy in [*islice(self._waiting, WOKEN_PER_TURN)]:
             del self._waiting[healthy]
-            if not healthy.done():  # if it is, its caller waits no more
+            if not healthy.done():  # done: the timeout of this caller has ended its wait
                 healthy.set_result(None)
         if self._waiting:
             asyncio.get_running_loop().call_soon(self._wake_some)
@@ -167,7 +168,7 @@ class Prober:
 def _log_defect(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
         logger.error(
-            "the probe of the supernodes ended with a defect",
+            "the probe of a supernode ended with a defect",
             exc_info=error,
             extra={"event": "task_defect", "task": task.get_name()},
         )

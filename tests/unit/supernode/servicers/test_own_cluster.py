@@ -1,5 +1,5 @@
-"""The callers that a supernode serves: of its own cluster, of a cluster that it replaced, and those that name no
-cluster.
+"""Which callers a supernode serves: those of its own cluster, those of a cluster that its own cluster replaced, and
+those that name no cluster. It refuses callers of any other cluster.
 """
 
 from __future__ import annotations

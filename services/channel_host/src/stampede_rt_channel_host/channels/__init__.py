@@ -1,1 +1,1 @@
-"""Channels served over gRPC: puts, gets, subscriptions, and the memory they share."""
+"""Serves the channels of a host: puts, gets, subscriptions, rings in shared memory, and limits of memory."""

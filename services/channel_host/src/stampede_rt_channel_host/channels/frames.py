@@ -16,10 +16,10 @@ from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
-MESSAGE_BYTES_MAX = 2**20  # of runs in one message; a message with a single run may be larger
-SHARED_BYTES_MAX = 4 * 2**20  # of the deliveries that a host keeps for further readers
+MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
+SHARED_BYTES_MAX = 4 * 2**20  # the most memory of the deliveries that a host keeps until other readers take them
 KEPT_DELIVERY_BYTES = 1024  # the approximate memory of a kept delivery besides its bytes
-MESSAGE_RUNS_MAX = 512  # a limit, so that a message of many small runs is made within two milliseconds
+MESSAGE_RUNS_MAX = 512  # the most runs in one message, so that the host makes it within two milliseconds
 
 _LENGTH_DELIMITED = 2
 _RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # RawDeliveredRun.run
@@ -127,7 +127,7 @@ class SharedDeliveries:
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
     ) -> Delivery:
-        """A SubscribeResponse with the runs `slices` and the encoded fields `about`.
+        """A SubscribeResponse with the runs `slices`. `about` has its other fields, encoded: progress, gap and cursor.
 
         `readers`: the number of the channel's subscriptions, this one included.
         """

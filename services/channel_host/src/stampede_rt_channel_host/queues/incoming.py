@@ -40,7 +40,7 @@ class EnqueueRun(NamedTuple):
 
     @classmethod
     def of(cls, message: raw_run_pb2.RawEnqueueRun, run: bytes | memoryview) -> EnqueueRun:
-        """The run of a message, which may be a view of the request."""
+        """The run of a message. `run`: its bytes, perhaps a view of the request; the new object copies a view."""
         wait_nanos = message.wait_nanos if message.HasField("wait_nanos") else None
         return cls(message.first_number, wait_nanos, own_bytes(run), message.message_id, message.origin)
 
@@ -55,7 +55,10 @@ class EnqueueRequest(NamedTuple):
 
 
 def read_request(raw: bytes | bytearray) -> EnqueueRequest:
-    """Decode a whole request. Raises InvalidArgument if `raw` is no EnqueueRequest, or holds a piece of another one."""
+    """Decode a whole request.
+
+    Raises InvalidArgument if `raw` is no EnqueueRequest, or holds a piece of another request.
+    """
     long = read_long(raw, raw_run_pb2.RawEnqueueRequest, raw_run_pb2.RawEnqueueRun, "EnqueueRequest")
     if long is not None:
         runs = deque(EnqueueRun.of(message, run) for message, run in long.runs)
@@ -69,8 +72,9 @@ def read_request(raw: bytes | bytearray) -> EnqueueRequest:
 def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: str = "") -> Enqueue:
     """The run as a value of the core, which has still to accept or refuse it.
 
-    `received_s`: the monotonic time at which the request came. `owner`: see `RetryWindow.record`. Raises MalformedRun,
-    or ItemTooLarge for a message larger than any queue can hold.
+    `received_s`: the monotonic time at which the request came. `owner`: see `RetryWindow.record`. Raises MalformedRun
+    if the columns, the message id or the origin of the run are invalid, and ItemTooLarge for a message larger than any
+    queue can hold.
     """
     encoded = message.run
     columns = parse_run(encoded)

@@ -1,9 +1,10 @@
 """Shares the time of one event loop among callers, so that one caller with much work does not delay the others. Pure.
 
-While several callers have work, each caller may use its percentage of the loop's time. If a caller has used more, its
-next steps wait in a line of their own, in order. Each turn of the loop wakes one step of each line at most. So a line
-never catches up at once what it could not do while the loop was busy or had no processor. While only one caller has
-work, it never waits.
+A step is the work for one message or one call, or one piece of a long task. While several callers have work, each
+caller may use its percentage of the loop's time. If a caller has used more, its next steps wait in a line: each caller
+has its own line, in the order in which the steps came. In each turn of the loop at most one step of each line runs. So
+steps that became due while the loop was busy, or had no processor, do not all run in one turn. A caller that has been
+the only one with work for CONTENDED_NANOS does not wait.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from collections import deque
 from collections.abc import Callable
 
 BURST_NANOS = 4_000_000
-"""How far a caller may be ahead of its percentage before it must wait: at 50 %, by 2 ms of work, a few messages."""
+"""How long before its next step is due by its percentage a caller may begin this step. At 50 % this is 2 ms of work."""
 CONTENDED_NANOS = 100_000_000
-"""When a caller works right after another caller, several callers count as having work for this time."""
+"""Once a caller has worked right after another caller, several callers count as having work for this time."""
 PAUSE_SECONDS_MIN = 0.0005  # the shortest time after which a line looks again whether it must still wait
 _SECOND_NANOS = 10**9
 
@@ -32,9 +33,9 @@ class LoopShares:
         self.now = now
         self.schedule = schedule
         self.contended_until = 0
-        """Until then several callers count as having work."""
+        """The time until which several callers count as having work."""
         self.latest = 0
-        """The time of the last work."""
+        """The time at which a caller last ended a step."""
         self._last: LoopShare | None = None
 
     def works(self, loop_share: LoopShare, now: int) -> bool:
@@ -50,7 +51,8 @@ class LoopShares:
 class LoopShare:
     """The share of one caller in the time of the event loop: its line of waiting steps, and the time it has used.
 
-    `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
+    `percent`: the caller's share of the loop's time while other callers have work. With 100 or more, only a step that
+    takes longer than BURST_NANOS lets the caller wait.
     """
 
     __slots__ = (
@@ -64,7 +66,7 @@ class LoopShare:
         self._line: deque[Callable[[], None]] = deque()
         self._ticking = False
         self._owed_nanos = 0  # the time of the present step that is counted at its end
-        self._busy_until = 0  # when its past work would end at its percentage of the loop's time
+        self._busy_until = 0  # when the next step is due, if the caller uses exactly its percentage
         self._second = 0
         self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
 
@@ -79,7 +81,7 @@ class LoopShare:
         if self._line:
             return True
         if self._held_for(self._shares.latest) <= 0:
-            return False  # it need not have waited even then; a look at the clock takes longer than all else here
+            return False  # no wait was due at an earlier time, so none is due now; `now` is the slowest call here
         return self._held_for(self._shares.now()) > 0
 
     def stand(self, wake: Callable[[], None]) -> None:
@@ -110,7 +112,7 @@ class LoopShare:
             self._shares.schedule(max(held / 1e9, PAUSE_SECONDS_MIN) if held > 0 else 0.0, self._tick)
 
     def _tick(self) -> None:
-        """Wake one step, unless the line must still wait. Come back in the next turn of the loop for the next step."""
+        """Wake one step, unless the line must still wait. If steps are left, schedule the next call of this method."""
         self._ticking, now = False, self._shares.now()
         if self._held_for(now) <= 0:
             self._line.popleft()()

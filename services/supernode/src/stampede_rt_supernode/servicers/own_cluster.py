@@ -1,4 +1,4 @@
-"""The cluster of this supernode, and the callers that it serves."""
+"""The id of this supernode's cluster, and the callers that this supernode serves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from stampede_rt_supernode.replica import DirectoryReplica
 class OwnCluster:
     """Knows the id of this supernode's cluster, and which callers the supernode serves.
 
-    The id comes from the data folder. If a list of members founded the cluster, it comes from the directory.
+    The data folder has the id. If the supernodes founded the cluster together, from a list of members, the id is in the
+    directory.
     """
 
     def __init__(self, replica: DirectoryReplica) -> None:
@@ -20,7 +21,7 @@ class OwnCluster:
         self._known = ""
 
     def learn(self, log_cluster_id: str) -> None:
-        """Take the id by which the members know the cluster.
+        """Take the id of the cluster from the id that its replicated log has.
 
         Call this at the start, before the supernode serves calls.
         """
@@ -38,7 +39,11 @@ class OwnCluster:
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:
-            return Unavailable(f"cluster {own or 'here'} is just beginning; try again in a moment", reason="NO_QUORUM")
+            return Unavailable(
+                f"this supernode's cluster {own or '(its id is not known yet)'} has not had its first leader; "
+                "try again in a moment",
+                reason="NO_QUORUM",
+            )
         if may_change_to(callers, own, self._replica.read(_former_of)):
             return None
         return wrong_cluster("this supernode", own, callers)

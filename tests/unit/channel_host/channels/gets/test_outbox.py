@@ -1,4 +1,6 @@
-"""The only writer of a stream: fair, bounded, and without a task for answers that it can write at once."""
+"""The outbox writes all answers of a stream: one message of each in turn, within its bounds. It needs no task to
+write a single message that the reader takes at once.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +32,8 @@ class Context:
 
 
 class Box:
+    """An outbox, and what it did: the ended calls, the payload bytes sent, and the long work that it began."""
+
     def __init__(self) -> None:
         task = asyncio.current_task()
         assert task is not None

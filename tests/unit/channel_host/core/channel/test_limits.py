@@ -35,7 +35,7 @@ def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
         (Policy(max_item_bytes=2**30), f"max_item_bytes is {2**30}"),
         (Policy(on_full="wait"), "on_full is 'wait'"),
         (Policy(consumers=0), "consumers is 0"),
-        (Policy(consumers=1025), "consumers is 1025; it is between 1 and 1024"),
+        (Policy(consumers=1025), "consumers is 1025; it must be between 1 and 1024"),
         (Policy(max_items=4, on_full="block"), '"block" without max_age or consumers'),
         (Policy(max_age_unconsumed_nanos=7), "max_age, which it prolongs for consumers that lag, is not stated"),
         (Policy(max_age_nanos=8, max_age_unconsumed_nanos=7), "max_age_unconsumed not below max_age"),

@@ -22,7 +22,7 @@ from tests.support.supernode.live_cluster import QUICK, LiveCluster, LiveMember,
 
 
 async def done(ask: Callable[[], Awaitable[object]]) -> None:
-    """Ask until it is done: the leader may change at any time."""
+    """Repeat `ask` until the log performs it. The leader may change at any time."""
     while True:
         with suppress(Ambiguous, LogUnavailable):
             await ask()
@@ -139,7 +139,7 @@ async def test_a_term_that_somebody_hostile_has_raised_is_told_and_a_new_cluster
 
 
 def raise_term(member: LiveMember, term: int) -> None:
-    """As earlier releases took any term over that they were told."""
+    """Store a very high term at the member, as earlier releases did when any caller named one."""
     assert member.folder is not None
     store = SqliteStore(member.folder, cluster_id="", member_id=member.member.member_id, create=False)
     state = store.load()

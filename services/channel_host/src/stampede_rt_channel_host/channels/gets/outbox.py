@@ -40,8 +40,8 @@ class _Answer(NamedTuple):
 class Outbox:
     """Writes one message of each answer in turn, so that a large answer does not block small ones.
 
-    The queue holds references to stored runs, not copies. The outbox calls `on_end` for each call that is fully
-    answered, and `on_room` when there is room again after there was none.
+    The queue holds references to stored runs, not copies. The outbox calls `on_end` when it has written or
+    dropped the whole answer of a call. It calls `on_room` after each such answer, if there is room for another one.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Outbox:
         self._count(kept_bytes)
 
     def drop(self, call_id: int) -> None:
-        """Write no further message of a call."""
+        """Write no further message of a call, and report the end of the call with `on_end`."""
         for answer in [answer for answer in self._answers if answer.call_id == call_id]:
             self._answers.remove(answer)
             self._release_bytes(answer)
@@ -119,7 +119,7 @@ class Outbox:
         await self.room()
 
     def flush_at_once(self, write: Callable[[bytes], None]) -> None:
-        """As `flush` for one queued answer while no task is writing, with a function that does not wait."""
+        """As `flush`, but never wait for room, and use `write` for the message that `flush` would write itself."""
         if len(self._answers) == 1 and not self._writing:
             answer = self._answers.popleft()
             message = next(answer.messages)
@@ -144,7 +144,9 @@ class Outbox:
         """Return when every queued message is written."""
         while self._answers or self._writing:
             self.kick()
-            assert self._task is not None, "the reader's loop, the other writer, is over"
+            assert self._task is not None, (
+                "a task writes; `flush` writes only in the loop that reads the requests, and this loop has ended"
+            )
             await self._task
 
     def close(self) -> None:

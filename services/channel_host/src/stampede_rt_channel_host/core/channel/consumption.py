@@ -8,9 +8,9 @@ keeps in the channel the items that its consumer has not consumed. The other cas
   newest item and all items accepted later.
 
 Each place records the ranges of seqs that its consumer has consumed. When the consumer consumes, the place extends
-these ranges by adjacent seqs of collected items. All other held items are still to be consumed. A put or a consume
-looks at few places, however many there are: the places are sorted by the seq below which their consumers have consumed
-all items. When a call has found a place that keeps the oldest item, it looks at no other place.
+these ranges by adjacent seqs of collected items. Held items outside the ranges are still to be consumed. A put or a
+consume looks at few places, however many there are: the places are sorted by the seq below which their consumers have
+consumed all items. When a call has found a place that keeps the oldest item, it looks at no other place.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ RANGES_PER_LOOK_MAX = 256
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 """The most seqs that one call notes as collected."""
 RANGE_STEPS = 4
-"""The count of the collected items in one range of consumed seqs takes as long as the work on this number of slices."""
+"""The steps that `standings` adds for each range of consumed seqs: it must count the collected items in the range."""
 CONSUMERS_CHECKED_MAX = 512
 """After this number of looks at single consumers, a call checks no further slice."""
 
@@ -57,9 +57,10 @@ class Consumed(NamedTuple):
 class Consumers:
     """The consumers of one channel. `table` has their places. Call `table.expire` before other methods.
 
-    `clock` is the host's clock, which never goes back. The channel calls `note_collected` for every seq whose item it
-    has collected. Before that call such a seq counts as not consumed. `looked_at` counts looks at a place, and
-    `changes` the changes of places, without those that time makes.
+    The argument `clock` of the methods is the host's clock, which never goes back. The channel calls `note_collected`
+    for every seq whose item it has collected. Before that call such a seq counts as not consumed. `looked_at` counts
+    how often a method has examined one place. `changes` counts the calls that changed a place. The end of a lease is no
+    such call.
     """
 
     def __init__(self, places: int) -> None:
@@ -273,7 +274,9 @@ def check_consumption(consumer_id: int, seqs: Sequence[int], next_seq: int, leas
     if not consumer_id:
         raise InvalidArgument("consumer_id is 0; choose a random number above 0, and keep it")
     if not 0 <= lease <= LEASE_NANOS_MAX:
-        raise InvalidArgument(f"lease_nanos is {lease}; it is between 0, which gives the place up, and 1 h")
+        raise InvalidArgument(
+            f"lease_nanos is {lease}; it must be between 0, which gives the place up, and 3600000000000 (1 h)"
+        )
     if len(seqs) > SEQS_MAX:
         raise InvalidArgument(f"the request consumes {len(seqs)} seqs; the limit is {SEQS_MAX}: send several requests")
     if seqs and not (min(seqs) >= 1 and max(seqs) < next_seq):

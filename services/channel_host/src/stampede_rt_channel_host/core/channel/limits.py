@@ -125,7 +125,7 @@ def _check_adaptive(policy: Policy) -> None:
 
 def _check_range(name: str, value: int | None, least: int, most: int, unit: str) -> None:
     if value is not None and not least <= value <= most:
-        raise InvalidArgument(f"{name} is {value}; it is between {least} and {most} {unit}, or left out")
+        raise InvalidArgument(f"{name} is {value}; it must be between {least} and {most} {unit}, or left out")
 
 
 def check_policy_change(held: Policy, change: Policy) -> None:

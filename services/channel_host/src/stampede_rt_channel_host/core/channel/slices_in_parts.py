@@ -1,4 +1,4 @@
-"""The slices of a large answer, in parts. One step frees one part only, so that it delays no other caller. Pure."""
+"""The slices of a large answer, in parts. The host frees part by part, so that no caller waits long. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SlicesInParts(Sequence[Slice]):
     __slots__ = ("_parts",)
 
     def __init__(self, parts: deque[list[Slice]]) -> None:
-        """`parts` are not empty. The new object owns them from now on."""
+        """Takes over `parts`, each of which has at least one slice."""
         self._parts = parts
 
     def __len__(self) -> int:
@@ -56,6 +56,6 @@ def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Free in pieces the slices of an answer that no caller gets. Does nothing if they are not a `SlicesInParts`."""
+    """Free, in pieces, slices that nobody will send. Does nothing unless `slices` is a `SlicesInParts`."""
     if isinstance(slices, SlicesInParts):
         yield from slices.emptying()

@@ -22,8 +22,8 @@ from stampede_rt_channel_host.core.merging import Merge
 class Loss:
     """Items that the reader should have got, and that are gone. They may have any time before `before`, exclusive.
 
-    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`, both inclusive. `is_exact`: no other
-    item is lost.
+    The host knows of `items` lost items. If `is_exact`, no other item is lost, and all lost items have seqs from
+    `first_seq` to `last_seq`, both inclusive. Otherwise further items may be lost. `reason` says how they were lost.
     """
 
     before: int
@@ -38,8 +38,8 @@ class Loss:
 class StepPart:
     """A part of a step: first the late items in `late`, then the newly visible items in `slices`.
 
-    Both are in the order (time, seq). Reads could already return the late items before the step. Every later part is
-    later in time or in seq, so a reader can resume after any part. `is_last`: this part ends the step. Only this part
+    Reads could already return the late items before the step. All items of a step are in the order (time, seq), from
+    part to part, so a reader can resume after any part. `is_last`: this part ends the step. Only this part
     may have a `loss`: items that the step should have brought and cannot bring.
     """
 
@@ -68,7 +68,8 @@ class CutFollower:
         """Begin at the cut. With `next_seq`, continue from the cut and `next_seq` that a reader kept.
 
         `incarnation` is the incarnation in which the reader kept them. If it is another one than the channel's, the
-        first step reports a loss, and all present items count as late or new. None is not compared.
+        first step reports a loss, and all present items count as late or new. If it is None, the follower
+        does not compare.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -82,7 +83,8 @@ class CutFollower:
         self._late = Merge(_order)  # the found late items that are not given yet, in the order (time, seq)
         self._is_searched = False  # the search for late items is over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
-        # Numbers of items in the present step, for `LossCounter.mark_read`: above and below the former cut.
+        # Numbers of items in the present step, for `LossCounter.mark_read`. "above": not before the former cut;
+        # "below": before it. "came": accepted since the former step began; "given": in a part that `take` has returned.
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)

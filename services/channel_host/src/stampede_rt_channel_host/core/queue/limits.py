@@ -52,7 +52,7 @@ class QueueLimits:
             if value is not None and value < 1:
                 raise InvalidArgument(f"{name} is {value}; it is at least 1, or left out")
         if not 0 <= self.max_item_bytes <= ITEM_BYTES_MAX:
-            raise InvalidArgument(f"max_item_bytes is {self.max_item_bytes}; it is between 0 and {ITEM_BYTES_MAX}")
+            raise InvalidArgument(f"max_item_bytes is {self.max_item_bytes}; it must be between 0 and {ITEM_BYTES_MAX}")
         if self.on_full not in (BLOCK, REJECT, DROP_OLDEST):
             raise InvalidArgument(f'on_full is {self.on_full!r}; write "block", "reject" or "drop_oldest"')
 
