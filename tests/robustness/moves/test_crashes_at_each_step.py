@@ -12,6 +12,8 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.copies import copy_feed, incoming_moves, outgoing_moves
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, World
@@ -92,6 +94,14 @@ class Story:
                 self.note_acks()
                 await asyncio.sleep(0.001)
 
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for what the hosts do in the background."""
+        async with asyncio.timeout(30):
+            while True:
+                if condition():
+                    return
+                await asyncio.sleep(0.001)
+
     def check(self, items: list[int]) -> None:
         """Nothing that was acknowledged is lost, nothing is there twice, and one host serves the channel."""
         assert set(self.acknowledged) <= set(items)
@@ -113,7 +123,7 @@ async def test_a_move_goes_through_all_steps_and_loses_nothing() -> None:
     assert set(story.world.reached) == set(STEPS)
     story.check(await story.settle())
     assert story.world.owner is story.destination
-    assert story.source.store.known(story.world.channel_id) is None
+    await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -163,6 +173,42 @@ async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatc
     story = Story(step, cut_off)
     await story.move()
     story.check(await story.settle())
+
+
+@pytest.mark.parametrize("step", STEPS[AFTER_THE_COMMIT:AFTER_THE_REMOVAL])
+async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_the_source_drop_nothing(
+    step: str,
+) -> None:
+    def stop(world: World) -> None:
+        """It goes on afterwards, without a lease, and says that it has all it needs."""
+        world.expire(DESTINATION)
+        world.hosts[DESTINATION].has_lease = False
+        world.hosts[DESTINATION].store.fence()
+
+    story = Story(step, stop)
+    await story.move()
+    assert story.world.owner is story.source
+    story.check(await story.settle())
+
+
+async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_has_come_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    story = Story("source hears of the commit", lambda world: world.cut_links())
+    asked, answer = asyncio.Event(), asyncio.Event()
+
+    async def is_heir(channel_id: bytes) -> bool:
+        asked.set()
+        await answer.wait()
+        return False
+
+    monkeypatch.setattr(story.source, "is_heir", is_heir)
+    await story.move()
+    await asked.wait()
+    story.source.store.copies.begin(story.world.record, NewCopy(CopyState(), None, True))  # it moves back
+    answer.set()
+    await story.until(lambda: not story.source.outgoing._tasks)
+    assert story.source.store.copies.of(story.world.channel_id) is not None
 
 
 async def test_a_second_move_is_refused_while_one_is_under_way() -> None:

@@ -100,12 +100,13 @@ class Host:
     def __init__(self, world: World, number: int) -> None:
         self.world = world
         self.alive = True
+        self.has_lease = True
         self.identity = HostIdentity(host_id=id_of(number), name=f"host-{number}", boot_incarnation=1)
         self.store = ChannelStore(
             self.identity,
             self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
             SystemClock(),
-            lease_held=lambda: self.alive,
+            lease_held=lambda: self.alive and self.has_lease,
             memory=MemoryBudget(2**26),
         )
         self.outgoing = OutgoingMoves(self.identity, self.store, self)  # type: ignore[arg-type]

@@ -135,16 +135,25 @@ class IncomingMoves:
             delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
 
     async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
-        """Let the former owner be the heir no more. Tries again for as long as this host has the channel."""
+        """Let the former owner be the heir no more. Tries again for as long as this host has the channel.
+
+        Raises Unavailable if this host has lost the channel meanwhile.
+        """
         delay_s = RETRY_SECONDS_MIN
         while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
             try:
-                return await self._directory.remove_heir(hosted.record.channel_id, host_id)
+                await self._directory.remove_heir(hosted.record.channel_id, host_id)
+                break
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": hosted.record.name, "why": str(error)}
                 logger.info("cannot tell the directory that a move is over; the host tries again", extra=extra)
             await asyncio.sleep(delay_s)
             delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
+        if self._store.known(hosted.record.channel_id) is not hosted:
+            raise Unavailable(
+                f"host {self._identity.name} has lost channel {hosted.record.name} at the end of its move; look where "
+                "the channel is (`stampede channels`), and move it again"
+            )
 
 
 async def _handoff(name: str, feed: MoveFeed, feeding: asyncio.Task[None]) -> Inheritance:

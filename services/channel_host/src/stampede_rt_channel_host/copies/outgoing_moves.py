@@ -84,6 +84,11 @@ class OutgoingMove:
         self._is_released = False
 
     @property
+    def _is_under_way(self) -> bool:
+        """Whether this host still has the channel as this move knows it. It may have moved away and back since."""
+        return self._hosted.moving is self._moving and self._moves.store.serves(self._hosted)
+
+    @property
     def is_held(self) -> bool:
         """Whether the channel changes no more."""
         return self._moving.is_held
@@ -95,20 +100,20 @@ class OutgoingMove:
 
     def hold(self) -> None:
         """Let all changes wait, for HELD_SECONDS_MAX at most. Idempotent."""
-        if self._moving.is_held or self._hosted.moving is not self._moving:
+        if self._moving.is_held or not self._is_under_way:
             return
         self._moving.hold()
         self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._held_too_long)
 
     def _held_too_long(self) -> None:
         """Refuse the puts that wait, and end the move unless it is committed."""
-        if self._hosted.moving is self._moving and not self.is_committed:
+        if self._is_under_way and not self.is_committed:
             self._moves.store.scheduler.begin(self._hosted.puts.ending(held_too_long(self._hosted.record.name)))
             self._end_soon()
 
     def committed(self, epoch: int) -> None:
         """Send all callers to the destination, because it is the owner now. Idempotent."""
-        if self.is_committed or self._hosted.moving is not self._moving:
+        if self.is_committed or not self._is_under_way:
             return
         record = self._hosted.record
         error = refusals.moved_to(record.name, self._host_id, self._target, epoch, record.spec_version)
@@ -117,18 +122,21 @@ class OutgoingMove:
         self._moves.store.scheduler.begin(self._hosted.ending(error))
 
     def released(self) -> None:
-        """Note that the directory no longer needs the items of this host. Idempotent."""
-        if self.is_committed and not self._is_released and self._hosted.moving is self._moving:
+        """Drop the items of this host, if the directory no longer needs them. Idempotent.
+
+        The destination says so. This host asks the directory nevertheless: the destination may have been stopped for
+        so long that its lease has ended, and then this host is the owner again.
+        """
+        if self.is_committed and not self._is_released and self._is_under_way:
             self._is_released = True
-            assert self._moving.elsewhere is not None, "it is committed"
-            self._moves.store.forget(self._hosted.record.channel_id, self._moving.elsewhere)
+            self._moves.start(self._keep_items(), "release")
 
     def feed_ended(self) -> None:
         """Note that the stream to the destination has ended. Unless the move is over, learn its outcome."""
         self._moves.over()
         if self._timer is not None:
             self._timer.cancel()
-        if self._hosted.moving is not self._moving or self._is_released:
+        if not self._is_under_way or self._is_released:
             return
         if self.is_committed:
             self._moves.start(self._keep_items(), "heir")
@@ -143,7 +151,7 @@ class OutgoingMove:
     async def _end(self) -> None:
         """Take a new epoch, so that the destination can commit no more; or learn that it has committed."""
         directory, record, request_id = self._moves.directory, self._hosted.record, secrets.token_bytes(16)
-        while self._hosted.moving is self._moving and not self.is_committed:
+        while self._is_under_way and not self.is_committed:
             try:
                 self._moves.store.adopt(await directory.commit(record.channel_id, record.epoch, request_id))
                 logger.info(
@@ -174,19 +182,28 @@ class OutgoingMove:
 
     async def _keep_items(self) -> None:
         """Keep the items while this host may become the owner again."""
-        channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
-        while self._hosted.moving is self._moving:
-            await asyncio.sleep(HEIR_SECONDS)
+        while self._is_under_way:
             try:
-                present = await self._moves.directory.resolve(channel_id)
-                if present.host_id == self._moves.identity.host_id:
-                    self._moves.store.adopt(present)
-                elif not await self._moves.directory.is_heir(channel_id):
-                    self._moves.store.forget(channel_id, refusals.moved(name, present.host_id))
+                if await self._is_needed_no_more():
                     return
-            except ChannelNotFound:
-                self._moves.store.forget(channel_id, refusals.deleted(name))
-                return
             except StampedeError as error:
-                extra = {"event": "move_undecided", "channel": name, "why": str(error)}
+                extra = {"event": "move_undecided", "channel": self._hosted.record.name, "why": str(error)}
                 logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+            await asyncio.sleep(HEIR_SECONDS)
+
+    async def _is_needed_no_more(self) -> bool:
+        """Ask the directory, and do what it says. True: this host has dropped the items."""
+        channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
+        try:
+            present = await self._moves.directory.resolve(channel_id)
+            if present.host_id == self._moves.identity.host_id:
+                self._moves.store.adopt(present)
+                return False
+            error: StampedeError = self._moving.elsewhere or refusals.moved(name, present.host_id)
+            if await self._moves.directory.is_heir(channel_id):
+                return False
+        except ChannelNotFound:
+            error = refusals.deleted(name)
+        if self._is_under_way:
+            self._moves.store.forget(channel_id, error)
+        return True
