@@ -26,13 +26,11 @@ class ArchiveFolder:
     def open(self, host_id: bytes) -> None:
         """Take the folder for this process and host."""
         try:
-            (self.path / _CHANNELS).mkdir(mode=0o700, parents=True, exist_ok=True)
+            self.path.mkdir(mode=0o700, parents=True, exist_ok=True)  # the mode of parents is not this one
+            (self.path / _CHANNELS).mkdir(mode=0o700, exist_ok=True)
             self._lock = (self.path / _LOCK_FILE).open("a")
         except OSError as error:
-            raise SettingsError(
-                f"--archive: the folder {self.path} cannot be written ({error.strerror}); give one that this user can "
-                "write"
-            ) from error
+            raise self._unwritable(error) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -43,13 +41,21 @@ class ArchiveFolder:
             ) from error
         try:
             self._check_owner(host_id.hex())
+        except OSError as error:
+            self.close()
+            raise self._unwritable(error) from error
         except SettingsError:
             self.close()
             raise
 
+    def _unwritable(self, error: OSError) -> SettingsError:
+        return SettingsError(
+            f"--archive: the folder {self.path} cannot be written ({error.strerror}); give one that this user can write"
+        )
+
     def _check_owner(self, host_id: str) -> None:
         path = self.path / _OWNER_FILE
-        owner = path.read_text().strip() if path.exists() else ""
+        owner = path.read_text(errors="replace").strip() if path.exists() else ""
         if not owner:
             draft = path.with_suffix(".draft")
             with draft.open("w") as file:

@@ -38,6 +38,7 @@ class HostArchive:
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with what to call after the write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
+        self._is_closing = False
         self.failure = ""
         """Why the last write failed; empty: it did not."""
 
@@ -66,26 +67,29 @@ class HostArchive:
         self._news.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
-        """Write no more for this channel."""
+        """Write no more for this channel. A write that is under way ends first."""
+        recorder.is_stopped = True
         self._due.pop(recorder, None)
         self._writer.submit(_close, recorder.files, False)
 
     async def _write_on(self) -> None:
-        """Write while there is something to write."""
-        while True:  # ends with a cancellation
+        """Write while there is something to write, until the archive closes."""
+        while True:
             await self._news.wait()
             self._news.clear()
-            await asyncio.sleep(WRITE_AFTER_SECONDS)
+            if not self._is_closing:
+                await asyncio.sleep(WRITE_AFTER_SECONDS)
             await self.write_all()
+            if self._is_closing:
+                return
 
     async def write_all(self) -> None:
         """Write all that the channels have accepted. After a failure it waits a second; the items stay in memory."""
         while self._due:
-            jobs = [(recorder, on_written, recorder.take()) for recorder, on_written in [*self._due.items()]]
-            self._due.clear()
-            for recorder, on_written, job in jobs:
-                if job.parts:
-                    await self._write(recorder, on_written, job)
+            recorder = next(iter(self._due))
+            on_written = self._due.pop(recorder)
+            if (job := recorder.take()).parts:
+                await self._write(recorder, on_written, job)
 
     async def _write(self, recorder: ChannelRecorder, on_written: Callable[[], None], job: WriteJob) -> None:
         loop = asyncio.get_running_loop()
@@ -94,13 +98,17 @@ class HostArchive:
         except OSError as error:
             self._note_failure(error)
             await asyncio.sleep(RETRY_SECONDS)
-            self._due.setdefault(recorder, on_written)
+            self._write_later(recorder, on_written)
             return
         self._note_success()
         recorder.written(job, segments)
         if recorder.backlog_items:
-            self._due.setdefault(recorder, on_written)
+            self._write_later(recorder, on_written)
         on_written()
+
+    def _write_later(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
+        if not recorder.is_stopped:
+            self._due.setdefault(recorder, on_written)
 
     def _note_failure(self, error: OSError) -> None:
         if not self.failure:
@@ -131,24 +139,37 @@ class HostArchive:
         return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
     async def close(self, recorders: list[ChannelRecorder]) -> None:
-        """Write the rest, and note in the folder of each channel that nothing is missing."""
+        """Write the rest, and note in the folder of each channel that nothing is missing.
+
+        A write that is under way ends first, so that its items are not written twice. Waits CLOSE_SECONDS_MAX for the
+        writes, and once more for the notes.
+        """
+        self._is_closing = True
+        for recorder in recorders:
+            if recorder.backlog_items and recorder not in self._due:
+                self.touch(recorder, lambda: None)
+        self._news.set()
+        late: set[asyncio.Task[None]] = set()
         if self._task is not None:
-            self._task.cancel()
-        for recorder in recorders:
-            if recorder.backlog_items:
-                self._due.setdefault(recorder, lambda: None)
-        try:
-            async with asyncio.timeout(CLOSE_SECONDS_MAX):
-                await self.write_all()
-        except TimeoutError:
+            _, late = await asyncio.wait([self._task], timeout=CLOSE_SECONDS_MAX)
+        if not late:
+            closing = asyncio.create_task(self._close_files(recorders), name="archive-close")
+            _, late = await asyncio.wait([closing], timeout=CLOSE_SECONDS_MAX)
+        for task in late:
+            task.cancel()
             logger.error("the host stops before its archive is written", extra={"event": "archive_cut_short"})
-        loop = asyncio.get_running_loop()
-        for recorder in recorders:
-            whole = not recorder.backlog_items and not self.failure
-            await loop.run_in_executor(self._writer, _close, recorder.files, whole)
         self._writer.shutdown(wait=False)
         self._readers.shutdown(wait=False)
         self.folder.close()
+
+    async def _close_files(self, recorders: list[ChannelRecorder]) -> None:
+        loop = asyncio.get_running_loop()
+        for recorder in recorders:
+            whole = not recorder.backlog_items and not self.failure
+            try:
+                await loop.run_in_executor(self._writer, _close, recorder.files, whole)
+            except OSError as error:
+                self._note_failure(error)
 
 
 def _close(files: SegmentFiles, whole: bool) -> None:

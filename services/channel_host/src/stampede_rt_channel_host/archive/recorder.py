@@ -36,6 +36,8 @@ class ChannelRecorder:
         self.span: ArchiveSpan = span_of(segments)
         """The times between which the archive has items."""
         self.unarchived = 0
+        self.is_stopped = False
+        """Whether the host has given the channel up: nothing is written for it any more."""
         self.limits = ArchiveLimits(None, None)
         self._channel = channel
         self.archived_to = channel.next_seq

@@ -6,6 +6,7 @@ import json
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
@@ -92,20 +93,25 @@ class SegmentFiles:
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         clean = self._folder / _CLEAN_FILE
         # The directory has raised the epoch once since then: no other host has had the channel.
-        stopped_cleanly = clean.exists() and clean.read_text().strip() in (str(epoch - 1), str(epoch))
-        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{_SUFFIX}"))
+        stopped_cleanly = clean.exists() and clean.read_bytes().strip() in (b"%d" % (epoch - 1), b"%d" % epoch)
+        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{_SUFFIX}") if path.stem.isdecimal())
         found, torn_bytes, damaged = [], 0, 0
-        for number in numbers:
-            segment, torn, bad = self._open_one(number, is_last=number == numbers[-1])
+        following: int | None = None
+        for number in reversed(numbers):
+            segment, torn, bad = self._open_one(number, following)
             torn_bytes, damaged = torn_bytes + torn, damaged + bad
             if segment is not None:
                 found.append(segment)
+                following = segment.first_seq
         clean.unlink(missing_ok=True)
-        self._segments = tuple(found)
+        self._segments = tuple(reversed(found))
         return OpenedArchive(self._segments, stopped_cleanly and not torn_bytes, torn_bytes, damaged)
 
-    def _open_one(self, number: int, *, is_last: bool) -> tuple[Segment | None, int, int]:
-        path = self._path(number)
+    def _open_one(self, number: int, following: int | None) -> tuple[Segment | None, int, int]:
+        """Open a segment. `following`: the first seq of the next segment. Blocks from this seq on do not count: a write
+        that failed left them behind, and their items were written again. None: the segment is the last one.
+        """
+        path, is_last = self._path(number), following is None
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
         try:
             length = os.fstat(file).st_size
@@ -116,7 +122,8 @@ class SegmentFiles:
         finally:
             os.close(file)
         torn = length - scanned.end if is_last else 0
-        segment = summary(number, scanned.end, scanned.blocks)
+        blocks = [one for one in scanned.blocks if following is None or one.head.first_seq < following]
+        segment = summary(number, blocks[-1].end if blocks else 0, blocks)
         if segment is None:
             path.unlink()
         return segment, torn, len(scanned.damaged)
@@ -124,7 +131,8 @@ class SegmentFiles:
     def write(self, parts: Sequence[Sequence[ArchivedRun] | SeqGap], limits: ArchiveLimits) -> tuple[Segment, ...]:
         """Append runs and gaps, in seq order, and bring them to stable storage. Returns all segments.
 
-        Drops whole segments that the limits do not keep. Raises OSError if nothing was written.
+        Drops whole segments that the limits do not keep. Raises OSError if nothing was written: the caller tries the
+        same parts again.
         """
         before = self._segments
         try:
@@ -173,6 +181,7 @@ class SegmentFiles:
         """End the present segment, and begin the next one, whose name no other segment has had."""
         self._end_segment()
         number = self._segments[-1].number + 1 if self._segments else 1
+        self._delete_leftovers(number)
         self._file = os.open(self._path(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
         _sync_folder(self._folder)
         opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
@@ -189,18 +198,32 @@ class SegmentFiles:
             self._file = None
 
     def _undo(self, before: tuple[Segment, ...]) -> None:
-        """Take back the bytes that a failed write has appended. The next write begins a new segment."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
-        for segment in self._segments[len(before) :]:
-            self._path(segment.number).unlink(missing_ok=True)
-        if before:
-            os.truncate(self._path(before[-1].number), before[-1].length)
+        """Take back the bytes that a failed write has appended. The next write begins a new segment.
+
+        What cannot be taken back now is left over: `_delete_leftovers` and `open` find it.
+        """
+        file, self._file = self._file, None
         self._segments = before
+        with suppress(OSError):
+            if file is not None:
+                os.close(file)
+        with suppress(OSError):
+            if before:
+                os.truncate(self._path(before[-1].number), before[-1].length)
+        with suppress(OSError):
+            self._delete_leftovers(before[-1].number + 1 if before else 1)
+
+    def _delete_leftovers(self, number: int) -> None:
+        """Delete the segments from this number on, which failed writes have left. Raises OSError."""
+        while self._path(number).exists():
+            self._path(number).unlink()
+            number += 1
 
     def _drop_old(self, limits: ArchiveLimits) -> None:
-        """Delete the oldest segments as long as the limits are kept without them. Never deletes the last segment."""
+        """Delete the oldest segments as long as the limits are kept without them. Never deletes the last segment.
+
+        A segment that cannot be deleted now stays in the archive until a later write.
+        """
         size = sum(one.length for one in self._segments)
         newest = self._segments[-1].last_accepted if self._segments else 0
         while len(self._segments) > 1:
@@ -208,9 +231,12 @@ class SegmentFiles:
             too_old = limits.age_nanos is not None and oldest.last_accepted < newest - limits.age_nanos
             if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
                 return
+            try:
+                self._path(oldest.number).unlink(missing_ok=True)
+            except OSError:
+                return
             size -= oldest.length
             self._segments = self._segments[1:]
-            self._path(oldest.number).unlink(missing_ok=True)
 
     def raise_epoch(self, epoch: int) -> None:
         """The channel has a higher epoch now, at the same host."""

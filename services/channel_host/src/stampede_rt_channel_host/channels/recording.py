@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
+    ArchivedPart,
     ArchivedRead,
     ArchiveWindow,
     Wanted,
@@ -42,6 +44,7 @@ _NOT_ARCHIVED = Reason(
     "archived, or their block is damaged",
 )
 _TRIES = 3  # of a read whose segments the limits of the archive remove meanwhile
+_RETRY_SECONDS = 0.02
 
 
 class OpenedChannelArchive:
@@ -125,7 +128,7 @@ class Recording:
             try:
                 return await self._read(query, within, scheduler, now())
             except FileNotFoundError:  # a segment has just left the archive
-                continue
+                await asyncio.sleep(_RETRY_SECONDS)
             except OSError as error:
                 raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
         raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
@@ -157,14 +160,22 @@ class Recording:
         missing = self._channel.missing(cursor, now())
         if missing is None or missing[0] >= self.recorder.archived_to:
             return None
-        try:
-            part = await self._archive.load_part(self.recorder.files, self.recorder.segments, missing, limit_bytes)
-        except OSError as error:
-            raise Unavailable(
-                f"the archive of the channel cannot be read: {error.strerror}; subscribe again"
-            ) from error
+        part = await self._load_part(missing, limit_bytes)
         held, _ = self._channel.look(now())
         return deliver(cursor, missing, part, held.next_time, _NOT_ARCHIVED, limit_bytes)
+
+    async def _load_part(self, missing: tuple[int, int], limit_bytes: int) -> ArchivedPart:
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                return await self._archive.load_part(self.recorder.files, self.recorder.segments, missing, limit_bytes)
+            except OSError as error:
+                if tries_left and isinstance(error, FileNotFoundError):  # a segment has just left the archive
+                    await asyncio.sleep(_RETRY_SECONDS)
+                    continue
+                raise Unavailable(
+                    f"the archive of the channel cannot be read: {error.strerror}; subscribe again"
+                ) from error
+        raise AssertionError("the last try returns or raises")
 
     async def _read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int

@@ -1,0 +1,173 @@
+"""Writes of an archive that fail late, or are under way when the host stops: no item is lost, and none is doubled."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.core.archive import ArchivedRun, Segment
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_runtime.settings import SettingsError
+from tests.unit.channel_host.archive.test_archive_files import decode, opened, run_at, seqs, write
+
+FILES = "stampede_rt_channel_host.archive.segment_files"
+SMALL = ArchiveLimits(None, 2**20)
+
+
+def refuse(*_: object, **__: object) -> None:
+    raise OSError(errno.EROFS, "Read-only file system")
+
+
+def large(number: int) -> list[ArchivedRun]:
+    """One block of two items that is a fourth of the archive SMALL."""
+    return [ArchivedRun(number, run_at(1 + 2 * number, payload=b"x" * 2**18))]
+
+
+def test_a_read_only_folder_costs_no_item_and_doubles_none_once_it_can_be_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, _ = opened(tmp_path)
+    before = write(files, 1, 2)
+    with monkeypatch.context() as broken:
+        for name in ("fsync", "truncate"):
+            broken.setattr(f"{FILES}.os.{name}", refuse)
+        broken.setattr(f"{FILES}.Path.unlink", refuse)
+        for _ in range(2):
+            with pytest.raises(OSError, match="Read-only"):
+                write(files, 5, 1)
+    assert seqs(files, before) == [1, 2, 3, 4]
+    assert seqs(files, write(files, 5, 2)) == [1, 2, 3, 4, 5, 6, 7, 8]
+    files.close(stopped_cleanly=True)
+    files, segments = opened(tmp_path)
+    assert seqs(files, segments) == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [one.end_seq for one in segments[:-1]] == [one.first_seq for one in segments[1:]]
+
+
+def test_an_old_segment_that_cannot_be_deleted_does_not_fail_the_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, _ = opened(tmp_path)
+    for number in range(3):
+        segments = files.write([large(number)], SMALL)
+    with monkeypatch.context() as broken:
+        broken.setattr(f"{FILES}.Path.unlink", refuse)
+        for number in range(3, 6):
+            segments = files.write([large(number)], SMALL)
+    assert seqs(files, segments) == [*range(1, 13)]
+    segments = files.write([large(6)], SMALL)
+    assert seqs(files, segments) == [*range(15 - 2 * len(segments), 15)]
+    assert len(segments) < 6
+
+
+def test_files_that_are_no_segments_do_not_disturb_an_archive(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 1)
+    files.close(stopped_cleanly=False)
+    (tmp_path / "000000000001 (copy).segment").write_bytes(b"")
+    (tmp_path / "stopped-cleanly").write_bytes(b"\xff")
+    files, segments = opened(tmp_path)
+    assert seqs(files, segments) == [1, 2]
+
+
+def test_a_folder_is_for_its_owner_only_and_an_owner_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    folder = ArchiveFolder(tmp_path / "a")
+    folder.open(b"h" * 16)
+    folder.close()
+    assert [path.stat().st_mode & 0o777 for path in (tmp_path / "a", tmp_path / "a" / "channels")] == [0o700, 0o700]
+    (tmp_path / "a" / "owner").unlink()
+    (tmp_path / "a" / "owner").mkdir()
+    with pytest.raises(SettingsError, match="a cannot be written"):
+        folder.open(b"h" * 16)
+
+
+class SlowDisk:
+    """A disk whose next flush waits until the test lets it go on."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reached, self.go_on = threading.Event(), threading.Event()
+        self._fsync = os.fsync
+        monkeypatch.setattr(f"{FILES}.os.fsync", self._flush)
+
+    def _flush(self, file: int) -> None:
+        self.reached.set()
+        assert self.go_on.wait(60)
+        self._fsync(file)
+
+
+def recorded(archive: HostArchive, folder: Path) -> tuple[ChannelRecorder, Callable[[], None]]:
+    """A recorded channel, and a function that puts an item into it."""
+    channel = ChannelCore(Policy(max_items=1000), incarnation=7)
+    files = SegmentFiles(folder, {})
+    files.open(1)
+    recorder = ChannelRecorder(channel, files, ())
+
+    def put() -> None:
+        at = channel.next_seq
+        channel.put(
+            Offer(times=[at], durations=None, lengths=[1]), at, lambda first_seq, kept, stamped: b"%d " % first_seq
+        )
+        if recorder.note(at):
+            archive.touch(recorder, lambda: None)
+
+    return recorder, put
+
+
+def archive_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> HostArchive:
+    monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 0)
+    opened_folder = ArchiveFolder(folder)
+    opened_folder.open(b"h" * 16)
+    return HostArchive(opened_folder, decode)
+
+
+def test_a_stop_in_the_middle_of_a_write_doubles_no_item(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario() -> tuple[Segment, ...]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        recorder, put = recorded(archive, tmp_path / "c")
+        disk = SlowDisk(monkeypatch)
+        put()
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        put()
+        closing = asyncio.create_task(archive.close([recorder]))
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        await closing
+        return recorder.segments
+
+    segments = asyncio.run(scenario())
+    assert sum(one.items for one in segments) == 2
+    found = SegmentFiles(tmp_path / "c", {}).open(1)
+    assert (sum(one.items for one in found.segments), found.stopped_cleanly) == (2, True)
+
+
+def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_written_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> int:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        first, put_first = recorded(archive, tmp_path / "first")
+        second, put_second = recorded(archive, tmp_path / "second")
+        disk = SlowDisk(monkeypatch)
+        put_first()
+        put_second()
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        put_first()
+        archive.forget(first)
+        archive.forget(second)
+        disk.go_on.set()
+        await archive.close([])
+        return first.backlog_items + second.backlog_items
+
+    assert asyncio.run(scenario()) == 2
+    assert len([*tmp_path.glob("second/*.segment")]) == 0
+    assert sum(one.items for one in SegmentFiles(tmp_path / "first", {}).open(1).segments) == 1
