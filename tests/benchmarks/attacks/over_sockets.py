@@ -16,13 +16,13 @@ from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
 from tests.benchmarks.attacks.ground import Ground, all_of
 from tests.support.raw_stream import RawStream, raw_stream
 
-SILENT, UNFINISHED, UNREAD = 1100, 1000, 200
-UNREAD_MESSAGES = 10
-PAUSE_SECONDS = 0.05  # before a connection that was refused is opened again
+SILENT, UNFINISHED, UNREAD = 1100, 1000, 200  # the sockets of each attack
+UNREAD_MESSAGES = 10  # the messages that are no puts, for each socket of `malformed_frames`
+PAUSE_SECONDS = 0.05  # between the end of a socket and the next one in its place
 
 
 async def silent_sockets(ground: Ground, under_way: Callable[[], None]) -> None:
-    """1100 sockets that send no opening; as one ends, another is opened."""
+    """1100 sockets that send nothing, not even the first frame. When a socket ends, the attacker opens another one."""
 
     async def nothing(stream: RawStream) -> None:
         await stream.has_ended()
@@ -31,7 +31,7 @@ async def silent_sockets(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> None:
-    """1000 streams of puts over sockets with a frame of 256 KiB each that is never finished, with a client's token."""
+    """1000 authenticated streams of puts over sockets. Each sends a frame of 256 KiB, except for its last byte."""
 
     async def begin(stream: RawStream) -> None:
         await stream.begin(PUT_METHOD, secret=ground.secret)

@@ -34,7 +34,7 @@ def _things(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
         left, right = rt.channel("top/left", max_age="1h"), rt.channel("top/right")
         for _ in range(3):
             left.put(b"x" * 100)
-        right.stats()  # its host knows it from now on
+        right.stats()  # the first call that reaches the host makes the channel there
         rt.group("top/both", [left, right])
         rt.queue("top/queue").put(b"x")
 

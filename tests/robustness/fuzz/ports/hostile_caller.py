@@ -19,10 +19,10 @@ from tests.robustness.fuzz.ports.socket_calls import called_over_socket
 
 DRAWN_BYTES = 1500
 STREAM_SECONDS = 0.05
-CALL_SECONDS = 20.0  # a busy machine answers later than a quiet one, but not never
+CALL_SECONDS = 20.0  # even a busy machine answers within this time
 ANSWERS_MAX = 20
 LEARNT_PERCENT = 25
-# Calls that may wait as long as their caller does.
+# Calls that may wait until their deadline. The caller ends them after STREAM_SECONDS.
 WAITING = ("/GetCut", "/AddSupernode", "/RemoveSupernode", "/TakeSnapshot")
 WRITTEN_TOO_LATE = "Internal error from Core"  # the error of this side's gRPC if a call ended before a request was sent
 
@@ -41,7 +41,7 @@ class HostileCaller:
         self._outcome = outcome
         self._random_source = random.Random(seed)
         self.socket = ""
-        """The Unix socket of the port; half of the streams go there. Empty: there is none."""
+        """The path of the port's Unix socket, to which half of the streams go. Empty if the port has no such socket."""
 
     async def play(self, channel: grpc.aio.Channel) -> None:
         """Make one call."""
@@ -108,7 +108,7 @@ class HostileCaller:
                 try:
                     self._known.learn(method.response.FromString(raw))  # type: ignore[attr-defined]
                 except DecodeError:
-                    self._found("an answer that its own contract does not explain", method, ())
+                    self._found("an answer that its message type cannot decode", method, ())
 
     def _found(self, what: str, method: Method, requests: Sequence[bytes]) -> None:
         self._outcome.add(Finding(what=what, method=method.path, requests=tuple(raw.hex() for raw in requests)))

@@ -60,7 +60,7 @@ def test_the_reader_of_rosbags_reads_our_file(tmp_path: Path, monkeypatch: pytes
     events = [*entries("cam", range(1, 101)), item_entry(topic("big"), item(1, b"y" * 3_000_000))]
     path = write(tmp_path / "a.mcap", events)
     read_string = storage_mcap.read_string
-    # it asks for the profile "ros2" in the head of the file, and reads everything else as MCAP
+    # the reader of rosbags requires the profile "ros2" in the head of the file, and reads the rest as plain MCAP
     monkeypatch.setattr(storage_mcap, "read_string", lambda bio: read_string(bio) or "ros2")
     reader = storage_mcap.McapReader(path)
     reader.open()

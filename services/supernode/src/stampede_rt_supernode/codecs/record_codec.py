@@ -1,4 +1,4 @@
-"""Converts channels, and changes of all kinds, from and to their messages. Makes no decisions."""
+"""Converts channels from and to their messages, and changes of the directory to theirs. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
 
 
 def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
-    """The change as watchers of channels, hosts, groups and queues get it."""
+    """The message of a change of a channel, host, group, queue or rule of access, for the watchers of these changes."""
     message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
     match change.subject:
         case ChannelRecord() as channel:

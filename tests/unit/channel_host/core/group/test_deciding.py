@@ -37,7 +37,7 @@ def test_with_a_lateness_every_member_has_to_be_so_much_farther_or_advanced_to_t
     decider.note(50, now=7)
     assert decider.wake_at() == 127
     assert decider.due([member(b"a", 70), member(b"b", None)], 126) is None
-    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) == Boundary(49), "the cut has jumped over it"
+    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) == Boundary(49), "cut 50 waits"
     assert decider.due([member(b"a", 70), member(b"b", 69)], 126) is None
     advanced = CutMember(b"b", KnownTimes(ChannelTimes(1, 1, 40, advance=50), 0, None), 50, is_idle=False)
     assert decider.due([member(b"a", 70), advanced], 126) == Boundary(50)
@@ -88,7 +88,12 @@ def test_fifteen_frames_come_with_each_text_item() -> None:
         if due is not None:
             follower.begin(due.cut)
             counts.append(len(times([one.slice for one in follower.take(clock, 10**6).slices])))
-    assert counts == [14, 15, 15, 15]  # the frame at the very time of the text is hidden with it
+    assert counts == [
+        14,
+        15,
+        15,
+        15,
+    ]  # a frame with the time of the text comes with the next event
 
 
 def put_at(into: ChannelCore, time: int, clock: int) -> None:
@@ -189,7 +194,7 @@ def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is
 
 
 def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
-    """If a wrong duration counted as a promise, items in order would count as late."""
+    """Durations may be wrong: if deciders trusted them, an item before the stated end would count as late."""
     until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
     decider.note(133, now=0)
@@ -200,7 +205,7 @@ def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for
 
 
 def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enough() -> None:
-    """Too many cuts once became one, whose wait began anew with each cut. Their items came after twice the wait."""
+    """The decider once merged many cuts into one, whose wait each further cut restarted. Items came twice as late."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
     told: list[int] = []

@@ -1,4 +1,4 @@
-"""Tells a channel's first consumers which items were collected before they came. Pure."""
+"""Notes for a channel's first consumers which items the channel had collected before it had consumers. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ENTRIES_PER_LOOK = 8
 
 
 class EarlierItems:
-    """The seqs below `end_seq`, of which the consumers do not know yet which are collected."""
+    """The seqs below `end_seq`. `tell` notes, in several calls, which of them belong to collected items."""
 
     __slots__ = ("_end_seq", "_held", "_seq")
 
