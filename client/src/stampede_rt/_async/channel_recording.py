@@ -22,8 +22,8 @@ from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
 class ChannelRecording:
     """Records one channel, in the background, from its making until `finish`.
 
-    `since_nanos`: how far before now it begins; None: now. `later`: from its oldest item on, as a channel
-    that appeared while the recording ran.
+    `since_nanos`: how far before now the recording begins; None: now. `later`: the channel appeared while the recording
+    of other channels ran, so its recording begins with its oldest item.
     """
 
     def __init__(

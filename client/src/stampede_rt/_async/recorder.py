@@ -1,4 +1,4 @@
-"""Records channels to a file: a flight recorder, because the retention of each channel is the time before the start."""
+"""Records channels to a file. A recording may begin with items from before its start that the channels still hold."""
 
 from __future__ import annotations
 

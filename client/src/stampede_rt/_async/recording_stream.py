@@ -24,7 +24,7 @@ WINDOW_BYTES = 1024 * 1024  # that the host may send ahead of the recording, for
 class RecordedBatch:
     """The events since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
 
-    `read_to` is the last seq that this batch and those before have, or name as missing; None if this changes nothing.
+    `read_to`: this batch and earlier ones have all items up to this seq, or name them as missing. None: as before.
     """
 
     items: list[Item] = field(default_factory=list)

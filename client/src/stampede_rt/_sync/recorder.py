@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Records channels to a file: a flight recorder, because the retention of each channel is the time before the start."""
+"""Records channels to a file. A recording may begin with items from before its start that the channels still hold."""
 
 from __future__ import annotations
 

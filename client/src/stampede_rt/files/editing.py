@@ -151,7 +151,11 @@ def _stated(reader: FileReader) -> RecordingSummary | None:
 
 
 class _Cut:
-    """Keeps the events in an interval of time. A gap stays unless all items beside it lie outside, on the same side."""
+    """Keeps the events in an interval of time.
+
+    It drops a gap only if the end of the gap and the next item lie before the interval, or the start of the gap and the
+    item before it lie after the interval.
+    """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], None]) -> None:
         self._start, self._end, self._chosen, self._take = start, end, chosen, take

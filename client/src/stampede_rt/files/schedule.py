@@ -17,9 +17,10 @@ MARGIN_NANOS = 10_000_000_000  # what a new channel keeps in excess of the repla
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """A file's time from `start` to `end` is played at `speed` from the instant `began` on, with `shift` added.
+    """A replay of the items with times from `start` to `end`, which begins at the instant `began`.
 
-    `speed` 0 means as fast as possible.
+    `speed` 2 is twice as fast as the recording, and 0 as fast as possible. `shift` is added to the time of each item.
+    All times are in nanoseconds.
     """
 
     start: int

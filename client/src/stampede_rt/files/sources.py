@@ -30,7 +30,7 @@ class SourceTopic:
 
 
 class FileSource(Protocol):
-    """A file from which items are put. `events` yields in the order of `due`: a time that never falls."""
+    """A file from which items are put. `events` yields each event with a time of the file that never falls."""
 
     path: str
 

@@ -1,7 +1,8 @@
 """Sends the headers of a stream before its first message.
 
-gRPC would send them with the first message, and note that only when this write has ended. If the service ends it
-during the write, gRPC sends the headers again, with the status. This fails, and the caller would wait for ever.
+Otherwise gRPC sends the headers with the first message, and notes only at the end of this write that they are sent. If
+the service ends the stream during the write, gRPC sends the headers again, with the status. This fails, and the caller
+would wait for ever.
 """
 
 from __future__ import annotations

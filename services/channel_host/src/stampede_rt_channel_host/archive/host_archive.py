@@ -26,8 +26,9 @@ _REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each
 class HostArchive:
     """Writes with one thread, and reads with others, so that the event loop never waits for the disk.
 
-    All channels of a write share its pace: the archive collects what came while the last write was under way, and for
-    WRITE_AFTER_SECONDS. `decode` makes a run of its stored body. `on_written` is called after each write of a channel.
+    After new items have come, the archive waits WRITE_AFTER_SECONDS for more. Then it writes the items of all channels,
+    one channel after the other. `decode` makes a run of its stored body. `on_written` is called after each write of a
+    channel that succeeds.
     """
 
     def __init__(self, folder: ArchiveFolder, decode: Callable[[bytes], Run]) -> None:

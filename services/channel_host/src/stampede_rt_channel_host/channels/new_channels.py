@@ -12,9 +12,10 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 
 class NewCopy(NamedTuple):
-    """How a copy begins: its state, and the instant before which the owner's items were lost; None: none were.
+    """The beginning of a copy: its state, and the instant before which the owner's items were lost (None: none were).
 
-    `knows_owner`: it is fed with the facts that only the owner knows, too, so that it can become the owner.
+    `knows_owner`: the feed of the copy also has the facts that only the owner knows, so that the copy can become the
+    owner.
     """
 
     state: CopyState

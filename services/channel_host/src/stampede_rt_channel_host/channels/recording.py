@@ -73,7 +73,7 @@ async def open_archive(archive: HostArchive, channel_id: bytes, name: str, epoch
 
 
 class Recording:
-    """Records one channel from its start at this host. `on_archived` is called when the archive has got further."""
+    """Records one channel from its start at this host. `on_archived` is called after each write that succeeds."""
 
     def __init__(
         self,

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 
 class ArchiveCounts(NamedTuple):
-    """The numbers of items that were lost to the archive, of items that still wait for it, and of damaged blocks."""
+    """The numbers of items that the archive will never have, of items that wait for it, and of damaged blocks."""
 
     unarchived: int
     backlog_items: int

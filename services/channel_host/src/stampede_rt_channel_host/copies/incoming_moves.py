@@ -32,7 +32,7 @@ RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
 
 
 class Moved(NamedTuple):
-    """A channel that has moved here. `blackout_nanos`: for so long puts waited; 0: this host was the owner already."""
+    """A channel that has moved here. `blackout_nanos`: the time for which puts waited; 0 if this host was the owner."""
 
     hosted: HostedChannel
     blackout_nanos: int

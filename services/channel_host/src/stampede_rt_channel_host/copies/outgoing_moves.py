@@ -70,7 +70,7 @@ class OutgoingMoves:
 
 
 class OutgoingMove:
-    """One move away. The stream that feeds the destination tells it each step; `feed_ended` always comes last."""
+    """One move away. The stream that feeds the destination calls a method for each step, `feed_ended` last."""
 
     def __init__(
         self, moves: OutgoingMoves, hosted: HostedChannel, moving: Moving, host_id: bytes, target: str

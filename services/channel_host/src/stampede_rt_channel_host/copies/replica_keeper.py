@@ -75,7 +75,8 @@ class ReplicaKeeper:
 class _Keeping:
     """Keeps the replicas of one channel.
 
-    It does one thing after the other, so that its list of them is never older than its last change.
+    One task makes all requests to the directory, one after the other. So the list of replicas that it works with always
+    has its own last change.
     """
 
     def __init__(

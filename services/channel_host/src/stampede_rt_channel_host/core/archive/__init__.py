@@ -5,8 +5,8 @@ The shell, `stampede_rt_channel_host.archive`, has these duties:
 - It writes the blocks that `encode_items` and `encode_gap` make, in seq order, and tells the channel when they are on
   stable storage (`ChannelCore.record`). Until then retention keeps the items in memory.
 - It scans the segments of a folder with `scan`, and cuts off the torn tail of the last one.
-- A read that reaches below the items in memory: it makes an `ArchivedRead` of a `ChannelSnapshot`, loads each window
-  that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
+- For a read that reaches below the items in memory, it makes an `ArchivedRead` of a `ChannelSnapshot`, loads each
+  window that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
 """
 
 from stampede_rt_channel_host.core.archive.archived_part import ArchivedPart, choose_part, deliver, part_of

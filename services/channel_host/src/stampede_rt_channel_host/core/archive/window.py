@@ -23,8 +23,8 @@ BlocksOf = Callable[[Segment], Sequence[PlacedBlock]]
 class Wanted(NamedTuple):
     """The items that a read wants from an archive: the items from `start` on, with the bucket before it, below `high`.
 
-    `overlap` is the overlap of the channel in nanoseconds. `from_time`: earlier items are not wanted, because the read
-    continues there. `down`: the latest items first. `bytes_max`: about so many bytes at once.
+    `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
+    earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
     """
 
     start: int
@@ -38,9 +38,9 @@ class Wanted(NamedTuple):
 class Chosen(NamedTuple):
     """The blocks to load, with their segments.
 
-    `edge`: the read continues there. Upwards, buckets from `edge` on are not in the window. Downwards, buckets up to
-    `edge` are not in it. None: the blocks have all that the read wants. `following` is the time of the first bucket
-    after the blocks, or None.
+    `edge`: the time at which the read continues. A read upwards has no bucket from `edge` on in this window, and a read
+    downwards none up to `edge`. None: the blocks have all that the read wants. `following` is the time of the first
+    bucket after the blocks, or None.
     """
 
     blocks: Sequence[tuple[Segment, PlacedBlock]]

@@ -12,7 +12,8 @@ from stampede_rt_supernode.core.records import ChannelRecord
 class CommitMove(Operation):
     """Make a host the owner of a channel, which keeps its incarnation. `epoch`: the epoch that the move began with.
 
-    The owner itself, as `to_host_id`, thereby ends a move of another host: that host's commit has an old epoch then.
+    The owner writes this command with its own id as `to_host_id` to end a move to another host: the epoch rises, so the
+    directory refuses the commit of that host.
     """
 
     channel_id: bytes
