@@ -26,7 +26,7 @@ from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant
 from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
 from stampede_rt.wire.put_frames import put_head, put_pieces
 
-IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # of unacknowledged runs
+IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # the most bytes of unacknowledged runs
 IN_FLIGHT_RUNS_MAX = 64
 REJECTIONS_KEPT_MAX = 1024  # errors in `rejected`
 _in_flight: set[Producer] = set()  # keeps producers alive until the host has acknowledged their items

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stampede_rt.files.sources import FileSource
 
 
-OLDEST_ITEM = "oldest"  # of `since`
+OLDEST_ITEM = "oldest"  # the value of `since` for all items that the channels hold
 
 
 class Files(Moves):

@@ -12,7 +12,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.transports.concurrency_sync import Mutex, live_thread_ids, thread_id, when_dropped
 from stampede_rt.transports.grpc_sync import PutExchange
 
-STREAMS_MAX = 512  # of one connection
+STREAMS_MAX = 512  # the most streams of puts of one connection
 LINES_MAX = 16  # streams of one owner and thread at the same time, for puts with different deadlines
 Owner = int | tuple[object, str]
 """The owner of a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""

@@ -29,7 +29,7 @@ from stampede_rt.version import VERSION
 if TYPE_CHECKING:
     from stampede_rt._sync.discovery import Discovery
 
-CHANNELS_MAX = 1000  # of one recording; each may keep 1 MiB in memory
+CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB in memory
 GLOBS_MAX = 64
 DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
 FINISHED_AT_ONCE = 32  # channels

@@ -14,7 +14,7 @@ from stampede_rt.values.model import Item, Policy
 from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import format_duration, format_instant
 
-PREVIEW_CHARACTERS_MAX = 60  # of a text payload
+PREVIEW_CHARACTERS_MAX = 60  # the most characters of a text payload that a table shows
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:

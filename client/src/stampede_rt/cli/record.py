@@ -26,7 +26,7 @@ INCOMPLETE = 3  # the exit status if anything is missing
 AT_ONCE_MAX = 4  # recordings of `--on` at the same time
 STOP_DRAIN_S = 1.0  # after Ctrl-C, for items that the hosts have accepted before
 STOP_S = 15.0  # after Ctrl-C, until the file is finished
-GAPS_SHOWN = 20  # of each channel
+GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
 
 
 def add_verbs(subparsers: Any) -> None:

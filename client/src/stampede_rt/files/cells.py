@@ -12,7 +12,7 @@ from stampede_rt.errors import FileError
 
 JSON = "application/json"
 NPY = "application/x-npy"
-DEPTH_MAX = 8  # of nested objects that become columns; deeper ones become JSON text
+DEPTH_MAX = 8  # how deep nested objects become columns; deeper ones become JSON text
 COLUMNS_MAX = 1000
 INT_MAX = 2**63 - 1
 BOOL, INT, FLOAT, TEXT, INTS, FLOATS = "bool", "int", "float", "text", "ints", "floats"

@@ -18,7 +18,7 @@ FACTS_TOPIC = "stampede/facts"
 FACTS_VERSION = 1
 INCARNATION_KEY = "stampede.incarnation"  # in the metadata of a topic
 POLICY_KEY = "stampede.policy"
-TIME_MAX = 2**64 - 1  # of MCAP
+TIME_MAX = 2**64 - 1  # the greatest time in MCAP, in nanoseconds
 _ENCODINGS = {"application/json": "json", "application/x-protobuf": "", "": "application/octet-stream"}
 
 

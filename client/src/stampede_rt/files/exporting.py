@@ -19,7 +19,7 @@ from stampede_rt.files.writing import opened_new, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 
 ROWS_AT_ONCE = 4096
-BYTES_AT_ONCE = 8 * 1024 * 1024  # of payloads
+BYTES_AT_ONCE = 8 * 1024 * 1024  # the payload bytes that one write of a table gathers
 FORMATS = ("csv", "parquet")
 HEADS = ("time", "duration", "seq", "attributes")
 

@@ -37,7 +37,7 @@ from stampede_rt.files.entries import (
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary, incarnation_of
 
-SUMMARY_NAME = "stampede.summary"  # of a metadata record
+SUMMARY_NAME = "stampede.summary"  # the name of the metadata record with the counts
 CLOCKS_NAME = "stampede.clocks"
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 _CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}

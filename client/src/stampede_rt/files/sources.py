@@ -15,7 +15,7 @@ from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
-CACHE_BYTES = 64 * 1024 * 1024  # of decoded chunks
+CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
 Chosen = Callable[[str], bool]
 
 

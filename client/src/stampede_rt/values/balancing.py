@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 DIFFERENCE_PERMILLE_MIN = 100
 """Hosts whose loads differ by less stay as they are: a tenth of a core."""
-MOVES_MAX = 1000  # of one plan
+MOVES_MAX = 1000  # the most moves of one plan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-GAPS_KEPT_MAX = 1000  # of one channel, in a summary; the file itself names all
+GAPS_KEPT_MAX = 1000  # the most gaps of one channel in a summary; the file itself names all
 UNEXPLAINED = "UNEXPLAINED"
 NOT_READ = "NOT_READ"
 

@@ -12,7 +12,7 @@ from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt.wire.runs import RUN_BYTES_MAX, run_parts
 
-_FRAMING_BYTES = 32  # of a run in a request, at most
+_FRAMING_BYTES = 32  # the most bytes that a request needs around one run
 REQUEST_RUNS_MAX = 16  # the host judges the runs of a request in one step, in about a millisecond
 
 

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.wire.runs import encode_varint
 
-MESSAGE_BYTES_MAX = 2**18  # of one message to a host
-REQUEST_BYTES_MAX = 20 * 2**20  # of all pieces of one request
-JOINED_BYTES_MAX = 2**20  # of a request in which a producer joins runs; a run that is larger has a request of its own
-SOCKET_MESSAGE_BYTES_MAX = JOINED_BYTES_MAX + 2**14  # of one message to a host over a socket (decision 0170)
+MESSAGE_BYTES_MAX = 2**18  # the most bytes of one message to a host
+REQUEST_BYTES_MAX = 20 * 2**20  # the most bytes of all pieces of one request
+JOINED_BYTES_MAX = 2**20  # the most bytes of joined runs; a larger run has a request of its own
+SOCKET_MESSAGE_BYTES_MAX = JOINED_BYTES_MAX + 2**14  # for one message over a socket (decision 0170)
 PIECE_TAG = bytes((5 << 3 | 2,))  # PutRequest.piece and EnqueueRequest.piece
 _REQUEST_BYTES_TAG = bytes((1 << 3,))  # RequestPiece.request_bytes
 _CONTENT_TAG = bytes((2 << 3 | 2,))  # RequestPiece.content

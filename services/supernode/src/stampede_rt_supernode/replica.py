@@ -24,7 +24,7 @@ T = TypeVar("T")
 class DirectoryReplica:
     """A `replication.interface.StateMachine`. `restored` counts how often the whole state was replaced."""
 
-    # The commands that this release knows. Tests of several releases in one process set other values.
+    # The rules of this release about commands. Tests of several releases in one process replace them.
     highest_level = HIGHEST_LEVEL
     level_needed = staticmethod(level_needed)
     kind_in = staticmethod(kind_in)
@@ -83,11 +83,14 @@ class DirectoryReplica:
             raise ReleaseTooOld(self.highest_level, directory.feature_level)
 
     def digest(self) -> tuple[int, bytes]:
-        """The last applied log position, and a digest of all results up to there. On the log's thread."""
+        """The last applied log position, and a digest of all results up to there. Call it on the log's thread."""
         return self._directory.applied_index, self._directory.digest
 
     def adopt_digest(self, digest: bytes) -> None:
-        """Take over the leader's digest, because this state came from a snapshot without one. On the log's thread."""
+        """Take over the leader's digest, because this state came from a snapshot without one.
+
+        Call it on the log's thread.
+        """
         self._directory.digest = digest
 
     def begin_snapshot(self) -> Callable[[], bytes]:

@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.channel import Run
 
 BLOCK_BYTES = 2**18
 SEGMENT_BYTES = 64 * 2**20
-SEGMENTS_KEPT = 64  # of which the block lists stay in memory
+SEGMENTS_KEPT = 64  # the most segments whose block lists stay in memory
 SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
 _SUFFIX = ".segment"
 _CLEAN_FILE = "stopped-cleanly"

@@ -43,7 +43,7 @@ _NOT_ARCHIVED = Reason(
     "the archive does not have the items: its limits have removed them, max_bytes collected them before they were "
     "archived, or their block is damaged",
 )
-_TRIES = 3  # of a read whose segments the limits of the archive remove meanwhile
+_TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
 _RETRY_SECONDS = 0.02
 
 

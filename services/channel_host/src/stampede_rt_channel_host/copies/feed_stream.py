@@ -30,7 +30,7 @@ from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
 
-FEEDS_MAX = 64  # of one channel at one host; the directory allows 16 copies, and a broken stream may linger
+FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
 FLOORS_MAX = 64  # groups of one channel of which a copy learns; reads through others go to the owner
 WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
 

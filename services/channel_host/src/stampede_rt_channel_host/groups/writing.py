@@ -9,7 +9,7 @@ from stampede_rt_channel_host.channels.subscriptions.subscription import WRITE_S
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
 
-SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
+SIGN_OF_LIFE_SECONDS = 4.0  # the silence before a sign of life; the contract promises a message every 5 s
 
 
 class EventWriter:

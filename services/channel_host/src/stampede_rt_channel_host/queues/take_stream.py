@@ -29,7 +29,7 @@ from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
+SIGN_OF_LIFE_SECONDS = 4.0  # the silence before a sign of life; the contract promises a message every 5 s
 WRITE_SECONDS_MAX = 30.0  # if the taker reads nothing for this time during a write, the stream ends
 
 

@@ -13,7 +13,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.replication import Replication
 
-HELD_ACKS_MAX = 1024  # of one stream; then the host reads no further requests of it
+HELD_ACKS_MAX = 1024  # the most held acks of one stream; at this number the host stops reading its requests
 WAIT_NANOS_DEFAULT = 5_000_000_000  # for a put that states no wait
 
 

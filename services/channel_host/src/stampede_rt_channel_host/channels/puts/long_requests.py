@@ -21,7 +21,7 @@ _FIXED64 = 1
 _RUNS_TAG = 4 << 3 | 2
 _NUMBER_TAGS = {1 << 3, 2 << 3}  # first_number and wait_nanos of a run
 _RUN_TAG = 3 << 3 | 2
-_TAIL_BYTES_MAX = 8192  # of the fields behind a run, such as a message id and an origin
+_TAIL_BYTES_MAX = 8192  # the most bytes of the fields behind a run, such as a message id and an origin
 
 Head = TypeVar("Head")
 Run = TypeVar("Run")

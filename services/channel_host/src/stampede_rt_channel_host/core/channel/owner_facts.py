@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.window_feed import WindowFeed
 
 RUNS_PER_PART = 1024  # about 60 KiB; a part has more if one producer has more
-RANGES_PER_PART = 4096  # of consumed seqs: about 40 KiB
+RANGES_PER_PART = 4096  # the most ranges of consumed seqs in one part: about 40 KiB
 ROUND_NANOS = 200_000_000  # the places go out anew at most five times a second
 
 

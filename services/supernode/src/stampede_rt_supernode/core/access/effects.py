@@ -15,7 +15,7 @@ from stampede_rt_supernode.core.queries import names_from
 from stampede_rt_supernode.core.tables import Tables
 
 EFFECTS_MAX = 100
-NAMES_EXAMINED_MAX = 1000  # of each kind
+NAMES_EXAMINED_MAX = 1000  # the most names of each kind of thing that one call examines
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from stampede_rt_supernode.core.replicas.commands import (
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
 
-REPLICAS_MAX = 16  # of one channel
+REPLICAS_MAX = 16  # the most replicas and proxies of one channel
 
 
 def check_add_replica(operation: AddReplica) -> None:

@@ -66,7 +66,7 @@ def encode_configuration(configuration: Configuration) -> bytes:
 
 
 def decode_configuration(command: bytes) -> Configuration:
-    """The configuration in a log command of that kind. Raises MalformedMessage."""
+    """The configuration in a log command of kind CONFIGURATION. Raises MalformedMessage if it cannot be read."""
     try:
         message = pb.RaftConfiguration.FromString(command[1:])
     except DecodeError as error:
