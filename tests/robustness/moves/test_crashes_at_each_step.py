@@ -228,3 +228,11 @@ async def test_a_host_gives_at_most_eight_channels_away_at_once() -> None:
         hosted.moving = None
     with pytest.raises(StampedeError, match="8 channels move away"):
         story.source.outgoing.begin(hosted, b"other", "other:1")
+
+
+async def test_a_host_that_stops_takes_no_channels() -> None:
+    story = Story()
+    await story.source.store.bind(story.world.channel_id, 1)
+    story.destination.incoming.close()
+    with pytest.raises(StampedeError, match="shutting down"):
+        await story.destination.incoming.move_here(story.world.record)

@@ -6,7 +6,9 @@ from stampede_rt_channel_host.supervisor import (
     PAUSE_SECONDS_MAX,
     PAUSE_SECONDS_MIN,
     STEADY_SECONDS,
+    STOP_SECONDS_MAX,
     RestartPauses,
+    Supervisor,
 )
 
 
@@ -23,3 +25,7 @@ def test_a_process_that_ran_for_long_starts_again_after_the_shortest_pause() -> 
     for _ in range(10):
         pauses.after(0.1)
     assert pauses.after(STEADY_SECONDS) == PAUSE_SECONDS_MIN
+
+
+def test_a_process_that_gives_its_channels_away_is_not_killed_before_its_time_for_that_is_over() -> None:
+    assert Supervisor([["host"]], drain_seconds=20).stop_seconds_max == 20 + STOP_SECONDS_MAX

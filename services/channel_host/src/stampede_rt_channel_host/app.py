@@ -79,7 +79,7 @@ class _Service:
     async def _run(self, host: ChannelHost, address: str, advertise: str, local: str) -> int:
         """Enter the cluster, and serve until a stop signal. Returns the exit code."""
         seconds = self._settings.drain_seconds
-        before = partial(host.draining.run, seconds) if seconds else None
+        before = partial(host.give_away, seconds) if seconds else None
         running = asyncio.create_task(self._server.run(host.leave, before))  # from here on it handles stop signals
         entering = asyncio.create_task(host.enter(advertise, local_target=local))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
@@ -206,7 +206,7 @@ async def serve(settings: HostSettings, words: Sequence[str]) -> int:
     """
     if settings.processes > 1:
         base_name = settings.name or ("" if settings.tls_certificate else default_name())
-        return await Supervisor(process_arguments(settings, words, base_name)).run()
+        return await Supervisor(process_arguments(settings, words, base_name), settings.drain_seconds).run()
     async with GarbageCollection():
         return await _Service(settings).run()
 

@@ -216,6 +216,11 @@ class ChannelHost:
         of_queues = directory_service_pb2.WatchRequest(include_queues=True)
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
+    async def give_away(self, seconds: float) -> None:
+        """Move the channels to other hosts, for `seconds` at most, and take none from them: this host stops."""
+        self.moves_here.close()
+        await self.draining.run(seconds)
+
     async def leave(self) -> None:
         """Refuse new requests, and deregister the host. Then end all waits and streams. Cancels a running `enter`."""
         for task in self._tasks:

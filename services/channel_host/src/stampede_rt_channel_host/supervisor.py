@@ -21,7 +21,7 @@ from stampede_rt_runtime.main import EXIT_FAILED
 
 logger = logging.getLogger(__name__)
 
-STOP_SECONDS_MAX = 6.0  # longer than a host may drain (2 * 2 s); after this time a process is killed
+STOP_SECONDS_MAX = 6.0  # longer than a host waits for its calls (2 * 2 s), after it has given its channels away
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.5, 30.0
 STEADY_SECONDS = 60.0  # a process that ran that long starts again after the shortest pause
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -44,8 +44,12 @@ class RestartPauses:
 class Supervisor:
     """The processes of one machine, of which each has its own arguments. Use it on one event loop."""
 
-    def __init__(self, arguments: Sequence[Sequence[str]]) -> None:
+    def __init__(self, arguments: Sequence[Sequence[str]], drain_seconds: float) -> None:
+        """`drain_seconds`: how long each process may take to give its channels away. STOP_SECONDS_MAX later a process
+        that still runs is killed.
+        """
         self._arguments = arguments
+        self.stop_seconds_max = drain_seconds + STOP_SECONDS_MAX
         self._running: dict[int, Process] = {}  # by the number of the process
         self._stopping = asyncio.Event()
         self._exit_code = 0
@@ -59,7 +63,7 @@ class Supervisor:
             keeping = [asyncio.create_task(self._keep(number)) for number in range(len(self._arguments))]
             try:
                 await self._stopping.wait()
-                await asyncio.wait(keeping, timeout=STOP_SECONDS_MAX)
+                await asyncio.wait(keeping, timeout=self.stop_seconds_max)
             finally:
                 self._stopping.set()
                 self._kill_the_rest()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import grpc
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 
 MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
 NAMES_LOGGED_MAX = 20
+RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 
 
 class Drained(NamedTuple):
@@ -80,26 +81,71 @@ class Draining:
             left.update(dict.fromkeys(left, "there is no other live host"))
             return
         places = spread(together({one: self._groups_of(one) for one in own}), hosts)
-        connections = {host.target: self._dial(host.target) for host in {*places.values()}}
+        others = _Others(hosts, self._dial)
         limit = asyncio.Semaphore(MOVES_AT_ONCE)
         try:
             async with asyncio.TaskGroup() as moves:
                 for channel_id, hosted in own.items():
-                    host = places[channel_id]
-                    moves.create_task(self._move(hosted, host, connections[host.target], limit, left))
+                    moves.create_task(_move(hosted, places[channel_id], others, limit, left))
         finally:
-            for connection in connections.values():
-                await connection.close(None)
+            await others.aclose()
 
-    async def _move(
-        self, hosted: HostedChannel, host: OtherHost, connection: grpc.aio.Channel, limit: asyncio.Semaphore,
-        left: dict[str, str],
-    ) -> None:  # fmt: skip
-        stub = migration_service_pb2_grpc.MigrationServiceStub(connection)
-        async with limit:
-            try:
-                await stub.MoveHere(pb.MoveHereRequest(channel_id=hosted.record.channel_id))
-            except grpc.RpcError as error:
-                left[hosted.record.name] = str(from_rpc_error(error, host.target))
-            else:
-                left.pop(hosted.record.name, None)
+
+class _Others:
+    """The other hosts during one drain, and the connections to them."""
+
+    def __init__(self, hosts: Sequence[OtherHost], dial: Callable[[str], grpc.aio.Channel]) -> None:
+        self._hosts = [*hosts]
+        self._dial = dial
+        self._connections: dict[str, grpc.aio.Channel] = {}
+
+    async def move(self, channel_id: bytes, host: OtherHost) -> None:
+        """Have a host take the channel over. Raises the errors of MigrationService.MoveHere, and Unavailable."""
+        if host.target not in self._connections:
+            self._connections[host.target] = self._dial(host.target)
+        stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
+        try:
+            await stub.MoveHere(pb.MoveHereRequest(channel_id=channel_id))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, host.target) from error
+
+    def leave_out(self, host: OtherHost) -> None:
+        """Choose this host no more, because it stops. Idempotent."""
+        self._hosts = [one for one in self._hosts if one is not host]
+
+    def after(self, host: OtherHost) -> OtherHost | None:
+        """The host to try after `host`: each in turn. None: there is none."""
+        later = [one for one in self._hosts if one.host_id > host.host_id]
+        return min(later or self._hosts, key=lambda one: one.host_id, default=None)
+
+    async def aclose(self) -> None:
+        """Close the connections."""
+        for connection in self._connections.values():
+            await connection.close(None)
+
+
+async def _move(
+    hosted: HostedChannel, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]
+) -> None:
+    """Move one channel. Tries one host after the other for as long as they have no room, or too many moves."""
+    name, delay_s = hosted.record.name, RETRY_SECONDS_MIN
+    while host is not None:  # paced by the sleep; `Draining.run` ends it
+        try:
+            async with limit:
+                await others.move(hosted.record.channel_id, host)
+        except ChannelNotFound:  # deleted meanwhile
+            left.pop(name)
+            return
+        except (Overloaded, Unavailable) as error:
+            left[name] = str(error)
+            if error.reason == "SHUTTING_DOWN":
+                others.leave_out(host)
+        except StampedeError as error:
+            left[name] = str(error)
+            return
+        else:
+            left.pop(name)
+            return
+        host = others.after(host)
+        await asyncio.sleep(delay_s)
+        delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import grpc
 
 from stampede_rt.errors import Overloaded, StaleBinding, StampedeError, Unavailable
+from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -53,6 +54,7 @@ class IncomingMoves:
         self._dial = dial
         self._bytes_per_second = bytes_per_second
         self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
+        self._is_closing = False
 
     async def move_here(self, record: RecordedChannel) -> Moved:
         """Make this host the owner of a channel. Joins a move of this channel that is under way.
@@ -63,6 +65,8 @@ class IncomingMoves:
             return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
         move = self._moves.get(record.channel_id)
         if move is None:
+            if self._is_closing:
+                raise refusals.SHUTTING_DOWN
             if len(self._moves) >= MOVES_MAX:
                 raise Overloaded(f"{MOVES_MAX} channels move to host {self._identity.name} already; wait for one")
             move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
@@ -75,6 +79,10 @@ class IncomingMoves:
         failure = None if move.cancelled() else move.exception()
         if failure is not None:
             logger.info("a move has failed", extra={"event": "move_failed", "why": str(failure)})
+
+    def close(self) -> None:
+        """Begin no more moves, because this host gives its channels away and stops."""
+        self._is_closing = True
 
     async def aclose(self) -> None:
         """Give up all moves."""

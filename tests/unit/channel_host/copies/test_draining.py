@@ -1,0 +1,101 @@
+"""The drain of a host: which host gets a channel when the first one has no room, or stops too."""
+
+from __future__ import annotations
+
+from contextlib import AsyncExitStack
+from types import SimpleNamespace
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StampedeError
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.channels.refusals import SHUTTING_DOWN
+from stampede_rt_channel_host.copies import draining
+from stampede_rt_channel_host.copies.draining import Drained, Draining
+from stampede_rt_channel_host.core.placing import OtherHost
+from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_runtime.server import serving
+
+SECONDS_MAX = 60.0
+FULL = Overloaded("the host has no room")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(draining, "RETRY_SECONDS_MIN", 0.001)
+
+
+class Host(migration_service_pb2_grpc.MigrationServiceServicer):
+    """A host that refuses the first channels with `errors`, and takes the others. `always`: it refuses all."""
+
+    def __init__(self, *errors: StampedeError, always: StampedeError | None = None) -> None:
+        self.errors, self.always = [*errors], always
+        self.taken: list[bytes] = []
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(self, server)
+
+    @errors_as_status
+    async def DrainHost(self, request: pb.DrainHostRequest, context: Context) -> pb.DrainHostResponse:  # noqa: N802
+        raise InvalidArgument("nobody asks for this")
+
+    @errors_as_status
+    async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:  # noqa: N802
+        if self.always is not None or self.errors:
+            raise self.always or self.errors.pop(0)
+        self.taken.append(request.channel_id)
+        return pb.MoveHereResponse()
+
+
+async def drained(channels: int, *hosts: Host) -> Drained:
+    """Drain so many channels, which are in no groups, to these hosts. Returns the outcome."""
+    async with AsyncExitStack() as servers:
+        others: list[OtherHost] = []
+        for number, host in enumerate(hosts):
+            server = await servers.enter_async_context(serving(host.add_to))
+            others.append(OtherHost(b"%d" % number, f"h{number}", server.address, 0, number))
+
+        async def other_hosts() -> list[OtherHost]:
+            return others
+
+        records = [SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}") for one in range(channels)]
+        own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1) for one in records]
+        store: Any = SimpleNamespace(all=lambda: own)
+        directory: Any = SimpleNamespace(other_hosts=other_hosts)
+        drain = Draining(store, directory, lambda channel_id: [], grpc.aio.insecure_channel)
+        return await drain.run(SECONDS_MAX)
+
+
+async def test_a_channel_for_which_a_host_has_no_room_goes_to_another() -> None:
+    full, free = Host(always=FULL), Host()
+    assert await drained(3, full, free) == Drained(3, {})
+    assert sorted(free.taken) == [b"c0", b"c1", b"c2"]
+
+
+async def test_a_host_that_has_too_many_moves_under_way_is_asked_again() -> None:
+    busy = Host(*[FULL] * 5)
+    assert await drained(3, busy) == Drained(3, {})
+    assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
+
+
+async def test_a_host_that_stops_too_gets_nothing() -> None:
+    stopping, free = Host(always=SHUTTING_DOWN), Host()
+    assert await drained(3, stopping, free) == Drained(3, {})
+    assert len(free.taken) == 3
+
+
+async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:
+    moved, left = await drained(2, Host(always=SHUTTING_DOWN), Host(always=SHUTTING_DOWN))
+    assert moved == 0
+    assert set(left) == {"cam/0", "cam/1"}
+    assert "shutting down" in left["cam/0"]
+
+
+async def test_a_channel_that_cannot_move_is_named_and_a_deleted_one_is_not() -> None:
+    host = Host(InvalidArgument("it is recorded"), ChannelNotFound("it is gone"))
+    moved, left = await drained(2, host)
+    assert (moved, len(left)) == (1, 1)
+    assert "it is recorded" in next(iter(left.values()))
