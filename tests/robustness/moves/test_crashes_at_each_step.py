@@ -175,6 +175,30 @@ async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatc
     story.check(await story.settle())
 
 
+@pytest.mark.parametrize("step", ["handed over", "removal is asked for"])
+async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
+    step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the source before the commit, and at the destination after it; also puts that come after the first answers."""
+    for module in (moving, outgoing_moves):
+        monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.02)
+    story = Story(step, lambda world: setattr(world, "is_cut_off", True))
+    await story.source.store.bind(story.world.channel_id, 1)
+    move = asyncio.create_task(story.destination.incoming.move_here(story.world.record))
+    await story.until(lambda: step in story.world.reached)
+    for _ in range(3):
+        await asyncio.sleep(0)
+        story.put()
+        assert story.waiting, "the put waits"
+        await story.until(lambda: all(run.ack is not None for _, run, _ in story.waiting))
+        story.note_acks()
+    assert story.acknowledged == []
+    story.world.is_cut_off = False
+    await asyncio.gather(move, return_exceptions=True)
+    story.put()
+    story.check(await story.settle())
+
+
 @pytest.mark.parametrize("step", STEPS[AFTER_THE_COMMIT:AFTER_THE_REMOVAL])
 async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_the_source_drop_nothing(
     step: str,

@@ -115,4 +115,4 @@ async def undecided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:
     """Wait while the channel moves and its changes are held. Raises the errors of `find`, and Overloaded after 5 s."""
     hosted = store.find(channel_id, epoch)
     if hosted.moving is not None:
-        await hosted.moving.decided(hosted.record.name)
+        await hosted.moving.decided()

@@ -102,7 +102,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         """Wait while the channel moves and its changes are held. Raises Overloaded after 5 s."""
         hosted = self._store.known(channel_id)
         if hosted is not None and hosted.moving is not None:
-            await hosted.moving.decided(hosted.record.name)
+            await hosted.moving.decided()
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802

@@ -253,6 +253,8 @@ class HostedChannel:
         """As `ending`, because another object serves the channel with these items. Its memory counts no more here."""
         if self.copy is not None:
             self.copy.on_dropped()
+        if self.moving is not None:
+            self.moving.stop()
         if self.recording is not None:
             self.recording.stop()
         if self.replication is not None:
@@ -285,7 +287,7 @@ class HostedChannel:
 
     def begin_move(self) -> Moving:
         """Note that a move of the channel is under way."""
-        self.moving = Moving(self.puts)
+        self.moving = Moving(self.record.name, self.puts, self._begin)
         return self.moving
 
     def end_move(self) -> None:

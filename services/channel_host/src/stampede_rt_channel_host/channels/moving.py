@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Protocol
 
 from stampede_rt.errors import Overloaded, StampedeError
+from stampede_rt_channel_host.core.channel import Pieces
 
 HELD_SECONDS_MAX = 5.0  # the longest wait of a change; then its caller tries again
 
@@ -19,32 +21,55 @@ class HeldPuts(Protocol):
     def release(self) -> None:
         """Accept puts again."""
 
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """Refuse the puts that wait now."""
+
 
 class Moving:
     """A move under way. `elsewhere`: the error that sends callers to the new owner, once there is one."""
 
-    def __init__(self, puts: HeldPuts) -> None:
+    def __init__(self, name: str, puts: HeldPuts, begin: Callable[[Pieces[None]], None]) -> None:
+        """`name` is that of the channel. `begin` does work in pieces."""
+        self._name = name
         self._puts = puts
+        self._begin = begin
+        self._timer: asyncio.TimerHandle | None = None
         self.elsewhere: StampedeError | None = None
         self.is_held = False
         self._over = asyncio.Event()
 
     def hold(self) -> None:
-        """Let all changes of the channel wait."""
+        """Let all changes of the channel wait, each for HELD_SECONDS_MAX at most."""
         self.is_held = True
         self._puts.hold()
+        self._wait()
+
+    def _wait(self) -> None:
+        self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._refuse)
+
+    def _refuse(self) -> None:
+        """Refuse the puts that wait. Those that come later are refused the next time."""
+        self._begin(self._puts.ending(held_too_long(self._name)))
+        self._wait()
+
+    def stop(self) -> None:
+        """Refuse no more puts, because this host drops the channel, or the move is over. Idempotent."""
+        if self._timer is not None:
+            self._timer.cancel()
 
     def end(self) -> None:
         """End the move, because this host owns the channel now: perform the waiting calls."""
+        self.stop()
         self._over.set()
         self._puts.release()
 
     def gone(self, elsewhere: StampedeError) -> None:
         """Send the waiting calls to another host, which owns the channel now."""
+        self.stop()
         self.elsewhere = elsewhere
         self._over.set()
 
-    async def decided(self, name: str) -> None:
+    async def decided(self) -> None:
         """Wait until changes of the channel need not wait. Raises Overloaded after HELD_SECONDS_MAX."""
         if not self.is_held:
             return
@@ -52,7 +77,7 @@ class Moving:
             async with asyncio.timeout(HELD_SECONDS_MAX):
                 await self._over.wait()
         except TimeoutError:
-            raise held_too_long(name) from None
+            raise held_too_long(self._name) from None
 
 
 def held_too_long(name: str) -> StampedeError:

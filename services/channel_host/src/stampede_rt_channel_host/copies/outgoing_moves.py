@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving, held_too_long
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
@@ -99,16 +99,18 @@ class OutgoingMove:
         return self._moving.elsewhere is not None
 
     def hold(self) -> None:
-        """Let all changes wait, for HELD_SECONDS_MAX at most. Idempotent."""
+        """Let all changes wait. Idempotent.
+
+        Ends the move after HELD_SECONDS_MAX if the destination has not committed it.
+        """
         if self._moving.is_held or not self._is_under_way:
             return
         self._moving.hold()
         self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._held_too_long)
 
     def _held_too_long(self) -> None:
-        """Refuse the puts that wait, and end the move unless it is committed."""
+        """End the move unless it is committed."""
         if self._is_under_way and not self.is_committed:
-            self._moves.store.scheduler.begin(self._hosted.puts.ending(held_too_long(self._hosted.record.name)))
             self._end_soon()
 
     def committed(self, epoch: int) -> None:
