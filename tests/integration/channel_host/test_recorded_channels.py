@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def cluster(folder: Path) -> Iterator[LocalCluster]:
-    """One host with an archive, and one without."""
+    """One host with an archive."""
     with LocalCluster(hosts=1, supernodes=1, archive=folder) as running:
         yield running
 
@@ -119,6 +119,34 @@ def test_after_a_crash_only_the_last_stretch_is_lost(cluster: LocalCluster, rt: 
     newest = channel.newest()
     assert int(newest.payload) >= ITEMS - 8
     assert channel.get(newest.time + MS, st.NOW).reason == "LOST"
+
+
+def segment_with(folder: Path, payload: bytes) -> Path:
+    """The file of the archive that has this payload."""
+    return next(path for path in folder.rglob("*.segment") if payload in path.read_bytes())
+
+
+def test_a_get_says_which_items_are_in_a_damaged_block(rt: st.Connection, folder: Path) -> None:
+    channel, began = rt.channel("rig/flipped", max_items=2, archive="7d"), time.time_ns() - 10**9
+    for number in range(6):
+        channel.put(b"flipped-%d" % number + b"." * 2**18, time=began + number * MS)  # each in a block of its own
+    wait_until_collected(channel, 2)
+    path = segment_with(folder, b"flipped-2")
+    at = path.read_bytes().index(b"flipped-2")
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(b"F")
+    for newest_first in (False, True):
+        items = channel.get(began, began + 5 * MS, newest_first=newest_first)
+        assert sorted(item.payload[8:9] for item in items) == [b"0", b"1", b"3", b"4", b"5"]
+        assert items.reason == "LOST"
+        assert "the archive lacks 1 items" in items.reason.detail
+    assert channel.get(began + 2 * MS, began + 2 * MS).reason == "LOST"
+    assert channel.get(began + 3 * MS, began + 5 * MS).reason is None
+    assert channel.get(st.OLDEST, st.NEWEST, limit=2).reason is None
+    with channel.subscribe(start=began) as events:
+        assert [next(events).payload[8:9] for _ in range(5)] == [b"0", b"1", b"3", b"4", b"5"]
+        assert events.dropped == 1
 
 
 def test_every_example_of_the_guide_prints_what_stands_beside_it(

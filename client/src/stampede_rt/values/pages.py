@@ -35,6 +35,7 @@ class Pages:
         if first is last:
             return first
         items: list[Item] = [item for page in self._pages for item in page]
+        lost = next((page.reason for page in self._pages if page.reason == "LOST"), None)
         by_last = self._query.newest_first and first.truncated and not last.more
         return Items(
             items,
@@ -42,7 +43,7 @@ class Pages:
             complete=first.complete,
             truncated=first.truncated,
             more=last.more,
-            reason=last.reason if by_last else first.reason,
+            reason=lost or (last.reason if by_last else first.reason),
             incarnation=first.incarnation,
             cut=first.cut,
             staleness_nanos=first.staleness_nanos,

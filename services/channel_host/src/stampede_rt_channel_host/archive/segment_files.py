@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRun,
     ArchiveWindow,
     BlockHead,
+    Hole,
     PlacedBlock,
     Segment,
     WantedWindow,
@@ -27,6 +28,7 @@ from stampede_rt_channel_host.core.archive import (
     encode_items,
     encode_opening,
     grown,
+    holes,
     is_whole,
     part_of,
     scan,
@@ -262,10 +264,19 @@ class SegmentFiles:
         """Load a window of the segments. Calls `rest` after each block, so that other threads have their turn."""
         chosen = choose(segments, self._blocks_of, wanted.wanted)
         runs: list[Run] = []
+        missing: list[Hole] = []
+        taken: dict[Segment, set[int]] = {}
         for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
-            runs += self._runs_of(segment, block, decode)
+            found = self._runs_of(segment, block, decode)
+            runs += found
+            taken.setdefault(segment, set()).add(block.offset)
+            if not found:
+                missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
             rest()
-        return window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
+        for segment, offsets in taken.items():
+            missing += holes(self._blocks_of(segment), offsets)
+        window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
+        return window._replace(holes=missing)
 
     def load_part(
         self,

@@ -75,13 +75,15 @@ def test_a_bit_flipped_anywhere_is_found_and_costs_its_block_only() -> None:
         assert bool(found.damaged) == (struck < 2)  # a damaged last block is cut off as a torn tail
 
 
-def test_seqs_of_a_gap_and_of_a_damaged_block_are_missing() -> None:
+def test_seqs_of_a_gap_and_of_a_block_without_a_head_are_a_hole_beside_the_blocks_that_a_read_takes() -> None:
     gap = archive.encode_gap(5, 9, (1004, 4), 70)
     first, third = (archive.encode_items([ArchivedRun(50, run_at(seq, 4))]) for seq in (1, 9))
     raw = b"".join((*first[1], *gap[1], *third[1]))
     blocks = scanned(raw).blocks
-    assert archive.missing_seqs(blocks, 1, 13) == [(5, 9)]
-    assert archive.missing_seqs(blocks[1:], 1, 13) == [(1, 9)]
+    hole = archive.Hole(1005, 1008, 4)
+    for present in (blocks, [blocks[0], blocks[2]]):
+        assert [*archive.holes(present, {blocks[0].offset})] == [*archive.holes(present, {blocks[2].offset})] == [hole]
+        assert [*archive.holes(present, set())] == []
     short = archive.summary(0, len(raw), blocks)
     assert short is not None
     assert (short.items, short.first_seq, short.end_seq, short.low, short.high) == (8, 1, 13, (1001, 1), (1012, 12))

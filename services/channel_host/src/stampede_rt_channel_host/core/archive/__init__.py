@@ -33,12 +33,13 @@ from stampede_rt_channel_host.core.archive.block import (
 )
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import (
+    Hole,
     PlacedBlock,
     ReadAt,
     Scan,
     Segment,
     grown,
-    missing_seqs,
+    holes,
     scan,
     summary,
 )
@@ -65,6 +66,7 @@ __all__ = [
     "BlockHead",
     "BlocksOf",
     "Chosen",
+    "Hole",
     "PlacedBlock",
     "ReadAt",
     "Scan",
@@ -81,8 +83,8 @@ __all__ = [
     "encode_items",
     "encode_opening",
     "grown",
+    "holes",
     "is_whole",
-    "missing_seqs",
     "part_of",
     "reaches",
     "resolved",

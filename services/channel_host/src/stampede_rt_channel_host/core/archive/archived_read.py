@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from stampede_rt.values.timeline import Match, ResolvedInterval
+from stampede_rt.values.model import Reason
+from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
+from stampede_rt_channel_host.core.archive.segment import Hole
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Wanted
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -79,6 +81,7 @@ class ArchivedRead:
         self._next_time: int | None = None
         self._next_times: dict[ItemKey, int] = {}
         self._bytes = 0
+        self._holes: set[Hole] = set()  # those in the interval
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
@@ -131,6 +134,8 @@ class ArchivedRead:
         reading.advance = self._moment.advanced_to
         answer = yield from reading.answer(query, self._within, self._moment.clock)
         self._windows += 1
+        within = self._within
+        self._holes.update(one for one in window.holes if one.start <= within.end and one.end >= within.start)
         self._last, self._reading = answer, reading
         if searching_more:
             self._more = bool(answer.slices)
@@ -188,8 +193,30 @@ class ArchivedRead:
         assert reading is not None, "the window was read by it"
         pages = reversed(self._pages) if self._query.newest_first else self._pages
         slices = [one for page in pages for one in page]
-        reason = reading.reason(self._query, self._within, has_items=bool(slices), more=self._more)
+        reason = self._lack(slices)
+        if reason is None:
+            reason = reading.reason(self._query, self._within, has_items=bool(slices), more=self._more)
         following = self._next_time
         return last._replace(
             slices=slices, next_time=following, more=self._more, reason=reason, next_times=self._next_times
+        )
+
+    def _lack(self, slices: Sequence[Slice]) -> Reason | None:
+        """The reason of an answer that the archive lacks items of, or None. `slices`: the items of the answer.
+
+        An answer that the limit has cut off does not lack items beyond its last one.
+        """
+        lacking = self._holes
+        if self._more and slices and self._query.newest_first:
+            lacking = {one for one in lacking if one.end >= slices[0].first_time}
+        elif self._more and slices:
+            lacking = {one for one in lacking if one.start <= slices[-1].last_time}
+        if not lacking:
+            return None
+        count = sum(one.items for one in lacking)
+        start, end = min(one.start for one in lacking), max(one.end for one in lacking)
+        return Reason(
+            "LOST",
+            f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "
+            "collected them before they were archived, or their block is damaged",
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive.block import (
@@ -60,6 +60,14 @@ class Segment(NamedTuple):
     low: ItemKey | None
     high: ItemKey | None
     last_accepted: int
+
+
+class Hole(NamedTuple):
+    """Items that an archive does not have. Their times lie between `start` and `end`, unless they came late."""
+
+    start: int
+    end: int
+    items: int
 
 
 def scan(read_at: ReadAt, length: int, *, check_contents: bool) -> Scan:
@@ -146,15 +154,13 @@ def grown(segment: Segment, head: BlockHead) -> Segment:
     )
 
 
-def missing_seqs(blocks: Iterable[PlacedBlock], first_seq: int, end_seq: int) -> list[tuple[int, int]]:
-    """The seqs from `first_seq` up to `end_seq`, exclusive, that no block with items has: damaged or never archived."""
-    missing, expected = [], first_seq
-    for one in sorted((one.head for one in blocks if one.head.kind == ITEMS), key=lambda head: head.first_seq):
-        if one.end_seq <= expected or one.first_seq >= end_seq:
-            continue
-        if one.first_seq > expected:
-            missing.append((expected, one.first_seq))
-        expected = one.end_seq
-    if expected < end_seq:
-        missing.append((expected, end_seq))
-    return missing
+def holes(blocks: Iterable[PlacedBlock], taken: Set[int]) -> Iterator[Hole]:
+    """The holes of a segment beside the blocks at the offsets `taken`: never archived, or in a block without a head."""
+    before: PlacedBlock | None = None
+    for one in (one for one in blocks if one.head.kind == ITEMS):
+        is_beside = before is not None and (before.offset in taken or one.offset in taken)
+        if before is not None and is_beside and one.head.first_seq > before.head.end_seq:
+            start, end = sorted((before.head.high[0], one.head.low[0]))
+            inner = (start + 1, end - 1) if end - start > 1 else (start, end)
+            yield Hole(*inner, one.head.first_seq - before.head.end_seq)
+        before = one

@@ -11,7 +11,7 @@ from heapq import heappop, heappush
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive.block import ITEMS, BlockHead
-from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.segment import Hole, PlacedBlock, Segment
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
@@ -52,13 +52,14 @@ class ArchiveWindow(NamedTuple):
     """The items of some blocks, in time order: whole buckets, without a gap between them.
 
     `edge` and `following`: see `Chosen`. `end`: no item at or above this key belongs to the window or comes after it;
-    None: the items in memory come after the window.
+    None: the items in memory come after the window. `holes`: the items that the archive lacks here.
     """
 
     items: ChannelIndex
     edge: int | None
     following: int | None
     end: ItemKey | None
+    holes: Sequence[Hole] = ()
 
 
 def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> Chosen:
