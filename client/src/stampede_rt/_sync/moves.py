@@ -54,13 +54,16 @@ class Moves(Proxies):
 
         The plan uses the loads that the hosts last reported to the directory, and how much each channel does within
         `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan first.
-        Hosts whose loads differ by less than a tenth of a core stay as they are. Raises the errors of `move`.
+        Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with replicas or an
+        archive. Raises the errors of `move`.
         """
         hosts = {one.name: one.load.busy_permille for one in self.hosts() if one.load is not None}
         rates = self._rates(hosts, parse_duration(over, "over") / 1e9)
-        names = {one.channel_id: one.name for one in self.channels()}
+        channels = self.channels()
+        names = {one.channel_id: one.name for one in channels}
+        staying = {one.name for one in channels if one.policy.is_recorded or one.policy.replicas}
         groups = [[names[one] for one in group.channel_ids if one in names] for group in self.groups()]
-        planned = plan_moves(hosts, rates, groups)
+        planned = plan_moves(hosts, rates, groups, staying)
         for step in planned if apply else ():
             self.move(step.channel, step.host)
         return planned

@@ -28,13 +28,16 @@ class _Bunch:
 
 
 def plan_moves(
-    busy: Mapping[str, int], rates: Mapping[str, Mapping[str, float]], groups: Iterable[Collection[str]]
+    busy: Mapping[str, int],
+    rates: Mapping[str, Mapping[str, float]],
+    groups: Iterable[Collection[str]],
+    staying: Collection[str] = (),
 ) -> list[PlannedMove]:
     """Plan moves from the busiest hosts to the least busy ones, until their loads differ little.
 
     `busy`: by host, the thousandths of a core that it uses, as it last reported. `rates`: by host and channel, how much
     the channel does; a host's load counts for its channels in this proportion. `groups`: the channels of each group.
-    Channels of one group at one host move together.
+    Channels of one group at one host move together. `staying`: channels that cannot move.
     """
     shares = {
         name: busy[host] * rate / (sum(channels.values()) or 1.0)
@@ -45,6 +48,7 @@ def plan_moves(
         _Bunch(names, host, sum(shares[name] for name in names))
         for host, channels in rates.items()
         for names in _together(channels, groups)
+        if not any(name in staying for name in names)
     ]
     return _even_out({host: float(permille) for host, permille in busy.items()}, bunches, shares)
 

@@ -51,3 +51,10 @@ def test_a_plan_never_makes_the_busiest_host_busier(hosts: int) -> None:
     planned = plan_moves(busy, rates, [])
     assert planned
     assert max(load_after(busy, planned).values()) < max(busy.values())
+
+
+def test_a_channel_that_cannot_move_stays_with_the_members_of_its_groups() -> None:
+    busy = {"h1": 900, "h2": 0}
+    rates = {"h1": {"recorded": 1.0, "with it": 1.0, "free": 1.0}, "h2": {}}
+    planned = plan_moves(busy, rates, [["recorded", "with it"]], {"recorded"})
+    assert [one.channel for one in planned] == ["free"]

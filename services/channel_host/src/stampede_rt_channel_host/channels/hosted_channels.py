@@ -109,6 +109,7 @@ class HostedChannel:
         self.order = next(_orders)  # decides between channels that are due at the same time
         self._on_touched, self._now = on_touched, now
         if self.replication is not None:
+            self.puts.check_room = self.replication.check_room
             begin(self.replication.filling())
 
     @property

@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, FedChannel, Pieces, ReplicatedView
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
+UNSEEN_BYTES_MAX = 64 * 2**20
+"""Items that have left the channel before its readers may see them take so much memory at most."""
 READY_SECONDS_MAX = 3.0  # a caller that binds the channel waits so long for the replicas of a new owner
 
 
@@ -117,8 +119,24 @@ class Replication:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that the channel takes beside that of `core`: the index of what readers see."""
-        return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES
+        """The memory that the channel takes beside that of `core`: the index of what readers see, and unseen items."""
+        return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES + self._unseen_bytes
+
+    @property
+    def _unseen_bytes(self) -> int:
+        """The memory of the items that have left `core`, and that readers will see once they are replicated."""
+        return max(0, self._view.staged_bytes - self._core.footprint_bytes)
+
+    def check_room(self) -> None:
+        """Raises Overloaded if the replicas are so far behind that the channel takes no further items."""
+        if self._unseen_bytes > UNSEEN_BYTES_MAX:
+            name = self._core.name
+            raise Overloaded(
+                f"channel {name} takes no items now: {UNSEEN_BYTES_MAX} bytes of items have left it before its "
+                f"replicas had them, and readers have not seen them; look at `stampede info {name}`, start another "
+                "host, or put again later",
+                metadata={"channel": name},
+            )
 
     def collect(self, now: int) -> bool:
         """Free memory of what readers see no more, and show what has left the channel. Returns True if more is left."""

@@ -88,6 +88,8 @@ class FeedStream:
             raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
         if opening.owner_facts and hosted.copy is not None:
             raise refusals.copy_cannot(hosted.record.name, "does not know what only the owner knows")
+        if opening.move_id:
+            self._moves.check(hosted)  # first, because the feed of a replica that begins anew clears its flag
         feed = await self._begin(hosted, opening)
         copy = FedCopy(
             opening.host_id,
@@ -101,7 +103,7 @@ class FeedStream:
             hosted.fed.add(copy)
         self._observe(hosted, opening, feed)
         self._take(request, hosted, copy)
-        reading = self._stream.spawn(self._read(hosted, copy))
+        reading = self._stream.spawn(self._read(hosted, copy, feed))
         try:
             await self._serve(hosted, feed)
         finally:
@@ -146,14 +148,14 @@ class FeedStream:
         self._replication.add(opening.host_id, self, refusals.not_ready(hosted.record.name))
         self._replication.report(opening.host_id, self, feed.next_seq)
 
-    async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
+    async def _read(self, hosted: HostedChannel, copy: FedCopy, feed: ChannelFeed) -> None:
         async for raw in requests_of(self._context.read):
             request: pb.FeedRequest = parse(pb.FeedRequest, raw, "FeedRequest")
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             self._take(request, hosted, copy)
             if self._replication is not None:
-                self._replication.report(self._host_id, self, request.held_next_seq)
+                self._replication.report(self._host_id, self, min(request.held_next_seq, feed.next_seq))
         self._credit.end()
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:

@@ -67,12 +67,22 @@ class IncomingMoves:
         if move is None:
             if self._is_closing:
                 raise refusals.SHUTTING_DOWN
+            self._check(record)
             if len(self._moves) >= MOVES_MAX:
                 raise Overloaded(f"{MOVES_MAX} channels move to host {self._identity.name} already; wait for one")
             move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
             self._moves[record.channel_id] = move
             move.add_done_callback(lambda done: self._over(record.channel_id, done))
         return await asyncio.shield(move)
+
+    def _check(self, record: RecordedChannel) -> None:
+        """Refuse a channel that stays where it is before this host gives up its own copy, perhaps a replica in sync.
+
+        Raises InvalidArgument.
+        """
+        held = self._store.known(record.channel_id)
+        for one in (record,) if held is None else (record, held.record):
+            refusals.check_movable(one)
 
     def _over(self, channel_id: bytes, move: asyncio.Task[Moved]) -> None:
         self._moves.pop(channel_id, None)

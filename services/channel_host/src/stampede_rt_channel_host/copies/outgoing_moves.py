@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Coroutine
 from typing import Any
 
-from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StaleBinding, StampedeError
+from stampede_rt.errors import ChannelNotFound, Overloaded, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
@@ -34,23 +34,18 @@ class OutgoingMoves:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
-        """Begin a move to the host with that gatekeeper. Raises MOVE_CONFLICT, and Overloaded at MOVES_MAX moves."""
-        if hosted.moving is not None:
-            raise refusals.move_conflict(hosted.record.name)
-        if hosted.recording is not None:
-            raise InvalidArgument(
-                f"channel {hosted.record.name} is recorded, and its archive stays at host {self.identity.name}, so it "
-                "cannot move; leave it there"
-            )
-        if hosted.replication is not None:
-            raise InvalidArgument(
-                f"channel {hosted.record.name} has replicas, and cannot move yet; a replica in sync takes over at once "
-                f"when host {self.identity.name} leaves"
-            )
-        if self._under_way >= MOVES_MAX:
-            raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
+        """Begin a move to the host with that gatekeeper. Raises the errors of `check`."""
+        self.check(hosted)
         self._under_way += 1
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
+
+    def check(self, hosted: HostedChannel) -> None:
+        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, and Overloaded at MOVES_MAX moves."""
+        if hosted.moving is not None:
+            raise refusals.move_conflict(hosted.record.name)
+        refusals.check_movable(hosted.record)
+        if self._under_way >= MOVES_MAX:
+            raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
 
     def over(self) -> None:
         """Note that the feed of a move has ended."""

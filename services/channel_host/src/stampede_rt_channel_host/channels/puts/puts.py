@@ -49,6 +49,8 @@ class ChannelPuts:
         self._on_accepted = on_accepted
         self._on_touched = on_touched
         self._may_serve = may_serve
+        self.check_room: Callable[[], None] = _has_room
+        """Raises Overloaded while the channel takes no items."""
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self.retries = RetryWindow()
         self._waiting_bytes = 0
@@ -257,6 +259,7 @@ class ChannelPuts:
 
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack."""
+        self.check_room()
         outcome = self._channel.put(run.offer, now, run.seal)
         is_done = run.take_outcome(outcome, now)
         if is_done:
@@ -299,3 +302,7 @@ def check_number(producer_id: int, first_number: int) -> None:
 
 def _seal_nothing(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
     raise AssertionError("an item larger than every limit was accepted")
+
+
+def _has_room() -> None:
+    """Refuse nothing."""

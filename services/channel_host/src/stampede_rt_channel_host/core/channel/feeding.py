@@ -67,6 +67,19 @@ class FeedPart(NamedTuple):
     advance: int | None
     owner: OwnerPart | None = None
 
+    def can_join(self, former: FeedPart) -> bool:
+        """Whether one part can say what `former` and then this part say: this part has no items, and clears none."""
+        return self.next_seq == former.next_seq and (self.cleared is None or not former.slices) and self.owner is None
+
+    def joined_to(self, former: FeedPart) -> FeedPart:
+        """`former` with the state of this part."""
+        cleared = [one for one in (former.cleared, self.cleared) if one is not None]
+        return former._replace(
+            cleared=max(cleared, default=None),
+            collection=former.collection if self.collection is None else self.collection,
+            advance=former.advance if self.advance is None else self.advance,
+        )
+
 
 CATCH_UP_NANOS = 10_000_000_000
 """A copy stays behind if its lag has not shrunk after so long."""

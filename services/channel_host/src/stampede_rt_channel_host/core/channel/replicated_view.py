@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, FeedPart
 from stampede_rt_channel_host.core.channel.held_items import Cut
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.run import ColumnRun, OneRun, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice, make_run
 
 PIECE_BYTES = 256 * 2**10
 _WHOLE = 2**62  # more bytes than any channel holds
@@ -35,6 +35,8 @@ class ReplicatedView:
         self._cut = cut
         self._feed = ChannelFeed(source, None, now, is_exact=True)
         self._parts: deque[FeedPart] = deque()
+        self.staged_bytes = 0
+        """The memory of the parts that are not shown yet. The source may hold some of their items no more."""
 
     def filling(self, now: int) -> Pieces[None]:
         """Show the items that the channel has from before, in pieces. The caller must let nobody read them yet."""
@@ -45,13 +47,19 @@ class ReplicatedView:
     def stage(self, now: int) -> None:
         """Take in the latest change of the channel. It is shown once its items are replicated."""
         while (part := self._feed.take(now, _WHOLE)) is not None:  # a part has a bounded number of slices
-            self._parts.append(part)
+            self.staged_bytes += _bytes_of(part)
+            if not self._parts or not part.can_join(self._parts[-1]):
+                self._parts.append(part)
+            else:
+                self._parts[-1] = part.joined_to(self._parts[-1])
 
     def show(self, replicated: int, now: int) -> bool:
         """Show the changes whose items are all before the seq `replicated`. Returns whether there were any."""
         has_shown = False
         while self._parts and self._parts[0].next_seq <= replicated:
-            self._apply(self._parts.popleft(), now)
+            part = self._parts.popleft()
+            self.staged_bytes -= _bytes_of(part)
+            self._apply(part, now)
             has_shown = True
         return has_shown
 
@@ -80,3 +88,8 @@ class ReplicatedView:
     def close(self) -> None:
         """End the feed. Idempotent."""
         self._feed.close()
+
+
+def _bytes_of(part: FeedPart) -> int:
+    """The memory of the items of a part. A slice keeps the body of its whole run."""
+    return sum(len(one.slice.run.body) + len(one.slice.run) * ITEM_OVERHEAD_BYTES for one in part.slices)

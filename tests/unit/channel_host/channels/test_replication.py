@@ -1,0 +1,69 @@
+"""A channel whose replicas lack its items: what it keeps for its readers is bounded, and counts as its memory."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.replication import UNSEEN_BYTES_MAX
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from tests.support.clock import ManualClock
+
+FRAME_BYTES = 2**20
+
+
+def channel_without_replicas_in_sync(memory: MemoryBudget, clock: ManualClock) -> HostedChannel:
+    policy = Policy(max_items=1, replicas=1, ack="replica")
+    record = channel_pb2.ChannelRecord(name="cam", epoch=1, incarnation=5, spec=policy_to_spec(policy))
+    hosted = HostedChannel(recorded_channel(record), memory, clock.time_unix_nano, lambda _: None)
+    assert hosted.replication is not None
+    hosted.replication.know([])
+    return hosted
+
+
+def put(hosted: HostedChannel, clock: ManualClock, payload: bytes) -> None:
+    clock.advance(1)
+    run = IncomingRun(encode_run([payload], times=None, durations=[0]), producer_id=0, first_number=0, wait_nanos=0)
+    assert hosted.puts.put(run, clock.time_unix_nano()) is not None
+
+
+@pytest.mark.asyncio
+async def test_items_that_left_before_the_replicas_had_them_count_as_memory_and_are_bounded() -> None:
+    clock, memory = ManualClock(), MemoryBudget(2**40)
+    hosted = channel_without_replicas_in_sync(memory, clock)
+    frame, accepted = bytes(FRAME_BYTES), UNSEEN_BYTES_MAX // FRAME_BYTES + 1
+    for _ in range(accepted):
+        put(hosted, clock, frame)
+    assert memory.used_bytes >= accepted * FRAME_BYTES
+    with pytest.raises(Overloaded, match="before its replicas had them"):
+        put(hosted, clock, frame)
+    assert hosted.channel.next_seq == 1
+    assert hosted.replication is not None
+    hosted.replication.configure(Policy(max_items=1, replicas=1, ack="replica", min_replicas=0))
+    hosted.replication.accepted(clock.time_unix_nano())
+    assert hosted.channel.next_seq == accepted + 1
+    put(hosted, clock, frame)
+    assert memory.used_bytes < 2 * FRAME_BYTES
+
+
+@pytest.mark.asyncio
+async def test_changes_without_items_take_no_memory_while_readers_wait_for_the_replicas() -> None:
+    clock = ManualClock()
+    hosted = channel_without_replicas_in_sync(MemoryBudget(2**40), clock)
+    put(hosted, clock, b"an item")
+    assert hosted.replication is not None
+    for _ in range(1000):
+        clock.advance(1)
+        hosted.advance(clock.time_unix_nano())
+    assert len(hosted.replication._view._parts) <= 2
+    promised = hosted.core.advanced_to
+    hosted.replication.configure(Policy(max_items=1, replicas=1, ack="replica", min_replicas=0))
+    hosted.replication.accepted(clock.time_unix_nano())
+    assert hosted.channel.advanced_to == promised
