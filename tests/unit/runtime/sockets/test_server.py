@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from stampede_rt.wire.stream_frames import FrameKind, frame_of
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.working import GRPC_COSTS, SOCKET_COSTS
 from stampede_rt_runtime.sockets import server, stream_socket
 from tests.support.raw_stream import RawStream, raw_stream
@@ -260,3 +262,13 @@ async def test_a_stream_counts_with_the_costs_of_its_transport(port: Open, monke
         async with grpc.aio.insecure_channel(one.server.address) as channel:
             assert await channel.stream_stream(HOLD)().read() is grpc.aio.EOF
     assert found == [(SOCKET_COSTS, SOCKET_COSTS), (GRPC_COSTS, GRPC_COSTS)]
+
+
+async def test_a_connection_that_was_accepted_as_the_service_ends_is_closed() -> None:
+    """Its task was cancelled before its first step, and nobody closed the socket."""
+    ours, theirs = socket.socketpair()
+    with ours:
+        ending = server.SocketServer([], Limits(), RefusedCalls())
+        ending._accepted(theirs)
+        await ending.stop(0)
+        await until(lambda: theirs.fileno() < 0)

@@ -151,7 +151,7 @@ class SocketServer:
         connect = asyncio.get_running_loop().connect_accepted_socket(lambda: made, accepted)
         connecting = asyncio.create_task(connect)
         self._connecting.add(connecting)
-        connecting.add_done_callback(partial(self._connected, made))
+        connecting.add_done_callback(partial(self._connected, made, accepted))
 
     def _connection(self) -> StreamSocket:
         made = StreamSocket(self, self._limits, self._hangups, self._buffers)
@@ -159,9 +159,10 @@ class SocketServer:
         self._unopened.add(made)
         return made
 
-    def _connected(self, connection: StreamSocket, connecting: asyncio.Task[Any]) -> None:
+    def _connected(self, connection: StreamSocket, accepted: socket.socket, connecting: asyncio.Task[Any]) -> None:
         self._connecting.discard(connecting)
         if connecting.cancelled() or connecting.exception() is not None:
+            accepted.close()  # a task that was cancelled before its first step has not closed it
             self.lost(connection)
 
     def _refusal(self, accepted: socket.socket) -> StampedeError | None:
