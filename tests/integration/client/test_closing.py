@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
@@ -80,3 +82,24 @@ async def test_every_task_that_waits_hears_that_the_connection_is_closed(cluster
         heard = await asyncio.gather(*tasks.values(), return_exceptions=True)
     told = {name: f"{type(one).__name__}: {one}" for name, one in zip(CALLS, heard, strict=True)}
     assert told == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
+
+
+@pytest.mark.parametrize("kind", ["items", "cuts", "matches", "peers"])
+async def test_a_stream_that_is_closed_while_it_opens_ends(cluster: LocalCluster, kind: str) -> None:
+    async with aio.connect(cluster.address, transport="grpc") as rt:
+        channel = await rt.channel("closing/opening", max_age="60s")
+        group = await rt.group("closing/opening", [channel])
+        made: dict[str, Callable[[], Any]] = {
+            "items": channel.subscribe,
+            "cuts": group.subscribe,
+            "matches": lambda: group.match(channel, "1ms"),
+            "peers": rt.watch_peers,
+        }
+        async with asyncio.timeout(LIMIT_S):
+            for turns in range(40):
+                stream = made[kind]()
+                step = asyncio.ensure_future(anext(stream, None))
+                for _ in range(turns):
+                    await asyncio.sleep(0)  # gives others one turn
+                stream.close()
+                assert await step is None

@@ -113,7 +113,8 @@ class MatchSubscription(BoundToProcess):
                     matched, size = self._ready.popleft()
                     self._window.take(size, monotonic_s())
                     return matched
-                await self._receive()
+                if self._stream is not None:  # else `close` was called while it opened
+                    await self._receive()
             raise StopAsyncIteration
 
     def close(self) -> None:
@@ -152,8 +153,10 @@ class MatchSubscription(BoundToProcess):
                 self._responses = stream.__aiter__()
                 # The first response says that the subscription is open.
                 await self._take(await self._responses.__anext__())
-            except StopAsyncIteration:  # somebody called `close` meanwhile
+            except StopAsyncIteration as end:
                 self._resume()
+                if not self._closed:  # else another part of the program called `close`
+                    raise Unavailable(f"the host at {binding.target} ended the stream of matches at once") from end
             except BaseException:
                 self._resume()
                 raise

@@ -114,7 +114,8 @@ class MatchSubscription(BoundToProcess):
                     matched, size = self._ready.popleft()
                     self._window.take(size, monotonic_s())
                     return matched
-                self._receive()
+                if self._stream is not None:  # else `close` was called while it opened
+                    self._receive()
             raise StopIteration
 
     def close(self) -> None:
@@ -153,8 +154,10 @@ class MatchSubscription(BoundToProcess):
                 self._responses = stream.__iter__()
                 # The first response says that the subscription is open.
                 self._take(self._responses.__next__())
-            except StopIteration:  # somebody called `close` meanwhile
+            except StopIteration as end:
                 self._resume()
+                if not self._closed:  # else another part of the program called `close`
+                    raise Unavailable(f"the host at {binding.target} ended the stream of matches at once") from end
             except BaseException:
                 self._resume()
                 raise
