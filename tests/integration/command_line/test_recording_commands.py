@@ -15,7 +15,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli import record
-from stampede_rt.cli.commands import _parser
+from stampede_rt.cli.commands import parser_of
 from stampede_rt.cli.main import main
 from stampede_rt.files.entries import Topic, item_entry
 from stampede_rt.files.reading import FileReader
@@ -152,7 +152,7 @@ def test_an_event_beyond_the_limit_is_named_and_the_status_is_3(
     monkeypatch.setattr(record, "AT_ONCE_MAX", 1)
     events, said = rt.channel("limit/events"), []
     words = ["record", "limit/*", "--on", "limit/events", "--for", "1h", "-o", str(tmp_path / "a.mcap")]
-    recordings = record._EventRecordings(rt, _parser().parse_args(words))
+    recordings = record._EventRecordings(rt, parser_of("record").parse_args(words))
     thread = threading.Thread(target=lambda: said.append(recordings.run()))
     thread.start()
     wait_until(lambda: events.stats().subscriptions == 1)

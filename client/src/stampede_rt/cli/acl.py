@@ -7,8 +7,9 @@ import secrets
 from collections.abc import Sequence
 from typing import Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb
+from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.output import print_behind, print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import InvalidArgument
 
 VERBS = (

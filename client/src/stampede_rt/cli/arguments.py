@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
-from stampede_rt.escaping import TerminalParser
 from stampede_rt.values.policy import ACKS, ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_duration, parse_instant
 
@@ -23,28 +22,6 @@ _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
 
 _SECONDS = re.compile(r"\d+(\.\d*)?|\.\d+", re.ASCII)
-
-
-class VerbParser(TerminalParser):
-    """The parser of one verb. It allows options between the arguments, and refuses unknown arguments."""
-
-    _intermixed = False  # whether `parse_known_intermixed_args` runs, which calls `parse_known_args` again
-
-    def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
-        self, args: Sequence[str] | None = None, namespace: Any = None
-    ) -> Any:
-        """Parse the verb's arguments. `parse_known_intermixed_args` calls this method again, for each of its passes."""
-        if self._intermixed or self._subparsers is not None:
-            # The parser of a noun, such as "queue", leaves the rest to the parsers of the noun's verbs.
-            return super().parse_known_args(args, namespace)
-        self._intermixed = True
-        try:
-            parsed, unknown = self.parse_known_intermixed_args(args, namespace)
-        finally:
-            self._intermixed = False
-        if unknown:
-            self.error(f"{self.prog} has no argument {' '.join(unknown)}; see {self.prog} --help")
-        return parsed, unknown
 
 
 def timeout_seconds(text: str) -> float:

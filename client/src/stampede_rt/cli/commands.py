@@ -7,9 +7,11 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.interrupts import INTERRUPTED, interruption
+from stampede_rt.cli.verb_parser import VerbParser
+from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.version import VERSION
@@ -22,23 +24,6 @@ MISUSED = 2  # the exit status of a command with wrong arguments
 
 OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk refuses the output
 
-VERB_MODULES = (
-    "discovery", "hosts", "data", "group", "queue", "mailbox", "proxy", "rates", "top", "lag", "record", "replay",
-    "export", "file", "doctor", "acl", "quota", "token",
-)  # fmt: skip
-"""The modules with the verbs of clients, in the order of the help."""
-
-SERVICE_VERBS = {
-    "dev": "run the whole system on this machine, in memory",
-    "frontend": "run a front-end",
-    "supernode": "run a supernode",
-    "host": "run a channel host",
-    "web": "serve a page that shows all streams on one time line",
-    "certs": "make the certificates of a cluster",
-    "demo": "run a demonstration on real media",
-    "bench": "run a benchmark, such as the paper's figures",
-}
-
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit status."""
@@ -46,7 +31,7 @@ def run(arguments: Sequence[str]) -> int:
         if arguments and arguments[0] in SERVICE_VERBS:
             status = _run_service(arguments[0], arguments[1:])
         else:
-            parsed = _parser().parse_args(arguments)
+            parsed = parser_of(arguments[0] if arguments else None).parse_args(arguments)
             status = int(parsed.run(parsed))
         sys.stdout.flush()  # if the disk is full, the error comes here, and not when the interpreter ends
         return status
@@ -110,20 +95,43 @@ def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:
     return int(verb(arguments))
 
 
-def _parser() -> argparse.ArgumentParser:
-    from importlib import import_module
+def parser_of(verb: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser of the command line, with the arguments of `verb` alone.
 
-    from stampede_rt.cli.arguments import VerbParser
+    If `verb` is no verb of a client, the parser has all verbs, without their arguments. It then prints the help or an
+    error.
+    """
+    parser, verbs = _parser()
+    if verb in VERBS:
+        _add_module(verbs, VERBS[verb][0])
+    else:
+        for name, (_, text) in VERBS.items():
+            verbs.add_parser(name, help=text)
+    return parser
 
-    verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
+
+def full_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line with all verbs of clients and all their arguments."""
+    parser, verbs = _parser()
+    for module in dict.fromkeys(module for module, _ in VERBS.values()):
+        _add_module(verbs, module)
+    return parser
+
+
+def _parser() -> tuple[argparse.ArgumentParser, Any]:
     parser = TerminalParser(
         prog="stampede",
         description="Stampede RT: a distributed store of time-indexed live streams.",
-        epilog=f"verbs that run parts of the system (each has --help):\n{verbs}",
+        epilog="verbs that run parts of the system (each has --help):\n"
+        + "\n".join(f"  {name:<10}{text}" for name, text in SERVICE_VERBS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
-    for name in VERB_MODULES:
-        import_module(f"stampede_rt.cli.{name}").add_verbs(subparsers)
-    return parser
+    return parser, parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
+
+
+def _add_module(verbs: Any, module: str) -> None:
+    """Add the verbs of a module of this package, with their arguments."""
+    from importlib import import_module
+
+    import_module(f"stampede_rt.cli.{module}").add_verbs(verbs)

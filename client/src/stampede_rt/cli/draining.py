@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, connected
+from stampede_rt.cli.arguments import add_verb, connected
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.escaping import TerminalParser
 
 

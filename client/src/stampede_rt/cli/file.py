@@ -9,9 +9,10 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import VerbParser, checked, parse_time
+from stampede_rt.cli.arguments import checked, parse_time
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.cli.record import INCOMPLETE, print_summary
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import RecordingSummary

@@ -8,7 +8,6 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import (
-    VerbParser,
     add_verb,
     checked,
     connected,
@@ -17,6 +16,7 @@ from stampede_rt.cli.arguments import (
     parse_count,
 )
 from stampede_rt.cli.output import item_line, item_row, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.escaping import escaped
 from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus, Matched

@@ -6,7 +6,6 @@ import argparse
 import time
 from typing import Any
 
-from stampede_rt.cli import move
 from stampede_rt.cli.arguments import add_verb, connected
 from stampede_rt.cli.output import bytes_text, print_rows, roughly
 from stampede_rt.values.model import HostInfo
@@ -15,7 +14,6 @@ from stampede_rt.values.model import HostInfo
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
     add_verb(subparsers, "hosts", "list hosts, with their channels and loads", run_hosts)
-    move.add_verbs(subparsers)
 
 
 def run_hosts(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, timeout_seconds
+from stampede_rt.cli.arguments import add_verb, checked, connected, parse_attribute, timeout_seconds
 from stampede_rt.cli.clock_findings import UNKNOWN, ahead, is_off
 from stampede_rt.cli.messages import (
     add_payload,
@@ -19,6 +19,7 @@ from stampede_rt.cli.messages import (
     take,
 )
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import PeerNotFound
 from stampede_rt.values.timeline import format_duration, format_instant
 

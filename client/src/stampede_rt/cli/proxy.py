@@ -6,8 +6,9 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, connected
+from stampede_rt.cli.arguments import add_verb, connected
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.timeline import format_duration
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import (
-    VerbParser,
     add_verb,
     checked,
     connected,
@@ -26,6 +25,7 @@ from stampede_rt.cli.messages import (
     take,
 )
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import QueueNotFound
 from stampede_rt.values.queueing import LEASE_NANOS_DEFAULT, ON_FULL
 from stampede_rt.values.timeline import format_duration

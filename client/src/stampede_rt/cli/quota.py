@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from ipaddress import ip_address
 from typing import Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb
+from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.output import bytes_text, print_behind, print_facts, print_rows
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 

@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, checked
+from stampede_rt.cli.arguments import add_verb, checked
 from stampede_rt.cli.output import print_behind, print_facts
+from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_instant, parse_duration

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from stampede_rt.cli import output
-from stampede_rt.cli.commands import _parser
+from stampede_rt.cli.commands import full_parser
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Item
 from tests.robustness.fuzz import hostile_values
@@ -16,7 +16,7 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.parsers.target import Target
 from tests.robustness.fuzz.parsers.texts import composed
 
-PARSER = _parser()
+PARSER = full_parser()
 WORDS = (
     *("ls", "put", "get", "echo", "hz", "doctor", "group", "queue", "mailbox", "peers", "info", "rm", "create", "take"),
     *("--help", "-h", "--url", "localhost:1", "-o", "json", "--limit", "--start", "--end", "--max-age", "--attribute"),

@@ -1,11 +1,18 @@
 """The help of the command line: it explains every argument, and no verb takes an argument that it ignores."""
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from stampede_rt.cli.commands import _parser, run
+from stampede_rt.cli.commands import full_parser, parser_of, run
+from stampede_rt.cli.verbs import VERBS
+
+# An empty interpreter has about 35 modules.
+HELP_MODULES_MAX = 110
+VERB_MODULES_MAX = 160
 
 
 def verbs(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -18,7 +25,7 @@ def verbs(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
 
 
 def test_every_argument_of_every_verb_has_a_help_text() -> None:
-    parsers = list(verbs(_parser()))
+    parsers = list(verbs(full_parser()))
     assert len(parsers) > 30
     for parser in parsers:
         for action in parser._actions:
@@ -40,3 +47,32 @@ def test_a_time_to_live_that_no_token_can_have_names_its_option(ttl: str, capsys
     told = capsys.readouterr().err
     assert "--ttl" in told
     assert "nanos" not in told
+
+
+def listed(parser: argparse.ArgumentParser) -> dict[str, str | None]:
+    """The verbs of a parser and their help texts, in the order of its help."""
+    [action] = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    return {choice.dest: choice.help for choice in action._choices_actions}
+
+
+def test_the_short_list_of_verbs_is_the_list_of_all_parsers() -> None:
+    assert listed(full_parser()) == listed(parser_of()) == {name: text for name, (_, text) in VERBS.items()}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_verb_is_parsed_without_the_modules_of_other_verbs(verb: str) -> None:
+    module = VERBS[verb][0]
+    assert set(listed(parser_of(verb))) == {name for name, (other, _) in VERBS.items() if other == module}
+
+
+def modules_of(*words: str) -> int:
+    """The number of modules that a new interpreter has loaded at the end of this command."""
+    code = "import sys\nfrom stampede_rt.cli.main import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
+    code += "sys.stderr.write(str(len(sys.modules)))"
+    done = subprocess.run([sys.executable, "-I", "-c", code, *words], capture_output=True, timeout=60, check=True)
+    return int(done.stderr)
+
+
+def test_help_loads_few_modules_so_that_it_comes_at_once() -> None:
+    assert modules_of("--help") < HELP_MODULES_MAX
+    assert modules_of("get", "--help") < VERB_MODULES_MAX
