@@ -253,6 +253,36 @@ def test_a_file_is_replayed_and_imported(run: Command, rt: st.Connection, tmp_pa
     assert len(rt.channel("kept/cam", create=False).get(st.OLDEST, st.NEWEST)) == 8
 
 
+def test_channels_are_replayed_with_their_durations_attributes_advances_and_gaps(
+    run: Command, rt: st.Connection
+) -> None:
+    left, right = rt.channel("lab/left", max_items=4), rt.channel("lab/right", max_age="60s")
+    began = st.now() - 2 * 10**9
+    for number in range(6):
+        left.put(b"%d" % number, time=began + number * 10**7, duration="5ms", attributes={"n": str(number)})
+        right.put(b"%d" % number, time=began + number * 10**7 + 10**6)
+    right.advance(began + 10**9)
+    words = ("--as", "again/", "--speed", "max", "--shift", "now")
+    status, out, told = run("replay", "lab/*", "--from", str(began), *words)
+    assert status == 3  # two items were collected before
+    assert "into again/lab/left and again/lab/right" in told
+    assert "missing in the file: lab/left: " in out
+    played, other = (rt.channel(f"again/lab/{side}", create=False) for side in ("left", "right"))
+    items, others = played.get(st.OLDEST, st.NEWEST), other.get(st.OLDEST, st.NEWEST)
+    assert [(one.payload, one.duration) for one in items] == [(b"%d" % number, 5 * 10**6) for number in range(2, 6)]
+    assert [one.attributes["n"] for one in items] == ["2", "3", "4", "5"]
+    assert "stampede.gap" in items[0].attributes
+    advance = other.stats().advance
+    assert advance is not None
+    assert (len(others), advance - others[0].time) == (6, 10**9 - 10**6)
+    status, out, _ = run("replay", "lab/right", "--as", "part/", "--speed", "max", "--from", others_time(right, 2))
+    assert (status, out.splitlines()[1].split()) == (0, ["part/lab/right", "4"])
+
+
+def others_time(channel: st.Channel, index: int) -> int:
+    return channel.get(st.OLDEST, st.NEWEST)[index].time
+
+
 def test_an_import_that_a_channel_would_refuse_ends_with_one_sentence(
     run: Command, rt: st.Connection, tmp_path: Path
 ) -> None:

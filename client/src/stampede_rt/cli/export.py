@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, checked, connected, parse_time
+from stampede_rt.cli.arguments import add_verb, checked, parse_time
+from stampede_rt.cli.held_items import file_of
 from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text, print_summary
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import RecordingSummary
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
@@ -46,27 +43,9 @@ def run_export(arguments: argparse.Namespace) -> int:
     form = arguments.format or Path(arguments.file).suffix.removeprefix(".")
     if form not in FORMATS:
         raise InvalidArgument(f"{arguments.file} does not tell the format; give --format {', '.join(FORMATS)}")
-    if len(arguments.sources) == 1 and os.path.exists(arguments.sources[0]):
-        return _export_file(arguments.sources[0], arguments, form)
     folder = Path(arguments.file).absolute().parent
-    with tempfile.TemporaryDirectory(prefix=".stampede-export-", dir=folder if folder.is_dir() else None) as made:
-        held = Path(made) / "held.mcap"
-        status = _record_held(arguments, held)
-        return max(status, _export_file(str(held), arguments, form))
-
-
-def _record_held(arguments: argparse.Namespace, path: Path) -> int:
-    """Write what the channels hold to an MCAP file."""
-    with connected(arguments) as rt, rt.record(arguments.sources, path, since="oldest", for_="0s") as recorder:
-        summary = recorder.wait()
-    assert summary is not None, "the recording has no limit of time here"
-    for text in summary.absent:
-        print(f"stampede: missing: {escaped(text)}", file=sys.stderr)
-    if not summary.channels:
-        raise InvalidArgument(
-            f"there is no file and no channel {' '.join(arguments.sources)}; `stampede ls` lists them"
-        )
-    return 0 if summary.complete else INCOMPLETE
+    with file_of(arguments, arguments.sources, folder if folder.is_dir() else None) as (path, status):
+        return max(status, _export_file(path, arguments, form))
 
 
 def _export_file(path: str, arguments: argparse.Namespace, form: str) -> int:

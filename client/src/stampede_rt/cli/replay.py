@@ -1,13 +1,15 @@
-"""`stampede replay` and `stampede import`: they put the items of files into channels."""
+"""`stampede replay` and `stampede import`: they put the items of files, or of other channels, into channels."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, checked, connected, parse_time
+from stampede_rt.cli.held_items import file_of
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import joined, print_rows
 from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text
@@ -17,13 +19,16 @@ from stampede_rt.values.recording import ReplaySummary
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
 
+CLOCKS_APART_NANOS = 5 * 10**9  # items from so long before --from are read, too; only later ones are played
 STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
 
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
-    replay = add_verb(subparsers, "replay", "play an MCAP file into channels", run_replay, output=False)
-    replay.add_argument("path", metavar="FILE", help="an MCAP file")
+    replay = add_verb(subparsers, "replay", "play an MCAP file, or channels, into channels", run_replay, output=False)
+    replay.add_argument(
+        "sources", nargs="+", metavar="SOURCE", help="one MCAP file, or channels or globs such as 'rig/*'"
+    )
     replay.add_argument(
         "--as", dest="prefix", default="replay/", metavar="PREFIX", help='before the names; default "replay/"'
     )
@@ -59,19 +64,21 @@ def _speed(text: str) -> float:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Play a file, and print the numbers of items put."""
-    with connected(arguments) as rt:
+    """Play a file or channels, and print the numbers of items put. The status is 3 if anything is missing."""
+    start = arguments.start
+    since = "oldest" if start is None else f"{max(0, time.time_ns() - start) + CLOCKS_APART_NANOS} ns"
+    with file_of(arguments, arguments.sources, None, since) as (path, status), connected(arguments) as rt:
         player = rt.replay_file(
-            arguments.path,
+            path,
             arguments.prefix,
             channels=arguments.channel or "*",
             speed=arguments.speed,
-            start=arguments.start,
+            start=start,
             end=arguments.end,
             loop=arguments.loop,
             shift=arguments.shift,
         )
-        return _played(player, arguments)
+        return max(status, _played(player, arguments, " ".join(arguments.sources)))
 
 
 def run_import(arguments: argparse.Namespace) -> int:
@@ -85,24 +92,24 @@ def run_import(arguments: argparse.Namespace) -> int:
             end=arguments.end,
             shift=arguments.shift,
         )
-        return _played(player, arguments)
+        return _played(player, arguments, arguments.path)
 
 
-def _played(player: Player, arguments: argparse.Namespace) -> int:
+def _played(player: Player, arguments: argparse.Namespace, source: str) -> int:
     interruption.ends(player.stop, STOP_S)
     names = player.channels
     shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
-    print(f"stampede: putting {escaped(arguments.path)} into {shown}", file=sys.stderr)
+    print(f"stampede: putting {escaped(source)} into {shown}", file=sys.stderr)
     summary = player.wait()
     assert summary is not None, "the replay has no limit of time here"
-    _print(summary, arguments.summary)
+    _print(summary, source, arguments.summary)
     return 0 if summary.complete else INCOMPLETE
 
 
-def _print(summary: ReplaySummary, form: str) -> None:
+def _print(summary: ReplaySummary, source: str, form: str) -> None:
     if form == "json":
         value = {
-            "file": summary.path,
+            "file": source,
             "items": dict(summary.items),
             "refused": summary.refused,
             "first_refusal": summary.first_refusal,

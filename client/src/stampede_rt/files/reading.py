@@ -75,6 +75,8 @@ class Content:
         waiting: dict[tuple[str, int | None], list[tuple[float, Event]]] = {}
         for gap in self.gaps:
             last = gap.last_seq if gap.last_seq is not None else float("inf")
+            if gap.first_seq is None and gap.last_seq is None:  # before the first recorded item
+                last = 0
             waiting.setdefault((gap.channel, gap.incarnation), []).append((last, gap))
         for advance in self.advances:
             waiting.setdefault((advance.channel, advance.incarnation), []).append((advance.after_seq, advance))

@@ -1,0 +1,45 @@
+"""The items that channels hold, in memory and in their archives, as a temporary MCAP file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from stampede_rt.cli.arguments import connected
+from stampede_rt.cli.record import INCOMPLETE
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.escaping import escaped
+
+
+@contextmanager
+def file_of(
+    arguments: argparse.Namespace, sources: Sequence[str], folder: Path | None, since: str = "oldest"
+) -> Iterator[tuple[str, int]]:
+    """Yield the path of a file with the items of `sources`, and a status: 0, or INCOMPLETE if items are missing.
+
+    One source that exists as a file is that file, with status 0. Other sources are names of channels, or globs. Their
+    file is written below `folder` (None: the folder for temporary files), and is deleted at the end. `since`: as in
+    `Connection.record`. Raises InvalidArgument if there is neither a file nor a channel.
+    """
+    if len(sources) == 1 and os.path.exists(sources[0]):
+        yield sources[0], 0
+        return
+    with tempfile.TemporaryDirectory(prefix=".stampede-held-", dir=folder) as made:
+        path = Path(made) / "held.mcap"
+        yield str(path), _record(arguments, sources, path, since)
+
+
+def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, since: str) -> int:
+    with connected(arguments) as rt, rt.record(sources, path, since=since, for_="0s") as recorder:
+        summary = recorder.wait()
+    assert summary is not None, "the recording has no limit of time here"
+    for text in summary.absent:
+        print(f"stampede: missing: {escaped(text)}", file=sys.stderr)
+    if not summary.channels:
+        raise InvalidArgument(f"there is no file and no channel {' '.join(sources)}; `stampede ls` lists them")
+    return 0 if summary.complete else INCOMPLETE
