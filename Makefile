@@ -5,6 +5,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 UV_VERSION := 0.13.8
 UV := .tools/bin/uv
+TWINE_VERSION := 7.0.0
 RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
@@ -19,7 +20,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images bench bench-docs bench-moves clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels bench bench-docs bench-moves clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -102,6 +103,11 @@ soak-metrics: setup  ## Prometheus scrapes a cluster for ten minutes, while each
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine
 	deploy/prove_images
+
+wheels: setup  ## wheels and source archives of all distributions, in out/wheels
+	rm -rf out/wheels
+	$(UV) build --quiet --all-packages --out-dir out/wheels
+	$(UV) tool run --quiet --from twine==$(TWINE_VERSION) twine check --strict out/wheels/*.whl out/wheels/*.tar.gz
 
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
