@@ -78,7 +78,8 @@ class FedCopy:
             self.source = self._present_source()
         if self.feed is None:
             try:
-                self.feed = ChannelFeed(self.source, self.channel.place, clock, self.window)
+                follows = self.upstream is not None
+                self.feed = ChannelFeed(self.source, self.channel.place, clock, self.window, follows=follows)
             except Unavailable:
                 assert self.source is not self.pair.core, "an owner is never behind"
                 return False
@@ -164,4 +165,4 @@ class Wanderer:
 
 def refuses_behind(source: FedChannel, place: FedChannel, clock: int) -> None:
     with pytest.raises(Unavailable):
-        ChannelFeed(source, place.place, clock)
+        ChannelFeed(source, place.place, clock, follows=True)

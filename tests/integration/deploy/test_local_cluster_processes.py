@@ -16,10 +16,11 @@ from subprocess import PIPE
 
 import pytest
 
-from stampede_rt_local import process
+from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_local.ports import BLOCK_PORTS, PORTS, PortBlocks, free_ports
-from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
+from stampede_rt_local.process import LAST_LINES_MAX, STOP_SECONDS, ServiceFailed, ServiceProcess
 from stampede_rt_runtime import parent_watch
+from stampede_rt_runtime.server import DRAIN_SECONDS
 from tests.support.processes import started
 
 READY_SECONDS = 20
@@ -39,8 +40,8 @@ def ends() -> queue.SimpleQueue[ServiceProcess]:
 def make(ends: queue.SimpleQueue[ServiceProcess]) -> Iterator[object]:
     made: list[ServiceProcess] = []
 
-    def service(*arguments: str) -> ServiceProcess:
-        made.append(ServiceProcess("fake", "tests.support.fake_service", arguments, on_exit=ends.put))
+    def service(*arguments: str, **limits: float) -> ServiceProcess:
+        made.append(ServiceProcess("fake", "tests.support.fake_service", arguments, on_exit=ends.put, **limits))
         made[-1].start()
         return made[-1]
 
@@ -75,12 +76,15 @@ def test_stopping_is_in_order(make, ends: queue.SimpleQueue[ServiceProcess]) -> 
     assert ends.get(timeout=READY_SECONDS) is service
 
 
-def test_a_service_that_does_not_stop_is_killed_after_the_bound(make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "STOP_SECONDS", 0.2)
-    service = make("stubborn")
+def test_a_service_that_does_not_stop_is_killed_after_the_bound(make) -> None:
+    service = make("stubborn", stop_seconds=0.2)
     service.wait_ready(READY_SECONDS)
     service.stop()
     assert service.exit_code == -signal.SIGKILL
+
+
+def test_a_host_may_move_its_channels_away_and_wait_for_its_calls_before_it_is_killed() -> None:
+    assert HostSettings(frontend=["localhost:1"]).drain_seconds + 2 * DRAIN_SECONDS < STOP_SECONDS
 
 
 def test_a_killed_service_is_heard_of_and_can_be_started_again(make, ends: queue.SimpleQueue[ServiceProcess]) -> None:

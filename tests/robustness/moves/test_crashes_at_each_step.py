@@ -11,12 +11,17 @@ from collections.abc import Callable
 import pytest
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import moving
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.copies import copy_feed, incoming_moves, outgoing_moves
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, World
+from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, outgoing_moves
+from stampede_rt_channel_host.core.channel import run_to_end
+from stampede_rt_channel_host.metrics import catalog
+from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, Link, World
+from tests.support.supernode.operations import id_of
 
 ITEMS = 20
 WAITING_MAX = 8  # a producer that waits puts nothing more
@@ -233,6 +238,54 @@ async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_h
     answer.set()
     await story.until(lambda: not story.source.outgoing._tasks)
     assert story.source.store.copies.of(story.world.channel_id) is not None
+
+
+async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(feed_stream, "SILENT_SECONDS_MAX", 0.05)
+    story = Story("feeding", lambda world: setattr(world.links[0], "is_frozen", True))
+    hosted = await story.source.store.bind(story.world.channel_id, 1)
+    move = asyncio.create_task(story.destination.incoming.move_here(story.world.record))
+    await story.until(lambda: hosted.moving is not None)
+    await story.until(lambda: hosted.moving is None)
+    assert not move.done()
+    story.source.outgoing.check(hosted)
+    story.world.kill(DESTINATION)
+    await asyncio.gather(move, return_exceptions=True)
+
+
+async def test_the_sums_of_both_hosts_count_each_item_once() -> None:
+    story = Story()
+    await story.move()
+    items = await story.settle()
+    await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
+    counted = [accepted_by(host) for host in (story.source, story.destination)]
+    assert sum(counted) == len(items)
+    assert counted[0] >= ITEMS
+    story.put()
+    assert accepted_by(story.destination) == counted[1] + 1
+
+
+def accepted_by(host: Host) -> float:
+    families = run_to_end(ChannelMetrics(host.store, lambda name: True).families())
+    return next(one.samples[0][1] for one in families if one.metric is catalog.ITEMS_ACCEPTED)
+
+
+async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_proxy_anew() -> None:
+    """For ever behind the proxy, it would otherwise send the proxy away for ever."""
+    story = Story()
+    await story.source.store.bind(story.world.channel_id, 1)
+    story.put()
+    link = Link(story.world, story.source)
+    place = pb.FeedPlace(incarnation=story.world.incarnation, next_seq=2, floor_resets=1, owner_epoch=1)
+    opening = pb.FeedOpen(
+        channel_id=story.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="proxy:1", place=place
+    )
+    await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
+    assert (await link.read()).opened.begins_anew
+    assert [len(one.run) > 0 for one in (await link.read()).runs] == [True]
+    link.cut()
 
 
 async def test_a_second_move_is_refused_while_one_is_under_way() -> None:

@@ -191,6 +191,7 @@ class Link:
         self.to_source: asyncio.Queue[Any] = asyncio.Queue()
         self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
         self.serving: asyncio.Task[None] | None = None
+        self.is_frozen = False  # the destination reads and writes nothing
         world.links.append(self)
 
     def stream_stream(self, method: str, **_: Any) -> Callable[[], Link]:
@@ -211,6 +212,7 @@ class Link:
     # The destination's side.
 
     async def write(self, request: pb.FeedRequest) -> None:
+        await self._unless_frozen()
         if self.serving is None:
             self.serving = asyncio.create_task(self._serve())
         if request.committed_epoch:
@@ -220,8 +222,13 @@ class Link:
         self.to_source.put_nowait(request.SerializeToString())
         await asyncio.sleep(0)
 
+    async def _unless_frozen(self) -> None:
+        if self.is_frozen:
+            await asyncio.get_running_loop().create_future()
+
     async def read(self) -> Any:
         found = await self.to_destination.get()
+        await self._unless_frozen()
         if isinstance(found, StampedeError):
             raise found
         if found is EOF:

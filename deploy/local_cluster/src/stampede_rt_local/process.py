@@ -19,7 +19,7 @@ from stampede_rt_local.namespaces import NetworkNamespace
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
 LOOK_SECONDS = 0.25
-STOP_SECONDS = 6.0  # longer than a service may drain (2 * 2 s)
+STOP_SECONDS = 11.0  # longer than a host moves its channels away (5 s), and a service waits for calls (2 * 2 s)
 _READY = re.compile(r"stampede \S+(?: \S+)? ready on (\S+)\s*")
 
 
@@ -32,7 +32,8 @@ class ServiceProcess:
 
     `name` is for people; `module` is run as `python -m`. `on_line` is called with each line that the process prints
     after it is ready, and `on_exit` at each end of the process. Both are called on a separate thread and must not
-    block. The process runs in `namespace`, if one is given. Only one thread at a time may use the object.
+    block. The process runs in `namespace`, if one is given. `stop` waits `stop_seconds` for its end; state more for a
+    host with a longer `--drain-seconds`. Only one thread at a time may use the object.
     """
 
     def __init__(
@@ -44,8 +45,10 @@ class ServiceProcess:
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
         namespace: NetworkNamespace | None = None,
+        stop_seconds: float = STOP_SECONDS,
     ) -> None:
         self.name = name
+        self._stop_seconds = stop_seconds
         self.arguments = list(arguments)
         self._namespace = namespace
         self._module = module
@@ -115,13 +118,13 @@ class ServiceProcess:
         """End it with SIGKILL, like a crash, and wait for its end. Does nothing if it does not run."""
         if self._run is not None:
             self._run.signal(signal.SIGKILL)
-            self._run.wait(STOP_SECONDS)
+            self._run.wait(self._stop_seconds)
 
     def stop(self) -> None:
-        """End it with SIGTERM; after STOP_SECONDS with SIGKILL. Does nothing if it does not run."""
+        """End it with SIGTERM; after `stop_seconds` with SIGKILL. Does nothing if it does not run."""
         if self._run is not None:
             self._run.ask_to_stop()
-            self._run.wait(STOP_SECONDS)
+            self._run.wait(self._stop_seconds)
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM and return at once; `stop` then waits."""

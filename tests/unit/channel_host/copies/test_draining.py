@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import AsyncExitStack
 from types import SimpleNamespace
 from typing import Any
@@ -31,8 +32,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 class Host(migration_service_pb2_grpc.MigrationServiceServicer):
     """A host that refuses the first channels with `errors`, and takes the others. `always`: it refuses all."""
 
-    def __init__(self, *errors: StampedeError, always: StampedeError | None = None) -> None:
-        self.errors, self.always = [*errors], always
+    def __init__(
+        self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False
+    ) -> None:  # fmt: skip
+        self.errors, self.always, self.is_frozen = [*errors], always, is_frozen
         self.taken: list[bytes] = []
 
     def add_to(self, server: grpc.aio.Server) -> None:
@@ -44,6 +47,8 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
 
     @errors_as_status
     async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:  # noqa: N802
+        if self.is_frozen:
+            await asyncio.get_running_loop().create_future()
         if self.always is not None or self.errors:
             raise self.always or self.errors.pop(0)
         self.taken.append(request.channel_id)
@@ -62,8 +67,8 @@ async def drained(channels: int, *hosts: Host) -> Drained:
             return others
 
         records = [SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}") for one in range(channels)]
-        own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1) for one in records]
-        store: Any = SimpleNamespace(all=lambda: own)
+        own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
+        store: Any = SimpleNamespace(all=lambda: own, serves=lambda hosted: True)
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
         drain = Draining(store, directory, lambda channel_id: [], grpc.aio.insecure_channel)
         return await drain.run(SECONDS_MAX)
@@ -85,6 +90,13 @@ async def test_a_host_that_stops_too_gets_nothing() -> None:
     stopping, free = Host(always=SHUTTING_DOWN), Host()
     assert await drained(3, stopping, free) == Drained(3, {})
     assert len(free.taken) == 3
+
+
+async def test_a_frozen_host_holds_no_channel_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 0.2)
+    frozen, free = Host(is_frozen=True), Host()
+    assert await drained(20, frozen, free) == Drained(20, {})
+    assert len(free.taken) == 20
 
 
 async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:

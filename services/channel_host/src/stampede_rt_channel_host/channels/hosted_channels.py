@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.moving import Moving
-from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core, owned_core
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.recording import Recording
@@ -23,6 +23,7 @@ from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
     Consumed,
+    Counters,
     FedChannel,
     Pieces,
     ReachTracker,
@@ -57,11 +58,11 @@ class HostedChannel:
     """The number of the host's last registration when the store took `record` over."""
     fed: FedCopies | None = None
     """The copies that this host feeds; most channels have none."""
-    due: int | None = None
-    """When the sweep looks at the channel; `Deadlines` sets it."""
+    due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
     changes = 0
     """The number of changes of the channel at this host."""
     delivered_items = delivered_bytes = 0
+    counted_before: Counters | None = None  # see `OwnedCore`
     replication: Replication | None = None
     """The replicas, if the channel has some and this host owns it."""
     _gets: WaitingGets | None = None
@@ -96,7 +97,7 @@ class HostedChannel:
         self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.core, self._charge, now, self._accepted, self._touched, may_serve)
         if isinstance(begun, OwnedCore):
-            self.puts.retries = begun.retries
+            self.puts.retries, self.counted_before = begun.retries, begun.counted_before
         self.subscriptions = Observers(begin)
         self.match_streams = Observers(begin)  # streams of matches for the items of this channel
         # Observers for groups: one for all groups that have the channel, and one for the blocked gets of each group.
@@ -127,7 +128,7 @@ class HostedChannel:
             return None
         if copy.owner_facts is None or copy.incarnation != record.incarnation:
             return None
-        return OwnedCore(*copy.as_owner(self._now()))
+        return owned_core(copy, self._now())
 
     @property
     def gets(self) -> WaitingGets:

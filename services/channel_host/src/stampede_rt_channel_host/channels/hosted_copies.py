@@ -8,7 +8,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, owned_core
 from stampede_rt_channel_host.core.channel import FedChannel
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -70,10 +70,10 @@ class HostedCopies:
         if copy.copy is None or heir is None or not fits or not isinstance(copy.channel, FedChannel):
             self._forget(record.channel_id, gone(record.name))
             return None
-        channel, retries = copy.channel.as_owner(heir.host_time)
+        core = owned_core(copy.channel, heir.host_time)
         copy.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
-        owner = self._add(record, OwnedCore(channel, retries))
+        owner = self._add(record, core)
         owner.begin_move().hold()
         self.on_inherited([*copy.copy.floors.values()])
         return owner

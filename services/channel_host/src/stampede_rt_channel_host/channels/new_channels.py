@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel
+from stampede_rt_channel_host.core.channel import ChannelCore, Counters, FedChannel
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -24,10 +24,20 @@ class NewCopy(NamedTuple):
 
 
 class OwnedCore(NamedTuple):
-    """The state of a channel at its owner: the items, and the retry window of the producers."""
+    """The state of a channel at its owner: the items, and the retry window of the producers.
+
+    `counted_before`: the counts of the former owners, which are in the sums of their hosts; None: there were none.
+    """
 
     channel: ChannelCore
     retries: RetryWindow
+    counted_before: Counters | None
+
+
+def owned_core(copy: FedChannel, now: int) -> OwnedCore:
+    """The channel that this copy becomes, see `FedChannel.as_owner`."""
+    channel, retries = copy.as_owner(now)
+    return OwnedCore(channel, retries, channel.latest_counters())
 
 
 def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:

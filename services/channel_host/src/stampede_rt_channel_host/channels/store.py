@@ -281,7 +281,7 @@ class ChannelStore:
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
             if held.copy is None and waits_for_replicas(record.policy) != (held.replication is not None):
-                core = OwnedCore(held.core, held.puts.retries)
+                core = OwnedCore(held.core, held.puts.retries, held.counted_before)
                 return self._continue(held, record, core, refusals.not_here(self._identity.name, record.channel_id))
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self.registrations
@@ -305,6 +305,7 @@ class ChannelStore:
             extra={"event": "channel_continued", "channel": record.name, "next_seq": core.channel.next_seq},
         )
         core.channel.configure(record.policy, self.now())
+        self.departed.add_delivered(held)
         self._take_out(held)
         self.scheduler.begin(held.replaced(error))
         return self._add(record, core)

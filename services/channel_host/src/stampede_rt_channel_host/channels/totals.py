@@ -33,10 +33,19 @@ class ChannelTotals:
         self.waiting_puts += len(hosted.puts)
 
     def add_counts(self, hosted: HostedChannel, counted: Counters) -> None:
-        """Add only the counters, of a channel that leaves."""
-        for key, count in counts_of(hosted, counted):
-            if count:
-                self.counts[key] += count
+        """Add only the counters, of a channel that leaves.
+
+        Leaves out what the sums of other hosts have: the items of a copy, and those of a channel before it moved here.
+        """
+        self.add_delivered(hosted)
+        if hosted.copy is None:
+            self.counts.update(dict(_counts_of_items(counted)))
+            if hosted.counted_before is not None:
+                self.counts.subtract(dict(_counts_of_items(hosted.counted_before)))
+
+    def add_delivered(self, hosted: HostedChannel) -> None:
+        """Add what was sent to readers of the channel."""
+        self.counts.update(dict(_counts_of_readers(hosted)))
 
     def not_below(self, former: ChannelTotals) -> None:
         """Raise each counter to its former value, at least.
@@ -47,13 +56,21 @@ class ChannelTotals:
 
 
 def counts_of(hosted: HostedChannel, counted: Counters) -> Iterator[tuple[CountKey, int]]:
-    """The counters of one channel, each with its name and cause."""
+    """The counters of one channel, each with its name and cause, those of former owners included."""
+    yield from _counts_of_items(counted)
+    yield from _counts_of_readers(hosted)
+
+
+def _counts_of_items(counted: Counters) -> Iterator[tuple[CountKey, int]]:
     yield ("accepted", ""), counted.accepted
     yield ("accepted_bytes", ""), counted.accepted_bytes
     yield ("late", ""), counted.late
-    yield ("delivered", ""), hosted.delivered_items
-    yield ("delivered_bytes", ""), hosted.delivered_bytes
     for cause, count in counted.collected.items():
         yield ("collected", cause), count
     for reason, count in counted.rejected.items():
         yield ("rejected", reason.lower()), count
+
+
+def _counts_of_readers(hosted: HostedChannel) -> Iterator[tuple[CountKey, int]]:
+    yield ("delivered", ""), hosted.delivered_items
+    yield ("delivered_bytes", ""), hosted.delivered_bytes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import grpc
@@ -92,8 +93,9 @@ class CopyFeed:
     def _held(self) -> HostedChannel | None:
         return self._store.copies.of(self._record.channel_id)
 
-    def _request(self, opening: pb.FeedOpen | None = None) -> pb.FeedRequest:
-        held, granted, self._granted = self._held(), self._granted, 0
+    def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
+        held, granted = self._held(), self._granted if grants else 0
+        self._granted -= granted
         return pb.FeedRequest(
             open=opening,
             credit_bytes=granted,
@@ -104,16 +106,19 @@ class CopyFeed:
         )
 
     async def _write_all(self, write: Callable[[pb.FeedRequest], Any]) -> None:
+        period_s = REPLICA_REQUEST_SECONDS if self._owner_facts else REQUEST_SECONDS
+        loop = asyncio.get_running_loop()
+        may_grant_s = loop.time()  # the time at which the copy may grant more, because of `bytes_per_second`
         while True:  # until `run` cancels this task, or an error ends it
-            try:
-                async with asyncio.timeout(REPLICA_REQUEST_SECONDS if self._owner_facts else REQUEST_SECONDS):
+            with suppress(TimeoutError):
+                wait_s = may_grant_s - loop.time()
+                async with asyncio.timeout(min(period_s, wait_s) if wait_s > 0 else period_s):
                     await self._news.wait()
-            except TimeoutError:
-                pass
             self._news.clear()
-            if self._bytes_per_second and self._granted:
-                await asyncio.sleep(self._granted / self._bytes_per_second)
-            await write(self._request())
+            grants = loop.time() >= may_grant_s
+            if grants and self._bytes_per_second:
+                may_grant_s = loop.time() + self._granted / self._bytes_per_second
+            await write(self._request(grants=grants))
 
     async def _read_all(self, read: Callable[[], Any], source: FeedSource) -> None:
         async for response in _responses(read):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import grpc
 
-from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
 NAMES_LOGGED_MAX = 20
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
+BEGIN_SECONDS_MAX = 2.0  # a host that has not begun a move by then gets no other channel during the drain
 
 
 class Drained(NamedTuple):
@@ -86,9 +87,41 @@ class Draining:
         try:
             async with asyncio.TaskGroup() as moves:
                 for channel_id, hosted in own.items():
-                    moves.create_task(_move(hosted, places[channel_id], others, limit, left))
+                    moves.create_task(self._move(hosted, places[channel_id], others, limit, left))
         finally:
             await others.aclose()
+
+    async def _move(
+        self, hosted: HostedChannel, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore,
+        left: dict[str, str],
+    ) -> None:  # fmt: skip
+        """Move one channel.
+
+        Tries one host after the other for as long as they have no room, have too many moves, or do not answer.
+        """
+        name, delay_s = hosted.record.name, RETRY_SECONDS_MIN
+        while host is not None and self._is_here(hosted):  # paced by the sleep; `Draining.run` ends it
+            try:
+                async with limit:
+                    await others.move(hosted, host)
+                    break
+            except ChannelNotFound:  # deleted meanwhile
+                break
+            except StampedeError as error:
+                left[name] = str(error)
+                if error.reason == "SHUTTING_DOWN" or isinstance(error, DeadlineExceeded):
+                    others.leave_out(host)
+                elif not isinstance(error, Overloaded | Unavailable) and error.reason != "MOVE_CONFLICT":
+                    return
+            host = others.after(host)
+            await asyncio.sleep(delay_s)
+            delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
+        if host is not None or not self._is_here(hosted):
+            left.pop(name)
+
+    def _is_here(self, hosted: HostedChannel) -> bool:
+        """Whether this host still owns the channel. A move may come to its end although its caller got no answer."""
+        return self._store.serves(hosted) and not hosted.is_heir
 
 
 class _Others:
@@ -99,15 +132,24 @@ class _Others:
         self._dial = dial
         self._connections: dict[str, grpc.aio.Channel] = {}
 
-    async def move(self, channel_id: bytes, host: OtherHost) -> None:
-        """Have a host take the channel over. Raises the errors of MigrationService.MoveHere, and Unavailable."""
+    async def move(self, hosted: HostedChannel, host: OtherHost) -> None:
+        """Have a host take the channel over.
+
+        Raises the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the
+        move after BEGIN_SECONDS_MAX.
+        """
         if host.target not in self._connections:
             self._connections[host.target] = self._dial(host.target)
         stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
-        try:
-            await stub.MoveHere(pb.MoveHereRequest(channel_id=channel_id))
-        except grpc.RpcError as error:
-            raise from_rpc_error(error, host.target) from error
+        request = pb.MoveHereRequest(channel_id=hosted.record.channel_id)
+        while True:  # the source ends a move whose destination is silent; each call joins the move
+            try:
+                await stub.MoveHere(request, timeout=BEGIN_SECONDS_MAX)
+                return
+            except grpc.RpcError as error:
+                plain = from_rpc_error(error, host.target)
+                if not isinstance(plain, DeadlineExceeded) or hosted.moving is None:
+                    raise plain from error
 
     def leave_out(self, host: OtherHost) -> None:
         """Choose this host no more, because it stops. Idempotent."""
@@ -122,30 +164,3 @@ class _Others:
         """Close the connections."""
         for connection in self._connections.values():
             await connection.close(None)
-
-
-async def _move(
-    hosted: HostedChannel, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]
-) -> None:
-    """Move one channel. Tries one host after the other for as long as they have no room, or too many moves."""
-    name, delay_s = hosted.record.name, RETRY_SECONDS_MIN
-    while host is not None:  # paced by the sleep; `Draining.run` ends it
-        try:
-            async with limit:
-                await others.move(hosted.record.channel_id, host)
-        except ChannelNotFound:  # deleted meanwhile
-            left.pop(name)
-            return
-        except (Overloaded, Unavailable) as error:
-            left[name] = str(error)
-            if error.reason == "SHUTTING_DOWN":
-                others.leave_out(host)
-        except StampedeError as error:
-            left[name] = str(error)
-            return
-        else:
-            left.pop(name)
-            return
-        host = others.after(host)
-        await asyncio.sleep(delay_s)
-        delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)

@@ -7,9 +7,11 @@ message. The source writes only if something has changed, or if the copy has sen
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
+from contextlib import suppress
 
-from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
@@ -32,6 +34,7 @@ from stampede_rt_runtime.rpc import Context
 
 FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
 FLOORS_MAX = 64  # groups of one channel of which a copy learns; reads through others go to the owner
+SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
 WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
 
 
@@ -52,6 +55,7 @@ class FeedStream:
         self._news = asyncio.Event()
         self._credit = Credit(self._news.set)
         self._heard_nanos = 0  # the copy's clock, as its last request had it
+        self._heard_s = time.monotonic()  # when this host got the last request
         self._sent_heard_nanos = -1
         self._sent_record = b""
         self._source: ChannelCore  # the channel that is fed; set when the feed begins
@@ -126,7 +130,8 @@ class FeedStream:
             if not hosted.is_ready:
                 raise refusals.not_ready(hosted.record.name)
             self._source = hosted.channel
-            return ChannelFeed(hosted.channel, place, self._store.now())
+            follows = hosted.copy is not None and opening.place.owner_epoch >= hosted.epoch
+            return ChannelFeed(hosted.channel, place, self._store.now(), follows=follows)
         self._source, self._replication = hosted.core, hosted.replication
         self._begins_anew = place is not None and _has_others_items(hosted, opening.place)
         place = None if self._begins_anew else place
@@ -159,7 +164,7 @@ class FeedStream:
         self._credit.end()
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
-        self._heard_nanos = request.sent_nanos
+        self._heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
         self._credit.grant(request.credit_bytes)
         copy.report(request.subscriptions, ready=request.ready)
         if self._move is not None:
@@ -188,6 +193,7 @@ class FeedStream:
         while not self._credit.is_final:
             if self._work.must_wait:
                 await self._work.turn()
+            self._check_destination(hosted)
             self._news.clear()
             part = feed.take(self._store.now(), max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
             self._check_lag(hosted, feed)
@@ -198,7 +204,17 @@ class FeedStream:
             elif self._owes_sign(hosted):
                 await self._write(self._response(hosted, self._bare(feed)))
             else:
-                await self._news.wait()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(None if self._move is None else SILENT_SECONDS_MAX):
+                        await self._news.wait()
+
+    def _check_destination(self, hosted: HostedChannel) -> None:
+        """End the feed of a move whose destination is silent, so that the channel can move to another host."""
+        if self._move is not None and time.monotonic() - self._heard_s > SILENT_SECONDS_MAX:
+            raise Unavailable(
+                f"the host that takes over channel {hosted.record.name} was silent for {SILENT_SECONDS_MAX:g} s; move "
+                "the channel again"
+            )
 
     def _owes_handoff(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
         """Whether the changes are held, and the copy has everything."""

@@ -49,14 +49,19 @@ class MoveDirectory:
 
     async def other_hosts(self) -> list[OtherHost]:
         """The live hosts without this one."""
-        request = directory_service_pb2.ListHostsRequest()
-        found: directory_service_pb2.ListHostsResponse = await self._supernodes.call(
-            "ListHosts", request, CALL_SECONDS_MAX
-        )
+        request, hosts = directory_service_pb2.ListHostsRequest(), []
+        while True:  # ends with the last page
+            page: directory_service_pb2.ListHostsResponse = await self._supernodes.call(
+                "ListHosts", request, CALL_SECONDS_MAX
+            )
+            hosts += [one for one in page.hosts if one.alive and one.gatekeepers]
+            request.page_token = page.next_page_token
+            if not request.page_token:
+                break
         return [
             OtherHost(one.host_id, one.name, one.gatekeepers[0].target, one.load.busy_permille, one.channels)
-            for one in found.hosts
-            if one.alive and one.gatekeepers and one.host_id != self._identity.host_id
+            for one in hosts
+            if one.host_id != self._identity.host_id
         ]
 
     async def is_heir(self, channel_id: bytes) -> bool:

@@ -51,8 +51,8 @@ class MoveFeed(CopyFeed):
         opening.move_id = secrets.token_bytes(16)
         return opening
 
-    def _request(self, opening: pb.FeedOpen | None = None) -> pb.FeedRequest:
-        request = super()._request(opening)
+    def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
+        request = super()._request(opening, grants=grants)
         request.MergeFrom(pb.FeedRequest(**self._step))
         request.ready = False  # so that the source sends no readers here before this host is the owner
         return request

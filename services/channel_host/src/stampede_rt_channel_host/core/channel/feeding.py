@@ -108,20 +108,22 @@ class ChannelFeed:
 
     def __init__(
         self, source: ChannelCore, place: FeedPlace | None, now: int, window: RetryWindow | None = None, *,
-        is_exact: bool = False,
+        is_exact: bool = False, follows: bool = False,
     ) -> None:  # fmt: skip
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
         `is_exact`: a part tells which items have left only if it brings the copy to the end of the source. So no item
-        leaves the copy before the copy has the items that took its place.
+        leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy, of
+        the owner that `place` is from.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
-        itself a copy that is behind `place`.
+        behind `place` and `follows`, because it soon gets there. Another source that is behind `place` never gets
+        there: its owner took the channel over without the last facts of the former one.
         """
         held, _ = source.look(now)
-        self.begins_anew = not _continues(source, held, place)
+        self.begins_anew = not _continues(source, held, place, follows=follows)
         first_seq = 1 if self.begins_anew or place is None else place.next_seq
         self._source = source
         self._is_exact = is_exact
@@ -175,13 +177,15 @@ class ChannelFeed:
         self._cleared = floor if self._cleared is None else max(self._cleared, floor)
 
 
-def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None) -> bool:
-    """Whether a feed from this source can continue at `place`."""
+def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, follows: bool) -> bool:
+    """Whether a feed from this source can continue at `place`. Raises Unavailable."""
     if place is None:
         return True
     if place.incarnation != source.incarnation:
         return False
     if place.floor_resets > held.floor_resets or place.next_seq > held.next_seq:
+        if not follows:
+            return False
         raise Unavailable(
             f"this host has the channel up to seq {held.next_seq - 1}, and the copy that asks is further; ask again "
             "soon, or ask the owner"
