@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,7 +34,7 @@ class Sample:
 class Demanding:
     """Needs a name."""
 
-    name: str = field(metadata=setting(help="its name"))
+    name: str = field(metadata=setting(help="its name", example="rig1"))
 
 
 def load(*argv: str, **environ: str) -> Sample:
@@ -196,3 +197,28 @@ def test_help_lists_every_flag_with_its_text_and_default() -> None:
 def test_help_wins_over_a_missing_setting() -> None:
     with pytest.raises(HelpRequested):
         load_settings(Demanding, service="demanding", argv=["--help"], environ={})
+
+
+def sample_of(cls: type) -> str:
+    with pytest.raises(HelpRequested) as caught:
+        load_settings(cls, service="sample", argv=["--sample-settings"], environ={})
+    return str(caught.value)
+
+
+def test_the_sample_of_a_settings_file_loads_and_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "sample.toml").write_text(sample_of(Sample))
+    assert load("--config", str(tmp_path / "sample.toml")) == Sample()
+
+
+def test_every_setting_of_the_sample_shows_its_default_in_a_form_that_loads(tmp_path: Path) -> None:
+    lines = [line.removeprefix("#") for line in sample_of(Sample).splitlines() if not line.startswith("# ")]
+    shown = [line for line in lines if not re.fullmatch(r'|.* = "[A-Z-]+"', line)]
+    assert len(shown) == 1 + 6  # the table, and the settings with a default
+    (tmp_path / "sample.toml").write_text("\n".join(shown))
+    assert load("--config", str(tmp_path / "sample.toml")) == Sample()
+
+
+def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> None:
+    (tmp_path / "sample.toml").write_text(sample_of(Demanding))
+    argv = ["--config", str(tmp_path / "sample.toml")]
+    assert load_settings(Demanding, service="sample", argv=argv, environ={}).name == "rig1"

@@ -37,6 +37,7 @@ class FrontendSettings(ServiceSettings):
             metavar="HOST:PORT,...",
             parse=parse_list(parse_target),
             help="the supernodes that the front-end asks first; they name the other supernodes",
+            example="localhost:7590",
         ),
     )
     zone: str = field(

@@ -14,6 +14,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import difflib
+import json
+import textwrap
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass
@@ -25,7 +27,8 @@ from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, 
 
 EXIT_BAD_SETTINGS = 2
 # One file serves a whole deployment. A service ignores the tables of others, but refuses a misspelt table.
-TABLES = ("frontend", "supernode", "host", "dev")
+TABLES = ("frontend", "supernode", "host", "web", "dev")
+SAMPLE_COLUMNS = 100
 
 
 class SettingsError(Exception):
@@ -33,7 +36,7 @@ class SettingsError(Exception):
 
 
 class HelpRequested(Exception):
-    """The user gave `--help`. The text is the help."""
+    """The user gave `--help` or `--sample-settings`. The text is the answer."""
 
 
 class _Dataclass(Protocol):
@@ -52,12 +55,14 @@ def setting(
     minimum: int | None = None,
     maximum: int | None = None,
     shared: bool = True,
+    example: str = "",
 ) -> dict[str, Any]:
     """The metadata of a field of a settings dataclass. A field without a default is required.
 
     `parse` takes the text and raises ValueError with the allowed values. Without it the field's type decides among str,
     int, bool and Path. `minimum` and `maximum`, both inclusive, are checked after parsing. If not `shared`, only the
     service's own variable is read, because the common variable means something else (for example to clients).
+    `example` is the value of a required setting in the sample of a settings file.
     """
     return {
         "help": help,
@@ -67,6 +72,7 @@ def setting(
         "minimum": minimum,
         "maximum": maximum,
         "shared": shared,
+        "example": example,
     }
 
 
@@ -148,6 +154,20 @@ class _Setting:
         shown = "default: no" if default is False else "default: yes" if default is True else shown
         return f"{self.field.metadata['help']}{allowed} [{shown}]".replace("%", "%%")
 
+    def sample(self) -> str:
+        """The setting as lines of a settings file: its help as a comment, then its default, commented out, too."""
+        default = self.field.metadata["example"] if self.required else self.field.default
+        if isinstance(default, bool):
+            value = str(default).lower()
+        elif default is None or default in ((), ""):
+            value = json.dumps(self.field.metadata["metavar"] or self.name.upper())  # the form of the value
+        else:
+            shown = self._shown(default)
+            value = shown if isinstance(default, int) and shown == str(default) else json.dumps(shown)
+        lines = textwrap.wrap(self.help().replace("%%", "%"), SAMPLE_COLUMNS - 2, break_on_hyphens=False)
+        mark = "" if self.required else "#"
+        return "".join(f"# {line}\n" for line in lines) + f"{mark}{self.name} = {value}\n"
+
 
 class _Parser(argparse.ArgumentParser):
     """Raises errors instead of printing them and exiting."""
@@ -157,7 +177,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: Mapping[str, str]) -> S:
-    """The settings of `service`. Raises SettingsError, or HelpRequested if `argv` asks for help.
+    """The settings of `service`. Raises SettingsError, or HelpRequested if `argv` asks for help or a sample.
 
     `cls.__post_init__` checks rules about several settings. Its ValueErrors become SettingsErrors.
     """
@@ -184,6 +204,7 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
     )
     parser.add_argument("-h", "--help", action="store_true", help="show this text")
     parser.add_argument("--config", metavar="FILE", help="a TOML file with settings")
+    parser.add_argument("--sample-settings", action="store_true", help="show a TOML file with all settings")
     for one in known:
         if one.takes(bool):
             parser.add_argument(one.flag, action=argparse.BooleanOptionalAction, help=one.help())
@@ -192,9 +213,22 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
     found, unknown = parser.parse_known_args(list(argv))
     if found.help:
         raise HelpRequested(parser.format_help())
+    if found.sample_settings:
+        raise HelpRequested(_sample(known, service))
     if unknown:
-        raise SettingsError(_unknown(unknown[0], [one.flag for one in known] + ["--config", "--help"], "flag"))
+        raise SettingsError(
+            _unknown(unknown[0], [one.flag for one in known] + ["--config", "--help", "--sample-settings"], "flag")
+        )
     return {key: str(value) for key, value in vars(found).items() if value is not None}
+
+
+def _sample(known: list[_Setting], service: str) -> str:
+    """A settings file with every setting of the service."""
+    head = (
+        f"# The settings of `stampede {service}`. Name this file with --config or in $STAMPEDE_CONFIG.\n"
+        "# Each setting shows its default, or the form of its value if it has none. To set it, remove the #.\n"
+    )
+    return "\n".join([head, f"[{service}]\n", *(one.sample() for one in known)])
 
 
 def _epilog(service: str, example: _Setting) -> str:

@@ -1,0 +1,54 @@
+"""The samples of settings files in deploy/settings, beside the services that print them and read them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stampede_rt_channel_host.app import main as host
+from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_frontend.app import FrontendSettings
+from stampede_rt_frontend.app import main as frontend
+from stampede_rt_runtime.settings import load_settings
+from stampede_rt_supernode.app import main as supernode
+from stampede_rt_supernode.settings import SupernodeSettings
+from stampede_rt_web.app import WebSettings
+from stampede_rt_web.app import main as web
+
+FOLDER = Path(__file__).resolve().parents[3] / "deploy/settings"
+SERVICES: dict[str, tuple[Callable[[list[str]], int], type[Any]]] = {
+    "supernode": (supernode, SupernodeSettings),
+    "frontend": (frontend, FrontendSettings),
+    "host": (host, HostSettings),
+    "web": (web, WebSettings),
+}
+REQUIRED = {"frontend": {"supernodes": ("localhost:7590",)}}
+
+
+def test_every_service_has_its_sample() -> None:
+    assert {path.name for path in FOLDER.iterdir()} == {f"{service}.toml" for service in SERVICES}
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_sample_is_what_its_service_prints(service: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert SERVICES[service][0](["--sample-settings"]) == 0
+    assert capsys.readouterr().out == (FOLDER / f"{service}.toml").read_text(), (
+        f"write it again: stampede {service} --sample-settings > deploy/settings/{service}.toml"
+    )
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_sample_loads_as_it_is_and_with_every_default_set(service: str, tmp_path: Path) -> None:
+    cls = SERVICES[service][1]
+    defaults = cls(**REQUIRED.get(service, {}))
+    text = (FOLDER / f"{service}.toml").read_text()
+    every_default = re.sub(r'^#(?! )(?!.* = "[A-Z=:,.]+"$)', "", text, flags=re.MULTILINE)
+    assert every_default.count("\n#") < text.count("\n#")
+    for number, content in enumerate((text, every_default)):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(content)
+        assert load_settings(cls, service=service, argv=["--config", str(path)], environ={}) == defaults
