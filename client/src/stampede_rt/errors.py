@@ -161,6 +161,17 @@ class NotReplicated(StampedeError):
     reason = "NOT_REPLICATED"
 
 
+class NotArchived(StampedeError):
+    """The put waits for stable storage (ack="disk"), and the archive of the channel could not take the item.
+
+    With `metadata["seq"]` the channel has accepted the item: readers see it, and the host tries again to archive it. If
+    the host is lost before that, the item may be lost. If the program puts the item again, readers may get it twice.
+    Without `metadata["seq"]` the channel has not accepted the item.
+    """
+
+    reason = "NOT_ARCHIVED"
+
+
 class TooOld(StampedeError):
     """The item's time is too early for the channel: before the frontier or an advance, or older than `max_age`."""
 
@@ -282,9 +293,9 @@ _BY_REASON: dict[str, type[StampedeError]] = {
     for cls in (
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
         GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
-        ChannelFull, QueueFull, NotReplicated, TooOld, InFuture, IncarnationLost, LeaseExpired, StaleRegistration,
-        PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch,
-        WatchRestart, WrongCluster,
+        ChannelFull, QueueFull, NotReplicated, NotArchived, TooOld, InFuture, IncarnationLost, LeaseExpired,
+        StaleRegistration, PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader,
+        VersionMismatch, WatchRestart, WrongCluster,
     )
 }  # fmt: skip
 _BY_REASON |= {

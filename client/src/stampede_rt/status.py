@@ -53,6 +53,7 @@ _CODES: dict[str, grpc.StatusCode] = {
     "CERTIFICATE_EXPIRED": grpc.StatusCode.UNAVAILABLE,
     "TOKEN_EXPIRED": grpc.StatusCode.UNAVAILABLE,
     "NOT_REPLICATED": grpc.StatusCode.UNAVAILABLE,
+    "NOT_ARCHIVED": grpc.StatusCode.UNAVAILABLE,
     "NO_QUORUM": grpc.StatusCode.UNAVAILABLE,
     "AMBIGUOUS": grpc.StatusCode.UNAVAILABLE,
     "SHUTTING_DOWN": grpc.StatusCode.UNAVAILABLE,

@@ -20,11 +20,13 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import Mutex, Signal, sleep, when_dropped
 from stampede_rt.transports.grpc_async import PutDuplex
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Ack
 from stampede_rt.values.payloads import check_attributes, check_payload
-from stampede_rt.values.policy import content_type_of
+from stampede_rt.values.policy import ack_of, content_type_of
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
-from stampede_rt.wire.put_frames import put_head, put_pieces
+from stampede_rt.wire.put_frames import put_head, put_pieces, put_tail
+from stampede_rt.wire.records import ack_to_wire
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # the most bytes of unacknowledged runs
 IN_FLIGHT_RUNS_MAX = 64
@@ -41,11 +43,12 @@ class Producer(BoundToProcess):
     may drop a producer without closing it. The producer's stream then ends after the last ack.
     """
 
-    def __init__(self, session: Session, state: ChannelState) -> None:
+    def __init__(self, session: Session, state: ChannelState, ack: Ack | None = None) -> None:
         session.check_process()
         self._session = session
         self._state = state
         self._producer_id = int.from_bytes(request_id()[:8], "little") | 1
+        self._tail = put_tail(ack_to_wire(ack_of(ack)))
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
         self._mutex = Mutex()  # guards the builder and the order of writes
@@ -177,7 +180,7 @@ class Producer(BoundToProcess):
     def _write(self, runs: Sequence[NumberedRun]) -> None:
         """Write one message. If the stream is broken, `_open` sends the runs again over the next stream."""
         if self._stream is not None and runs:
-            self._stream.send(_message(runs))
+            self._stream.send(_message(runs, self._tail))
 
     async def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
@@ -230,7 +233,7 @@ class Producer(BoundToProcess):
                 self._failure = None
                 stream.send(head)
                 for runs in self._unacked.resend():
-                    stream.send(_message(runs))
+                    stream.send(_message(runs, self._tail))
                 if len(self._unacked):
                     _in_flight.add(self)
                 else:
@@ -271,8 +274,8 @@ class Producer(BoundToProcess):
         self._moved.set()
 
 
-def _message(runs: Sequence[NumberedRun]) -> bytes:
-    return b"".join(piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded))
+def _message(runs: Sequence[NumberedRun], tail: bytes) -> bytes:
+    return b"".join(piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded, tail=tail))
 
 
 def _weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:

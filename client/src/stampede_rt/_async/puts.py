@@ -12,19 +12,20 @@ from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import Full, NotReplicated
+from stampede_rt.errors import Full, NotArchived, NotReplicated
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import PutExchange, ServerEndpoint
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.codecs import Coding
-from stampede_rt.values.model import Item, PutItem
+from stampede_rt.values.model import Ack, Item, PutItem
 from stampede_rt.values.payloads import check_attributes, check_payload
-from stampede_rt.values.policy import content_type_of
+from stampede_rt.values.policy import ack_of, content_type_of
 from stampede_rt.values.queueing import Enqueued, parse_message_id
 from stampede_rt.values.reading import RENEW_S, Wait
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.put_frames import enqueue_tail, put_head, put_request, put_tail
+from stampede_rt.wire.records import ack_to_wire
 from stampede_rt.wire.runs import run_parts
 
 
@@ -83,10 +84,10 @@ class Puts:
             except NotReplicated:  # the host recognises the repetition
                 if part is left:
                     raise
-            except Full:
+            except (Full, NotArchived):
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put at once: the policy lets no put wait for room
+                ):  # the host refused the put at once: no put waits for room, or the disk fails
                     raise
             renew_s = RENEW_S
 
@@ -100,7 +101,7 @@ class Puts:
         async def put_at(binding: Binding, timeout_s: float) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
             head = put_head(binding.subject_id, binding.epoch, producer_id)
-            request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
+            request = put_request(head, number, item.run_parts(), left.nanos, item.tail)
             owner = (self._open_stream, binding.target) if shares else self._handle_id
             blocks_until_s = 0.0 if shares else ends_s  # on a shared stream no put makes another one wait for room
             with self._session.put_streams.use(
@@ -138,7 +139,8 @@ class SingleItem:
     duration: int | None
     attributes: Mapping[str, str]
     content_type: str
-    message_id: str = ""
+    tail: bytes = b""
+    """The encoded fields of the put behind its run."""
 
     @classmethod
     def parse(
@@ -150,16 +152,21 @@ class SingleItem:
         attributes: Mapping[str, str] | None,
         content_type: str | None,
         message_id: str | None = None,
+        ack: Ack | None = None,
     ) -> SingleItem:
-        """Check the arguments of a put. Raises InvalidArgument, ItemTooLarge, CodecError."""
+        """Check the arguments of a put. `message_id` is for queues only, `ack` for channels only.
+
+        Raises InvalidArgument, ItemTooLarge, CodecError.
+        """
         check_attributes(attributes)
+        message_id, ack = parse_message_id(message_id), ack_of(ack)
         return cls(
             coding.encode(payload) if coding else check_payload(payload),
             None if time is None else parse_instant(time),
             parse_item_duration(duration),
             dict(attributes or {}),
             content_type_of(content_type) or (coding.content_type if coding else ""),
-            parse_message_id(message_id),
+            put_tail(ack_to_wire(ack)) if ack else enqueue_tail(message_id),
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:

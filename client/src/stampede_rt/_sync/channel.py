@@ -57,30 +57,37 @@ class Channel(Reader):
         duration: DurationLike | int | None = None,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
+        ack: Ack | None = None,
         timeout: float | None = None,
     ) -> Item:
         """Put one item, wait until the host has accepted it, and return it with its `time` and `seq`.
 
         `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host stamps the
         item with the time at which it accepts the item. `duration` is text such as "33ms", a timedelta, or int
-        nanoseconds. `timeout` in seconds is the longest wait for room on a full channel with on_full="block"; None
-        waits without a limit. With ack="replica" it is also the longest wait for the replicas. The client tries again
-        after a broken connection, and the host never stores an item twice. Puts that are under way at the same time may
-        arrive in any order. If their order matters, wait for the end of each put before you begin the next one. Raises
-        TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; NotReplicated if the replicas did not have the item in
-        time, though the channel has accepted it; Unavailable if the host cannot be reached.
+        nanoseconds. `ack` says when the host acknowledges this put: "host", "disk" (it is on stable storage) or
+        "replica"; without it the channel's policy says so. `timeout` in seconds is the longest wait for room on a full
+        channel with on_full="block"; None waits without a limit. With ack="replica" or "disk" it is also the longest
+        wait for these. The client tries again after a broken connection, and the host never stores an item twice. Puts
+        that are under way at the same time may arrive in any order. If their order matters, wait for the end of each
+        put before you begin the next one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; NotReplicated
+        if the replicas did not have the item in time, though the channel has accepted it; NotArchived if the disk did
+        not take the item; InvalidArgument if the channel cannot give such an `ack`; Unavailable if the host cannot be
+        reached.
         """
-        item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
+        item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type, ack=ack)
         on_full = self.info.policy.on_full
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
-        may_fill = on_full in ("block", "reject") or self.info.policy.ack == "replica"
+        may_fill = on_full in ("block", "reject") or (ack or self.info.policy.ack or "host") != "host"
         with span("put", channel=self.name):
-            ack = self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
-        return item.accepted_as(self._state, ack)
+            accepted = self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
+        return item.accepted_as(self._state, accepted)
 
-    def producer(self) -> Producer:
-        """Return a context manager for many puts. These puts do not wait for their acknowledgements."""
-        return Producer(self._session, self._state)
+    def producer(self, ack: Ack | None = None) -> Producer:
+        """Return a context manager for many puts. These puts do not wait for their acknowledgements.
+
+        `ack` says when the host acknowledges them, as for `put`.
+        """
+        return Producer(self._session, self._state, ack)
 
     def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
         """Call `fn` once in each period and put its result, until `cancel` of the returned handle.

@@ -19,6 +19,7 @@ class Ack(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ACK_UNSPECIFIED: _ClassVar[Ack]
     ACK_HOST: _ClassVar[Ack]
     ACK_REPLICA: _ClassVar[Ack]
+    ACK_DISK: _ClassVar[Ack]
 ON_FULL_UNSPECIFIED: OnFull
 ON_FULL_DROP_OLDEST: OnFull
 ON_FULL_BLOCK: OnFull
@@ -26,6 +27,7 @@ ON_FULL_REJECT: OnFull
 ACK_UNSPECIFIED: Ack
 ACK_HOST: Ack
 ACK_REPLICA: Ack
+ACK_DISK: Ack
 
 class RetentionPolicy(_message.Message):
     __slots__ = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")

@@ -43,14 +43,16 @@ class RequestPiece(_message.Message):
     def __init__(self, request_bytes: _Optional[int] = ..., content: _Optional[bytes] = ...) -> None: ...
 
 class PutRun(_message.Message):
-    __slots__ = ("first_number", "wait_nanos", "run")
+    __slots__ = ("first_number", "wait_nanos", "run", "ack")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     wait_nanos: int
     run: _item_pb2.ItemRun
-    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ...) -> None: ...
+    ack: _channel_pb2.Ack
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ..., ack: _Optional[_Union[_channel_pb2.Ack, str]] = ...) -> None: ...
 
 class PutResponse(_message.Message):
     __slots__ = ("acks",)

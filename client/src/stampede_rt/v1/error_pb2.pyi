@@ -53,6 +53,7 @@ class ErrorReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ERROR_REASON_CERTIFICATE_EXPIRED: _ClassVar[ErrorReason]
     ERROR_REASON_TOKEN_EXPIRED: _ClassVar[ErrorReason]
     ERROR_REASON_NOT_REPLICATED: _ClassVar[ErrorReason]
+    ERROR_REASON_NOT_ARCHIVED: _ClassVar[ErrorReason]
 
 class AbsenceReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -106,6 +107,7 @@ ERROR_REASON_STALE_REGISTRATION: ErrorReason
 ERROR_REASON_CERTIFICATE_EXPIRED: ErrorReason
 ERROR_REASON_TOKEN_EXPIRED: ErrorReason
 ERROR_REASON_NOT_REPLICATED: ErrorReason
+ERROR_REASON_NOT_ARCHIVED: ErrorReason
 ABSENCE_REASON_UNSPECIFIED: AbsenceReason
 ABSENCE_REASON_COLLECTED: AbsenceReason
 ABSENCE_REASON_NEVER: AbsenceReason

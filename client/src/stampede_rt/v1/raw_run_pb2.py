@@ -22,32 +22,33 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 from stampede_rt.v1 import channel_service_pb2 as stampede__rt_dot_v1_dot_channel__service__pb2
 from stampede_rt.v1 import error_pb2 as stampede__rt_dot_v1_dot_error__pb2
 from stampede_rt.v1 import replica_service_pb2 as stampede__rt_dot_v1_dot_replica__service__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cstampede_rt/v1/raw_run.proto\x12\x0estampede_rt.v1\x1a$stampede_rt/v1/channel_service.proto\x1a\x1astampede_rt/v1/error.proto\x1a$stampede_rt/v1/replica_service.proto\"\x9d\x01\n\rRawPutRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12\'\n\x04puts\x18\x04 \x03(\x0b\x32\x19.stampede_rt.v1.RawPutRun\x12+\n\x05piece\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.RequestPiece\"V\n\tRawPutRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12\x0b\n\x03run\x18\x03 \x01(\x0c\x42\r\n\x0b_wait_nanos\"\xa3\x01\n\x11RawEnqueueRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12+\n\x04runs\x18\x04 \x03(\x0b\x32\x1d.stampede_rt.v1.RawEnqueueRun\x12+\n\x05piece\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.RequestPiece\"~\n\rRawEnqueueRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12\x0b\n\x03run\x18\x03 \x01(\x0c\x12\x12\n\nmessage_id\x18\x04 \x01(\t\x12\x0e\n\x06origin\x18\x05 \x01(\x0c\x42\r\n\x0b_wait_nanos\"X\n\x0fRawDeliveredRun\x12\x0b\n\x03run\x18\x01 \x01(\x0c\x12 \n\x13next_time_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x16\n\x14_next_time_unix_nano\"\xa3\x01\n\x0eRawGetResponse\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12-\n\x04runs\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRun\x12+\n\x07summary\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.GetSummary\x12$\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\xdf\x01\n\x14RawSubscribeResponse\x12\x32\n\x06opened\x18\x01 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionOpened\x12,\n\x03gap\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.SubscriptionGap\x12-\n\x04runs\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRun\x12\x36\n\x08progress\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.SubscriptionProgress\"\x96\x01\n\x0fRawFeedResponse\x12*\n\x06opened\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.FeedOpened\x12(\n\x05state\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.FeedState\x12-\n\x04runs\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRunb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cstampede_rt/v1/raw_run.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a$stampede_rt/v1/channel_service.proto\x1a\x1astampede_rt/v1/error.proto\x1a$stampede_rt/v1/replica_service.proto\"\x9d\x01\n\rRawPutRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12\'\n\x04puts\x18\x04 \x03(\x0b\x32\x19.stampede_rt.v1.RawPutRun\x12+\n\x05piece\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.RequestPiece\"x\n\tRawPutRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12\x0b\n\x03run\x18\x03 \x01(\x0c\x12 \n\x03\x61\x63k\x18\x04 \x01(\x0e\x32\x13.stampede_rt.v1.AckB\r\n\x0b_wait_nanos\"\xa3\x01\n\x11RawEnqueueRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12+\n\x04runs\x18\x04 \x03(\x0b\x32\x1d.stampede_rt.v1.RawEnqueueRun\x12+\n\x05piece\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.RequestPiece\"~\n\rRawEnqueueRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12\x0b\n\x03run\x18\x03 \x01(\x0c\x12\x12\n\nmessage_id\x18\x04 \x01(\t\x12\x0e\n\x06origin\x18\x05 \x01(\x0c\x42\r\n\x0b_wait_nanos\"X\n\x0fRawDeliveredRun\x12\x0b\n\x03run\x18\x01 \x01(\x0c\x12 \n\x13next_time_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x16\n\x14_next_time_unix_nano\"\xa3\x01\n\x0eRawGetResponse\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12-\n\x04runs\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRun\x12+\n\x07summary\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.GetSummary\x12$\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\xdf\x01\n\x14RawSubscribeResponse\x12\x32\n\x06opened\x18\x01 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionOpened\x12,\n\x03gap\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.SubscriptionGap\x12-\n\x04runs\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRun\x12\x36\n\x08progress\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.SubscriptionProgress\"\x96\x01\n\x0fRawFeedResponse\x12*\n\x06opened\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.FeedOpened\x12(\n\x05state\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.FeedState\x12-\n\x04runs\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RawDeliveredRunb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.raw_run_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_RAWPUTREQUEST']._serialized_start=153
-  _globals['_RAWPUTREQUEST']._serialized_end=310
-  _globals['_RAWPUTRUN']._serialized_start=312
-  _globals['_RAWPUTRUN']._serialized_end=398
-  _globals['_RAWENQUEUEREQUEST']._serialized_start=401
-  _globals['_RAWENQUEUEREQUEST']._serialized_end=564
-  _globals['_RAWENQUEUERUN']._serialized_start=566
-  _globals['_RAWENQUEUERUN']._serialized_end=692
-  _globals['_RAWDELIVEREDRUN']._serialized_start=694
-  _globals['_RAWDELIVEREDRUN']._serialized_end=782
-  _globals['_RAWGETRESPONSE']._serialized_start=785
-  _globals['_RAWGETRESPONSE']._serialized_end=948
-  _globals['_RAWSUBSCRIBERESPONSE']._serialized_start=951
-  _globals['_RAWSUBSCRIBERESPONSE']._serialized_end=1174
-  _globals['_RAWFEEDRESPONSE']._serialized_start=1177
-  _globals['_RAWFEEDRESPONSE']._serialized_end=1327
+  _globals['_RAWPUTREQUEST']._serialized_start=183
+  _globals['_RAWPUTREQUEST']._serialized_end=340
+  _globals['_RAWPUTRUN']._serialized_start=342
+  _globals['_RAWPUTRUN']._serialized_end=462
+  _globals['_RAWENQUEUEREQUEST']._serialized_start=465
+  _globals['_RAWENQUEUEREQUEST']._serialized_end=628
+  _globals['_RAWENQUEUERUN']._serialized_start=630
+  _globals['_RAWENQUEUERUN']._serialized_end=756
+  _globals['_RAWDELIVEREDRUN']._serialized_start=758
+  _globals['_RAWDELIVEREDRUN']._serialized_end=846
+  _globals['_RAWGETRESPONSE']._serialized_start=849
+  _globals['_RAWGETRESPONSE']._serialized_end=1012
+  _globals['_RAWSUBSCRIBERESPONSE']._serialized_start=1015
+  _globals['_RAWSUBSCRIBERESPONSE']._serialized_end=1238
+  _globals['_RAWFEEDRESPONSE']._serialized_start=1241
+  _globals['_RAWFEEDRESPONSE']._serialized_end=1391
 # @@protoc_insertion_point(module_scope)

@@ -1,3 +1,4 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as _channel_service_pb2
 from stampede_rt.v1 import error_pb2 as _error_pb2
 from stampede_rt.v1 import replica_service_pb2 as _replica_service_pb2
@@ -24,14 +25,16 @@ class RawPutRequest(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[RawPutRun, _Mapping]]] = ..., piece: _Optional[_Union[_channel_service_pb2.RequestPiece, _Mapping]] = ...) -> None: ...
 
 class RawPutRun(_message.Message):
-    __slots__ = ("first_number", "wait_nanos", "run")
+    __slots__ = ("first_number", "wait_nanos", "run", "ack")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     wait_nanos: int
     run: bytes
-    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
+    ack: _channel_pb2.Ack
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ..., ack: _Optional[_Union[_channel_pb2.Ack, str]] = ...) -> None: ...
 
 class RawEnqueueRequest(_message.Message):
     __slots__ = ("queue_id", "epoch", "producer_id", "runs", "piece")

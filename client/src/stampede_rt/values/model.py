@@ -19,7 +19,7 @@ COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # of `array`: 8 bytes
 
 OnFull = Literal["drop_oldest", "block", "reject"]
 """The effect of a put on a full channel or queue."""
-Ack = Literal["host", "replica"]
+Ack = Literal["host", "disk", "replica"]
 """When a put is acknowledged: when the host of the channel has the item, or when its replicas have it, too."""
 ChangeKind = Literal["added", "updated", "removed"]
 
@@ -223,7 +223,8 @@ class Policy:
     `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.
     If it is None, the next later item always ends the span. With `archive_nanos` or `archive_bytes` the channel is
     recorded: its host keeps the items in an archive, for that time and up to that many bytes. `replicas` is the number
-    of copies that can become the owner. `ack`: when a put is acknowledged. `min_replicas`: with fewer replicas in sync
+    of copies that can become the owner. `ack`: when a put is acknowledged: once the host has the item, its disk, or the
+    replicas. `min_replicas`: with fewer replicas in sync
     no put is acknowledged.
     """
 

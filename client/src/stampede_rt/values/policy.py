@@ -68,8 +68,6 @@ def parse_policy(
     """
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
-    if ack is not None and ack not in ACKS:
-        raise InvalidArgument(f"ack is {ack!r}; write one of {', '.join(map(repr, ACKS))}")
     return Policy(
         max_age_nanos=duration_of("max_age", max_age, least=1),
         max_items=count_of("max_items", max_items),
@@ -83,9 +81,16 @@ def parse_policy(
         archive_nanos=archive_nanos_of(archive),
         archive_bytes=archive_bytes_of(archive_bytes),
         replicas=_replicas_of("replicas", replicas),
-        ack=ack,
+        ack=ack_of(ack),
         min_replicas=_replicas_of("min_replicas", min_replicas),
     )
+
+
+def ack_of(value: Ack | None) -> Ack | None:
+    """Return `value`. Raises InvalidArgument unless it is None or one of ACKS."""
+    if value is not None and value not in ACKS:
+        raise InvalidArgument(f"ack is {value!r}; write one of {', '.join(map(repr, ACKS))}")
+    return value
 
 
 def _replicas_of(what: str, value: int | None) -> int | None:

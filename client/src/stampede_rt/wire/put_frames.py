@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.runs import encode_varint
@@ -21,26 +22,34 @@ def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
 
 
 def put_request(
-    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
+    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, tail: bytes = b""
 ) -> bytes:
     """Return an encoded PutRequest or EnqueueRequest with one run.
 
-    `head` is the result of `put_head`, or empty. `run` has the bytes of the run, in pieces. `message_id` is for queues
-    only. `wait_nanos` is as in PutRun; None leaves the field out.
+    `head` is the result of `put_head`, or empty. `run` has the bytes of the run, in pieces. `tail` has the fields
+    behind the run (`enqueue_tail`, `put_tail`). `wait_nanos` is as in PutRun; None leaves the field out.
     """
-    return b"".join(put_pieces(head, first_number, run, wait_nanos, message_id))
+    return b"".join(put_pieces(head, first_number, run, wait_nanos, tail))
+
+
+def put_tail(ack: channel_pb2.Ack) -> bytes:
+    """Return the encoded fields of a PutRun behind its run: what the put waits for."""
+    return channel_pb.PutRun(ack=ack).SerializeToString()
+
+
+def enqueue_tail(message_id: str) -> bytes:
+    """Return the encoded fields of an EnqueueRun behind its run."""
+    return queue_pb.EnqueueRun(message_id=message_id).SerializeToString()
 
 
 def put_pieces(
-    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
+    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, tail: bytes = b""
 ) -> list[bytes]:
     """Return the bytes of `put_request` in pieces.
 
     The pieces of several requests, joined, are one request with all their runs. Give a head to the first one only.
     """
-    put = queue_pb.EnqueueRun(
-        first_number=first_number, wait_nanos=wait_nanos, message_id=message_id
-    ).SerializeToString()
+    put = channel_pb.PutRun(first_number=first_number, wait_nanos=wait_nanos).SerializeToString()
     run_length = encode_varint(sum(map(len, run)))
-    inner = len(put) + len(_RUN_TAG) + len(run_length) + sum(map(len, run))
-    return [head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run]
+    inner = len(put) + len(_RUN_TAG) + len(run_length) + sum(map(len, run)) + len(tail)
+    return [head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run, tail]

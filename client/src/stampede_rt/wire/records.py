@@ -24,7 +24,11 @@ _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "block": channel_pb2.ON_FULL_BLOCK,
     "reject": channel_pb2.ON_FULL_REJECT,
 }
-_ACKS: dict[Ack, channel_pb2.Ack] = {"host": channel_pb2.ACK_HOST, "replica": channel_pb2.ACK_REPLICA}
+_ACKS: dict[Ack, channel_pb2.Ack] = {
+    "host": channel_pb2.ACK_HOST,
+    "disk": channel_pb2.ACK_DISK,
+    "replica": channel_pb2.ACK_REPLICA,
+}
 _FROM_ACKS = {value: key for key, value in _ACKS.items()}
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
 _CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
@@ -56,9 +60,14 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
         archive_nanos=policy.archive_nanos,
         archive_bytes=policy.archive_bytes,
         replicas=policy.replicas,
-        ack=_ACKS[policy.ack] if policy.ack else channel_pb2.ACK_UNSPECIFIED,
+        ack=ack_to_wire(policy.ack),
         min_replicas=policy.min_replicas,
     )
+
+
+def ack_to_wire(ack: Ack | None) -> channel_pb2.Ack:
+    """Return the number for what a put waits for. None: the put does not state it."""
+    return _ACKS[ack] if ack else channel_pb2.ACK_UNSPECIFIED
 
 
 def _retention_of(policy: Policy) -> channel_pb2.RetentionPolicy:

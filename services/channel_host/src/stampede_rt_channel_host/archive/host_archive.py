@@ -39,9 +39,14 @@ class HostArchive:
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with what to call after the write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
+        self._hurry = asyncio.Event()  # somebody waits for stable storage
         self._is_closing = False
-        self.failure = ""
-        """Why the last write failed; empty: it did not."""
+        self._failing: dict[ChannelRecorder, str] = {}  # the channels whose last write failed, and why
+
+    @property
+    def failure(self) -> str:
+        """Why the last write of a channel failed; empty: none did."""
+        return next(iter(self._failing.values()), "")
 
     async def open(self, channel_id: bytes, name: str, epoch: int) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, after a look at them. Raises OSError."""
@@ -67,10 +72,15 @@ class HostArchive:
             self._task.add_done_callback(_log_defect)
         self._news.set()
 
+    def hurry(self) -> None:
+        """Somebody waits for stable storage: write at once what there is. What comes meanwhile goes together."""
+        self._hurry.set()
+
     def forget(self, recorder: ChannelRecorder) -> None:
         """Write no more for this channel. A write that is under way ends first."""
-        recorder.is_stopped = True
+        recorder.stop()
         self._due.pop(recorder, None)
+        self._failing.pop(recorder, None)
         self._writer.submit(_close, recorder.files, False)
 
     async def _write_on(self) -> None:
@@ -79,13 +89,24 @@ class HostArchive:
             await self._news.wait()
             self._news.clear()
             if not self._is_closing:
-                await asyncio.sleep(WRITE_AFTER_SECONDS)
+                await self._gather()
             await self.write_all()
             if self._is_closing:
                 return
 
+    async def _gather(self) -> None:
+        """Wait for more items, unless somebody waits for stable storage."""
+        try:
+            async with asyncio.timeout(WRITE_AFTER_SECONDS):
+                await self._hurry.wait()
+        except TimeoutError:
+            pass
+        self._hurry.clear()
+
     async def write_all(self) -> None:
-        """Write all that the channels have accepted. After a failure it waits a second; the items stay in memory."""
+        """Write all that the channels have accepted. After a failure the items of this channel stay in memory, and are
+        written a second later. The other channels do not wait for it.
+        """
         while self._due:
             recorder = next(iter(self._due))
             on_written = self._due.pop(recorder)
@@ -97,11 +118,10 @@ class HostArchive:
         try:
             segments = await loop.run_in_executor(self._writer, job.files.write, job.parts, job.limits)
         except OSError as error:
-            self._note_failure(error)
-            await asyncio.sleep(RETRY_SECONDS)
-            self._write_later(recorder, on_written)
+            self._note_failure(recorder, error)
+            loop.call_later(RETRY_SECONDS, self._write_later, recorder, on_written)
             return
-        self._note_success()
+        self._note_success(recorder)
         recorder.written(job, segments)
         if recorder.backlog_items:
             self._write_later(recorder, on_written)
@@ -110,21 +130,24 @@ class HostArchive:
     def _write_later(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         if not recorder.is_stopped:
             self._due.setdefault(recorder, on_written)
+            self._news.set()
 
-    def _note_failure(self, error: OSError) -> None:
-        if not self.failure:
+    def _note_failure(self, recorder: ChannelRecorder, error: OSError) -> None:
+        if not self._failing:
             logger.error(
                 "the archive cannot be written; items stay in memory as long as max_bytes allows",
                 extra={"event": "archive_failed", "folder": str(self.folder.path), "why": error.strerror or str(error)},
             )
-        self.failure = error.strerror or str(error)
+        why = error.strerror or str(error)
+        if not recorder.is_stopped:
+            self._failing[recorder] = why
+        recorder.note_end(why)
 
-    def _note_success(self) -> None:
-        if self.failure:
+    def _note_success(self, recorder: ChannelRecorder) -> None:
+        if self._failing.pop(recorder, None) and not self._failing:
             logger.warning(
                 "the archive is written again", extra={"event": "archive_recovered", "folder": str(self.folder.path)}
             )
-        self.failure = ""
 
     async def load(self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow) -> ArchiveWindow:
         """Load a window in a thread. Raises OSError, for example if the archive's limits have removed a segment."""
@@ -166,11 +189,11 @@ class HostArchive:
     async def _close_files(self, recorders: list[ChannelRecorder]) -> None:
         loop = asyncio.get_running_loop()
         for recorder in recorders:
-            whole = not recorder.backlog_items and not self.failure
+            whole = not recorder.backlog_items and not recorder.failure
             try:
                 await loop.run_in_executor(self._writer, _close, recorder.files, whole)
             except OSError as error:
-                self._note_failure(error)
+                self._note_failure(recorder, error)
 
 
 def _close(files: SegmentFiles, whole: bool) -> None:

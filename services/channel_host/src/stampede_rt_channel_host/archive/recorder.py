@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from bisect import bisect_right
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
+GAPS_KEPT = 64
 Part = list[ArchivedRun] | SeqGap
 
 
@@ -38,6 +40,10 @@ class ChannelRecorder:
         self.unarchived = 0
         self.is_stopped = False
         """Whether the host has given the channel up: nothing is written for it any more."""
+        self.failure = ""
+        """Why the last write failed; empty: it did not."""
+        self._gaps: list[SeqGap] = []  # the last seqs that the archive will never have
+        self._moved = asyncio.Event()  # is set, and replaced, when a write has ended
         self.limits = ArchiveLimits(None, None)
         self._channel = channel
         self.archived_to = channel.next_seq
@@ -101,12 +107,44 @@ class ChannelRecorder:
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
         self.segments, self.span = segments, span_of(segments)
-        self.unarchived += sum(one.end_seq - one.first_seq for one in job.parts if isinstance(one, SeqGap))
+        gaps = [one for one in job.parts if isinstance(one, SeqGap)]
+        self.unarchived += sum(one.end_seq - one.first_seq for one in gaps)
+        self._gaps += gaps
+        if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
+            self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
         self.archived_to = job.end_seq
         done = bisect_right(self._ends, job.end_seq)
         del self._ends[:done]
         del self._instants[:done]
         self._channel.record(job.end_seq)
+        self.note_end("")
+
+    def note_end(self, failure: str) -> None:
+        """A write has ended, with a `failure` or without one. Wakes those who wait for stable storage."""
+        self.failure = failure
+        moved, self._moved = self._moved, asyncio.Event()
+        moved.set()
+
+    def stop(self) -> None:
+        """Nothing is written for the channel any more. Idempotent."""
+        self.is_stopped = True
+        self.note_end(self.failure)
+
+    async def stored(self, first_seq: int, end_seq: int, seconds_max: float | None) -> str:
+        """Wait until these items are on stable storage, `seconds_max` at most; None: without a limit.
+
+        Returns an empty text, or why they are not.
+        """
+        try:
+            async with asyncio.timeout(seconds_max):
+                while self.archived_to < end_seq and not self.failure and not self.is_stopped:
+                    await self._moved.wait()
+        except TimeoutError:
+            pass
+        if self.archived_to < end_seq:
+            return self.failure or ("the host gave the channel up" if self.is_stopped else "the disk is too slow")
+        is_lost = any(one.first_seq < end_seq and one.end_seq > first_seq for one in self._gaps)
+        return "max_bytes collected items before they were written" if is_lost else ""
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:

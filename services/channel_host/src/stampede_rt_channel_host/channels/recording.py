@@ -102,6 +102,10 @@ class Recording:
         if self.recorder.note(now):
             self._archive.touch(self.recorder, self._on_archived)
 
+    def hurry(self) -> None:
+        """A put waits for stable storage."""
+        self._archive.hurry()
+
     def stop(self) -> None:
         """Write no more: the host gives the channel up."""
         if not self.is_stopped:

@@ -34,6 +34,7 @@ _ON_FULL_FROM_WIRE = {wire: name for name, wire in _ON_FULL_TO_WIRE.items()}
 _ACK_TO_WIRE: dict[Ack | None, channel_pb2.Ack] = {
     None: channel_pb2.ACK_UNSPECIFIED,
     "host": channel_pb2.ACK_HOST,
+    "disk": channel_pb2.ACK_DISK,
     "replica": channel_pb2.ACK_REPLICA,
 }
 _ACK_FROM_WIRE = {wire: name for name, wire in _ACK_TO_WIRE.items()}

@@ -110,7 +110,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             await self._calls.check_level(context, "a channel that opens beside another", LOADS_LEVEL)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.name, policy.max_bytes)
-        if policy.is_recorded:
+        if policy.is_recorded or policy.ack == "disk":
             await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
         operation = OpenChannel(
             name=request.name,
@@ -184,7 +184,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.channel_id.hex(), policy.max_bytes)
-        if policy.is_recorded:
+        if policy.is_recorded or policy.ack == "disk":
             await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy)
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)

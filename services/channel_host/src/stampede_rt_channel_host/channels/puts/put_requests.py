@@ -16,11 +16,15 @@ from stampede_rt_channel_host.channels.requests import parse
 
 
 class Put(NamedTuple):
-    """One run of a request. `wait_nanos` None: the run may wait without limit. `run` may be a view of the request."""
+    """One run of a request. `wait_nanos` None: the run may wait without limit. `run` may be a view of the request.
+
+    `ack` is a number of the enum Ack: what the put waits for.
+    """
 
     first_number: int
     wait_nanos: int | None
     run: bytes | memoryview
+    ack: int = 0
 
     def kept(self) -> Put:
         """A copy whose run does not keep the whole request in memory."""
@@ -49,4 +53,4 @@ def read_request(raw: bytes | bytearray) -> PutRequest:
 
 
 def _put_of(put: raw_run_pb2.RawPutRun, run: bytes | memoryview) -> Put:
-    return Put(put.first_number, put.wait_nanos if put.HasField("wait_nanos") else None, run)
+    return Put(put.first_number, put.wait_nanos if put.HasField("wait_nanos") else None, run, put.ack)

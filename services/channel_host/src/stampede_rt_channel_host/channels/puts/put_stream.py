@@ -20,11 +20,12 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.acks import refused
-from stampede_rt_channel_host.channels.puts.held_acks import WAIT_NANOS_DEFAULT, AckOfReplicas, HeldAcks
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck, HeldAcks
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead, left_nanos
+from stampede_rt_channel_host.channels.puts.wanted_acks import check_wanted, held_ack, may_be_held
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -77,7 +78,7 @@ class PutStream:
         self._closed = False
         self._is_writing = False
         self._judged_at: HostedChannel | None = None  # the channel of the latest run
-        self._held_back: HeldAcks | None = None  # made when the stream first puts into a channel with replicas
+        self._held_back: HeldAcks | None = None  # made when the first ack must wait
         self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
@@ -134,7 +135,7 @@ class PutStream:
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
             hosted = self._store.find(channel_id, epoch)
-            may_wait = hosted.puts.may_wait or hosted.replication is not None
+            may_wait = hosted.puts.may_wait or any(may_be_held(hosted, put.ack) for put in request.puts)
             if may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
                 return False
         except StampedeError:  # the loop that reads the requests comes to the same error
@@ -151,7 +152,7 @@ class PutStream:
         self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
         self._work.spend_read()
         while received.puts:
-            ack: pb.PutAck | AckOfReplicas
+            ack: pb.PutAck | HeldAck
             if received.too_much:
                 ack = _refuse_size(received.puts.popleft(), self._store.now())
             else:
@@ -169,9 +170,9 @@ class PutStream:
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
         return ack
 
-    async def _pass_on(self, ack: pb.PutAck | AckOfReplicas) -> None:
+    async def _pass_on(self, ack: pb.PutAck | HeldAck) -> None:
         """Leave an ack to the writer, once it and all acks before it are due."""
-        if isinstance(ack, AckOfReplicas) or self._held_back:
+        if not isinstance(ack, pb.PutAck) or self._held_back:
             if self._held_back is None:
                 self._held_back = HeldAcks(self._queue, self._stream.spawn)
             await self._held_back.add(ack)
@@ -187,22 +188,12 @@ class PutStream:
         if self._held_back:
             self._news.set()
 
-    async def _put(self, received: _ReceivedRequest) -> pb.PutAck | AckOfReplicas:
+    async def _put(self, received: _ReceivedRequest) -> pb.PutAck | HeldAck:
         """The ack of the first run. Waits while the run waits for room."""
         put = received.puts.popleft()
         judged = self._judge(put, received.received_s)
         ack = judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
-        return self._held_back_by_replicas(ack, put, received.received_s)
-
-    def _held_back_by_replicas(self, ack: pb.PutAck, put: Put, received_s: float) -> pb.PutAck | AckOfReplicas:
-        """The ack, which waits for the replicas of its channel if there are any."""
-        hosted = self._judged_at
-        if hosted is None or hosted.replication is None or not ack.HasField("first_seq"):
-            return ack
-        wait_nanos = put.wait_nanos
-        if wait_nanos is not None:
-            wait_nanos = left_nanos(wait_nanos if wait_nanos > 0 else WAIT_NANOS_DEFAULT, received_s)
-        return AckOfReplicas(ack, hosted.record.name, hosted.replication, hosted.core.next_seq, wait_nanos)
+        return ack if self._judged_at is None else held_ack(ack, self._judged_at, put, received.received_s)
 
     def _judge(self, put: Put, received_s: float) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
         """The ack of a run, or the run and its channel if the run has to wait for room."""
@@ -216,6 +207,7 @@ class PutStream:
                 )
             hosted = self._judged_at = self._store.find(self._channel_id, self._epoch)
             self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
+            check_wanted(hosted, put.ack)
             try:
                 run = self._read(put, received_s)
             except StampedeError as error:

@@ -16,7 +16,7 @@ from stampede_rt.values.timeline import format_duration
 ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
-ACKS = ("host", "replica")
+ACKS = ("host", "disk", "replica")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
 # The values of unstated fields once a limit was stated. content_type is not here: unstated, it has no effect on items.
 IN_EFFECT_UNSTATED = {  # by field
@@ -90,6 +90,9 @@ def check_policy(channel: str, policy: Policy) -> None:
             "max_age_unconsumed that is not below max_age"
         )
         raise _invalid(channel, "max_age_unconsumed_nanos", text)
+    if policy.ack == "disk" and not policy.is_recorded:
+        text = 'ack="disk" waits for the archive, and the channel has none; state archive or archive_bytes with it'
+        raise _invalid(channel, "ack", text)
     _check_replicas(channel, policy)
 
 

@@ -1,0 +1,68 @@
+"""The condition under which a put is acknowledged: at once, on stable storage, or at replicas (`Ack`)."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.held_acks import (
+    WAIT_NANOS_DEFAULT,
+    AckOfDisk,
+    AckOfReplicas,
+    HeldAck,
+    not_archived,
+)
+from stampede_rt_channel_host.channels.puts.put_requests import Put
+from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
+
+
+def may_be_held(hosted: HostedChannel, stated: int) -> bool:
+    """Whether the ack of a put that states this may have to wait."""
+    return bool(stated) or hosted.replication is not None or hosted.record.policy.ack == "disk"
+
+
+def check_wanted(hosted: HostedChannel, stated: int) -> None:
+    """Raises InvalidArgument if the channel cannot ack a put so, and NotArchived while its archive takes no items."""
+    name = hosted.record.name
+    if stated not in channel_pb2.Ack.values():
+        raise InvalidArgument(f"ack is {stated}, which this version does not know; see Ack for the values")
+    if stated == channel_pb2.ACK_REPLICA and hosted.replication is None:
+        raise InvalidArgument(
+            f'a put states ack="replica", and channel {name} has no replicas; give it `replicas`, or leave ack out'
+        )
+    if _waits_for_disk(hosted, stated):
+        _check_disk(hosted)
+
+
+def _check_disk(hosted: HostedChannel) -> None:
+    name, recording = hosted.record.name, hosted.recording
+    if recording is None:
+        raise InvalidArgument(
+            f'a put states ack="disk", and channel {name} is not recorded; give it `archive`, or leave ack out'
+        )
+    if recording.recorder.failure:
+        raise not_archived(name, recording.recorder.failure)
+
+
+def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float) -> pb.PutAck | HeldAck:
+    """The ack, or what holds it back. `received_s`: when the put came, monotonic."""
+    if not ack.HasField("first_seq"):
+        return ack
+    name, recording, replication = hosted.record.name, hosted.recording, hosted.replication
+    if recording is not None and _waits_for_disk(hosted, put.ack):
+        return AckOfDisk(ack, name, recording, _left_nanos(put, received_s))
+    if replication is not None and put.ack in (channel_pb2.ACK_UNSPECIFIED, channel_pb2.ACK_REPLICA):
+        return AckOfReplicas(ack, name, replication, hosted.core.next_seq, _left_nanos(put, received_s))
+    return ack
+
+
+def _waits_for_disk(hosted: HostedChannel, stated: int) -> bool:
+    return stated == channel_pb2.ACK_DISK or (not stated and hosted.record.policy.ack == "disk")
+
+
+def _left_nanos(put: Put, received_s: float) -> int | None:
+    wait_nanos = put.wait_nanos
+    if wait_nanos is None:
+        return None
+    return left_nanos(wait_nanos if wait_nanos > 0 else WAIT_NANOS_DEFAULT, received_s)

@@ -1,0 +1,161 @@
+"""Puts with ack="disk" at real hosts: what they acknowledge is there after kill -9, and a full disk refuses them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+import stampede_rt.aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import running_cluster
+
+DISK_BYTES = 4 * 2**20
+KILLS = 6
+ACKS_BEFORE_KILL = 40
+
+
+@pytest.fixture(scope="module")
+def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A disk of 4 MiB."""
+    folder = tmp_path_factory.mktemp("disk")
+    if (
+        os.geteuid()
+        or subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "archive", folder], check=False, capture_output=True
+        ).returncode
+    ):
+        pytest.skip("a small disk needs root, and the right to mount a tmpfs")
+    yield folder
+    subprocess.run(["umount", "--lazy", folder], check=False)
+
+
+@pytest.fixture(scope="module")
+def cluster(disk: Path) -> Iterator[LocalCluster]:
+    with running_cluster(hosts=1, supernodes=1, archive=disk) as running:
+        yield running
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+class Putting:
+    """Puts numbers one after the other until it is told to stop. `acked` are the acknowledged ones."""
+
+    def __init__(self, channel: st.Channel) -> None:
+        self.acked: list[bytes] = []
+        self._channel = channel
+        self._stopping = threading.Event()
+        self._more = threading.Condition()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        number = 0
+        while not self._stopping.is_set():
+            try:
+                self._channel.put(b"%d" % number, timeout=5)
+            except st.StampedeError:  # the host is away: the same number again
+                continue
+            number += 1
+            with self._more:
+                self.acked.append(b"%d" % (number - 1))
+                self._more.notify_all()
+
+    def wait_for(self, count: int) -> None:
+        """Wait until so many further puts are acknowledged."""
+        wanted = len(self.acked) + count
+        with self._more:
+            assert self._more.wait_for(lambda: len(self.acked) >= wanted, 60)
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join(60)
+
+
+def test_all_that_was_acknowledged_is_there_after_each_of_many_kills(cluster: LocalCluster, rt: st.Connection) -> None:
+    channel = rt.channel("kill/many", max_items=50, archive="forever", ack="disk")
+    putting = Putting(channel)
+    try:
+        for _ in range(KILLS):
+            putting.wait_for(ACKS_BEFORE_KILL)
+            cluster.hosts[0].kill()
+            cluster.hosts[0].restart()
+        putting.wait_for(1)
+    finally:
+        putting.stop()
+    found = {item.payload for item in channel.get(st.OLDEST, st.NEWEST)}
+    assert len(putting.acked) > KILLS * ACKS_BEFORE_KILL
+    assert [one for one in putting.acked if one not in found] == []
+
+
+def test_a_put_states_another_ack_than_its_channel_and_only_one_that_the_channel_can_give(rt: st.Connection) -> None:
+    recorded = rt.channel("ack/recorded", max_items=50, archive="forever")
+    assert recorded.put(b"on disk", ack="disk").seq == 1
+    with recorded.producer(ack="disk") as producer:
+        for number in range(600):
+            producer.put(b"%d" % number)
+    assert (producer.accepted, producer.rejections) == (600, 0)
+    waiting = rt.channel("ack/disk", max_items=50, archive="forever", ack="disk")
+    assert waiting.put(b"in memory", ack="host").seq == 1
+    with pytest.raises(st.InvalidArgument, match="has no replicas"):
+        waiting.put(b"no", ack="replica")
+    with pytest.raises(st.InvalidArgument, match="is not recorded"):
+        rt.channel("ack/plain", max_items=50).put(b"no", ack="disk")
+    wrong: Any = "disc"
+    with pytest.raises(st.InvalidArgument, match="'host', 'disk', 'replica'"):
+        waiting.put(b"no", ack=wrong)
+    with pytest.raises(st.InvalidArgument, match="state archive or archive_bytes with it"):
+        rt.channel("ack/no-archive", max_items=50, ack="disk")
+    assert (rt.channel("ack/plain").newest(), waiting.stats().accepted) == (None, 1)
+
+
+async def test_a_put_on_asyncio_waits_for_the_disk(cluster: LocalCluster) -> None:
+    async with stampede_rt.aio.connect(cluster.address) as rt:
+        channel = await rt.channel("ack/aio", max_items=10, archive="1h", ack="disk")
+        assert [(await channel.put(b"x")).seq for _ in range(3)] == [1, 2, 3]
+        plain = await rt.channel("ack/aio-plain", max_items=10, archive="1h")
+        assert (await plain.put(b"x", ack="disk")).seq == 1
+
+
+def test_a_full_disk_refuses_puts_that_wait_for_it_and_no_others(rt: st.Connection, disk: Path) -> None:
+    channel = rt.channel("ack/full", max_items=50, archive="forever", ack="disk")
+    channel.put(b"before")
+    with (disk / "ballast").open("wb", buffering=0) as ballast:
+        with suppress(OSError):
+            while ballast.write(b"\0" * 4096):
+                pass
+        refusals = []
+        while len(refusals) < 3:  # the last block of the segment may have room for a few
+            try:
+                channel.put(b"x" * 2000, timeout=30)
+            except st.NotArchived as error:
+                refusals.append(error)
+        assert "No space left" in str(refusals[0])
+        assert ("seq" in refusals[0].metadata, "seq" in refusals[-1].metadata) == (True, False)
+        seq = channel.put(b"live", ack="host").seq
+        assert channel.newest().payload == b"live"
+        with channel.producer() as producer:
+            producer.put(b"refused")
+            with pytest.raises(st.NotArchived):
+                producer.flush()
+        (disk / "ballast").unlink()
+    while True:
+        try:
+            after = channel.put(b"after", timeout=30)
+            break
+        except st.NotArchived:
+            continue
+    assert after.seq == seq + 1
+    found = channel.get(st.OLDEST, st.NEWEST)
+    assert [item.seq for item in found] == [*range(1, after.seq + 1)]

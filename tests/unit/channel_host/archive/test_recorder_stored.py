@@ -1,0 +1,158 @@
+"""Waits for stable storage: until the archive has the items, or until it cannot have them."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from tests.unit.channel_host.archive.test_host_archive_writes import FILES, archive_in, recorded, refuse
+
+
+async def written(recorder: ChannelRecorder) -> str:
+    """Wait until all items are on stable storage, or cannot be. Returns why not."""
+    return await recorder.stored(1, recorder.archived_to + recorder.backlog_items, 60)
+
+
+def success_of(recorder: ChannelRecorder, monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
+    """An event that is set when a write of the channel has succeeded."""
+    succeeded, note_end = asyncio.Event(), recorder.note_end
+
+    def note(failure: str) -> None:
+        note_end(failure)
+        if not failure:
+            succeeded.set()
+
+    monkeypatch.setattr(recorder, "note_end", note)
+    return succeeded
+
+
+def test_a_wait_for_stable_storage_makes_the_archive_write_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> str:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 3600)
+        recorder, put = recorded(archive, tmp_path / "c")
+        put()
+        archive.hurry()
+        why = await written(recorder)
+        put()
+        archive.hurry()
+        why += await written(recorder)
+        await archive.close([recorder])
+        return why
+
+    assert asyncio.run(scenario()) == ""
+    found = SegmentFiles(tmp_path / "c", {}).open(1)
+    assert sum(one.items for one in found.segments) == 2
+
+
+def test_a_disk_that_fails_ends_the_waits_with_its_reason_and_delays_no_other_channel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> tuple[str, str, str, str, str]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)
+        broken, put_broken = recorded(archive, tmp_path / "broken")
+        whole, put_whole = recorded(archive, tmp_path / "whole")
+        with monkeypatch.context() as fault:
+            fault.setattr(broken.files, "write", refuse)
+            put_broken()
+            put_whole()
+            refused, kept, failing = await written(broken), await written(whole), archive.failure
+        await success_of(broken, monkeypatch).wait()  # the host tries again by itself
+        healed = await written(broken)
+        await archive.close([broken, whole])
+        return refused, kept, failing, healed, archive.failure
+
+    assert asyncio.run(scenario()) == ("Read-only file system", "", "Read-only file system", "", "")
+
+
+def test_a_channel_that_fails_waits_for_its_next_try_without_the_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> list[str]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 3600)
+        broken, put_broken = recorded(archive, tmp_path / "broken")
+        whole, put_whole = recorded(archive, tmp_path / "whole")
+        monkeypatch.setattr(broken.files, "write", refuse)
+        answers = []
+        for _ in range(3):
+            put_broken()
+            put_whole()
+            answers.append(await written(whole))
+        archive.forget(broken)
+        answers.append(archive.failure)
+        await archive.close([whole])
+        return answers
+
+    assert asyncio.run(scenario()) == ["", "", "", ""]
+
+
+def test_an_fsync_that_fails_is_not_taken_for_success_by_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> tuple[str, str]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)
+        recorder, put = recorded(archive, tmp_path / "c")
+        put()
+        assert await written(recorder) == ""
+        with monkeypatch.context() as fault:
+            fault.setattr(f"{FILES}.os.fsync", refuse)
+            put()
+            refused = await written(recorder)
+        await success_of(recorder, monkeypatch).wait()
+        healed = await written(recorder)
+        await archive.close([recorder])
+        return refused, healed
+
+    assert asyncio.run(scenario()) == ("Read-only file system", "")
+    segments = SegmentFiles(tmp_path / "c", {}).open(1).segments
+    assert [one.items for one in segments] == [1, 1]  # the bytes after a failed fsync are in a new file
+
+
+def test_items_that_memory_lost_before_they_were_written_are_never_stored(tmp_path: Path) -> None:
+    async def scenario() -> list[str]:
+        channel = ChannelCore(Policy(max_bytes=300), incarnation=7)
+        files = SegmentFiles(tmp_path / "c", {})
+        files.open(1)
+        recorder = ChannelRecorder(channel, files, ())
+        for seq in range(1, 9):
+            channel.put(
+                Offer(times=[seq], durations=None, lengths=[1]), seq, lambda first, kept, stamped: b"%d " % first
+            )
+            recorder.note(seq)
+        job = recorder.take()
+        recorder.written(job, job.files.write(job.parts, job.limits))
+        return [await recorder.stored(seq, seq + 1, 0) for seq in (1, 8)]
+
+    lost, kept = asyncio.run(scenario())
+    assert "before they were written" in lost
+    assert kept == ""
+
+
+def test_a_wait_ends_with_its_time_and_when_the_host_gives_the_channel_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> tuple[str, str]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 3600)
+        recorder, put = recorded(archive, tmp_path / "c")
+        put()
+        slow = await recorder.stored(1, 2, 0)
+        waits = asyncio.create_task(recorder.stored(1, 2, None))
+        await asyncio.sleep(0)
+        archive.forget(recorder)
+        given_up = await waits
+        await archive.close([])
+        return slow, given_up
+
+    assert asyncio.run(scenario()) == ("the disk is too slow", "the host gave the channel up")
