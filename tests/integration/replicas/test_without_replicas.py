@@ -57,7 +57,7 @@ def test_a_producer_hears_of_items_that_were_not_replicated_in_time(cluster: Loc
         ({"ack": "replica"}, "state replicas of 1 or more"),
         ({"replicas": 1, "ack": "replica", "min_replicas": 2}, "state at most 1"),
         ({"replicas": 5, "ack": "replica"}, "it must be 0 to 4"),
-        ({"replicas": 1, "ack": "disc"}, "'host', 'replica'"),
+        ({"replicas": 1, "ack": "disc"}, "'host', 'disk', 'replica'"),
     ],
 )
 def test_a_policy_that_cannot_be_served_is_refused_with_the_way_out(
