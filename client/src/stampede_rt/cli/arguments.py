@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
-from stampede_rt.values.policy import ACKS, ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_duration, parse_instant
 
 if TYPE_CHECKING:
@@ -124,56 +123,3 @@ def parse_attribute(text: str) -> tuple[str, str]:
     if not separator or not key:
         raise InvalidArgument(f"{text!r} is no attribute; write KEY=VALUE")
     return key, value
-
-
-def add_policy(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a channel's policy."""
-    parser.add_argument("--max-age", metavar="DURATION", help='keep items for this time, such as "10s"')
-    parser.add_argument("--max-items", type=int, metavar="N", help="keep at most N items")
-    parser.add_argument("--max-bytes", type=int, metavar="N", help="keep at most N bytes")
-    parser.add_argument(
-        "--consumers", type=int, metavar="N", help="an item may leave once N consumers have consumed it"
-    )
-    parser.add_argument(
-        "--max-age-unconsumed",
-        metavar="DURATION",
-        help="keep items for this time while a live consumer has still to consume them",
-    )
-    parser.add_argument(
-        "--overlap",
-        metavar="DURATION",
-        help="for this time a later item does not end the span of an item with a duration",
-    )
-    parser.add_argument(
-        "--archive",
-        metavar="DURATION",
-        help='record the channel: the host keeps items on disk for this time, or "forever"',
-    )
-    parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most so much on disk, such as "200GiB"')
-    parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
-    parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
-    parser.add_argument("--ack", choices=ACKS, help="when a put is acknowledged")
-    parser.add_argument(
-        "--min-replicas", type=int, metavar="N", help="with --ack replica, acknowledge no put with fewer in sync"
-    )
-    parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')
-
-
-def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the policy as keyword arguments of `Connection.channel`."""
-    names = (
-        "max_age",
-        "max_items",
-        "max_bytes",
-        "consumers",
-        "max_age_unconsumed",
-        "overlap",
-        "archive",
-        "archive_bytes",
-        "on_full",
-        "replicas",
-        "ack",
-        "min_replicas",
-        "content_type",
-    )
-    return {name: getattr(arguments, name) for name in names}

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import (
-    add_policy,
     add_verb,
     checked,
     connected,
@@ -18,11 +17,11 @@ from stampede_rt.cli.arguments import (
     parse_bound_text,
     parse_count,
     parse_time,
-    policy_of,
     timeout_seconds,
 )
 from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
+from stampede_rt.cli.policy_options import add_policy, policy_of
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped

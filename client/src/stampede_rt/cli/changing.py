@@ -1,0 +1,85 @@
+"""`stampede rm` and `stampede configure`: they delete channels, and change the policies of channels."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.output import policy_text, print_facts, print_rows
+from stampede_rt.cli.policy_options import add_limits, limits_of
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.escaping import escaped
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection
+
+FAILED = 1  # the exit status if a channel could not be deleted
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verbs of this module."""
+    rm = add_verb(subparsers, "rm", "delete channels with all their items, for everyone", run_rm)
+    rm.add_argument("channels", nargs="+", metavar="CHANNEL", help="a name, or a glob such as 'test/*' with --yes")
+    rm.add_argument("--yes", action="store_true", help="delete all channels that match a glob")
+    configure = add_verb(subparsers, "configure", "change a channel's policy, while it is in use", run_configure)
+    configure.add_argument("channel", help="the channel's name")
+    add_limits(configure)
+    configure.add_argument(
+        "--max-future", metavar="DURATION", help="refuse items that lie further in the future than this"
+    )
+
+
+def run_rm(arguments: argparse.Namespace) -> int:
+    """Delete channels. Go on after a channel that cannot be deleted, and return FAILED at the end."""
+    rows, failed = [], False
+    with connected(arguments) as rt:
+        for name in _chosen(rt, arguments.channels, arguments.yes):
+            try:
+                existing(rt, name).delete()
+            except StampedeError as error:
+                print(f"stampede: {escaped(error.message)}", file=sys.stderr)
+                failed = True
+            else:
+                rows.append({"channel": name, "deleted": True})
+    if arguments.output == "table":
+        for row in rows:
+            print(f"{row['channel']} is deleted")
+    else:
+        print_rows(rows, arguments.output, none="")
+    return FAILED if failed else 0
+
+
+def _chosen(rt: Connection, words: list[str], yes: bool) -> list[str]:
+    """Return the names to delete, each once. Raises InvalidArgument for a glob without `yes`, before any deletion."""
+    names: list[str] = []
+    for word in words:
+        if "*" not in word and "?" not in word:
+            names.append(word)
+            continue
+        found = [channel.name for channel in rt.channels(word)]
+        if not found:
+            raise InvalidArgument(f"no channel matches {word!r}; nothing is deleted")
+        if not yes:
+            shown = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+            raise InvalidArgument(
+                f"{word!r} matches {len(found)} channels ({shown}); nothing is deleted; --yes deletes them"
+            )
+        names += found
+    return list(dict.fromkeys(names))
+
+
+def run_configure(arguments: argparse.Namespace) -> int:
+    """Change the stated settings, and print the policy after the change."""
+    stated = limits_of(arguments) | {"max_future": arguments.max_future}
+    if all(value is None for value in stated.values()):
+        raise InvalidArgument("state at least one setting, such as --max-age 30s; see stampede configure --help")
+    with connected(arguments) as rt:
+        policy = existing(rt, arguments.channel).configure(**stated)
+    if arguments.output == "table":
+        print_facts({"channel": arguments.channel, "keeps": policy_text(policy)}, "table")
+    else:
+        print_facts({"channel": arguments.channel} | asdict(policy), arguments.output)
+    return 0

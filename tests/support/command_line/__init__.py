@@ -1,0 +1,1 @@
+"""Rigs for commands of the command line."""

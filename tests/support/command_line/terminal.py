@@ -1,0 +1,95 @@
+"""Runs commands of the command line in this process, with a pseudo-terminal as standard input and output."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import sys
+import termios
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+from stampede_rt.cli.commands import run
+
+_STYLES = re.compile(r"\x1b\[[0-9;]*m")  # colours and weights
+_SCREEN = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # also moves of the cursor
+
+
+@dataclass(frozen=True)
+class Screen:
+    """The end of a command: its status, and all that it has written to the terminal, both outputs together."""
+
+    status: int
+    written: str
+
+    @property
+    def text(self) -> str:
+        """The written text without styles and moves of the cursor, with plain ends of lines."""
+        return _SCREEN.sub("", self.written).replace("\r\n", "\n")
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of `text`."""
+        return self.text.splitlines()
+
+    def controls(self, *, screen: bool = False) -> set[str]:
+        """The characters that could command the terminal, beyond ends of lines and styles.
+
+        `screen`: the command may also move the cursor, as a live view does.
+        """
+        rest = (_SCREEN if screen else _STYLES).sub("", self.written).replace("\r\n", "").replace("\t", "")
+        return {one for one in rest if not one.isprintable()}
+
+
+def run_in_terminal(words: Sequence[str], *, columns: int = 100, rows: int = 40, typed: bytes = b"") -> Screen:
+    """Run one command in this process on a terminal of that size. `typed`: what the user types."""
+    pieces: list[bytes] = []
+    with pytest.MonkeyPatch.context() as patch, _terminal(columns, rows, pieces) as (master, slave):
+        os.write(master, typed)
+        for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+            file = open(os.dup(slave), mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
+            patch.setattr(sys, name, file)
+            patch.setattr(sys, f"__{name}__", file)
+        try:
+            status = run(words)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        for name in ("stdin", "stdout", "stderr"):
+            getattr(sys, name).close()
+    return Screen(status, b"".join(pieces).decode("utf-8", "backslashreplace"))
+
+
+@contextmanager
+def _terminal(columns: int, rows: int, pieces: list[bytes]) -> Iterator[tuple[int, int]]:
+    """A pseudo-terminal without echo. A thread appends to `pieces` what is written, up to the end of the block."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    attributes = termios.tcgetattr(slave)
+    attributes[3] &= ~termios.ECHO
+    termios.tcsetattr(slave, termios.TCSANOW, attributes)
+
+    def read() -> None:
+        while True:
+            try:
+                piece = os.read(master, 65536)
+            except OSError:  # the last writer has closed the terminal
+                return
+            if not piece:
+                return
+            pieces.append(piece)
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    try:
+        yield master, slave
+    finally:
+        os.close(slave)
+        reader.join(timeout=20)
+        os.close(master)
