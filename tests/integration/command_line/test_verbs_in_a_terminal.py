@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from itertools import count
 
@@ -104,3 +105,73 @@ def test_watch_prints_peers_as_they_come_and_go(cluster: LocalCluster, terminal:
     rows = [json.loads(line) for line in screen.lines]
     assert {row["kind"] for row in rows} == {"peer"}
     assert rows[0]["index"] < rows[1]["index"]
+
+
+def test_sub_prints_the_items_of_all_matching_channels_by_time(rt: st.Connection, terminal: Terminal) -> None:
+    now = st.now()
+    for name, offset in (("left", 0), ("right", 5)):
+        channel = rt.channel(f"sub/{name}", max_age="1h")
+        for number in range(3):
+            channel.put(b"%d" % number, time=now + (number * 10 + offset) * 10**6 - 10**9)
+    rt.channel("other/sub").put(b"not this one")
+    lines = terminal("sub", "sub/*", "--from", "oldest", "--count", "6", "--wait", "20s").lines
+    assert [line.split("  ")[1].split()[0] for line in lines] == ["sub/left", "sub/right"] * 3
+
+
+def test_sub_joins_channels_that_appear_later(rt: st.Connection, terminal: Terminal) -> None:
+    def appear(number: int) -> bool:
+        rt.channel(f"joined/{number}", max_age="1h").put(b"first item")
+        return True
+
+    screen = while_something_happens(appear, lambda: terminal("sub", "joined/*", "--count", "2", "-o", "jsonl"))
+    assert {json.loads(line)["payload"] for line in screen.lines} == {"first item"}
+
+
+def test_put_takes_one_item_for_each_line_of_standard_input(
+    rt: st.Connection, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\ntwo\nlast\n\x04")
+    assert said.text == "lines: 3 items put\n"
+    assert [item.payload for item in rt.channel("lines").get(st.OLDEST, st.NEWEST)] == [b"one", b"two", b"last"]
+
+
+def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) -> None:
+    said = terminal("put", "rated", "again", "--rate", "200", "--count", "20", "--max-age", "1h", "-o", "json").text
+    assert json.loads(said) == {"channel": "rated", "accepted": 20, "rejected": 0}
+    assert [item.payload for item in rt.channel("rated").get(st.OLDEST, st.NEWEST)] == [b"again"] * 20
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--lines", "text"], "--lines reads the payloads from standard input"),
+        (["text", "--count", "3"], "--count needs --rate or --lines"),
+        (["text", "--rate", "1", "--time", "5"], "--time is for one item"),
+        (["text", "--rate", "0"], "'0' is no rate"),
+    ],
+)
+def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words: list[str], complaint: str) -> None:
+    assert complaint in terminal("put", "refused", *words, status=2, columns=300).text
+
+
+def test_items_are_printed_readably_as_a_format_says_and_in_local_time(
+    rt: st.Connection, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import numpy as np
+
+    arrays = rt.channel("readable/arrays", codec="numpy", max_age="1h")
+    arrays.put(np.arange(12, dtype="f4").reshape(3, 4))
+    assert "float32 3x4 from 0 to 11: [0, 1, 2, 3, 4, 5, 6, 7, ...]" in terminal("get", "readable/arrays").text
+    rt.channel("readable/json", codec="json", max_age="1h").put({"a": [1, 2]})
+    assert '{"a": [1, 2]}' in terminal("echo", "readable/json", "--from", "oldest", "--count", "1").text
+    rt.channel("readable/text").put(b"hi", time=10**9 * 1_700_000_000, attributes={"enc": "x\x1b"})
+    form = r"{time}|{seq:03d}|{channel}\t{payload}|{length}|{attributes[enc]}|{attributes[none]}|{end_ns}"
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    time.tzset()
+    try:
+        said = terminal("get", "readable/text", "--all", "--local", "--format", form).text
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert said == "2023-11-15T07:13:20.000000000+09:00|001|readable/text\thi|2|x\\x1b||-\n"
+    assert "the format has no field 'no'" in terminal("get", "readable/text", "--format", "{no}", status=2).text

@@ -44,6 +44,7 @@ def add_verb(
         parser.add_argument(
             "-o", "--output", choices=("table", "json", "jsonl"), default="table", help="how to print; default table"
         )
+        parser.add_argument("--local", action="store_true", help="print instants as local time; default: UTC")
     return parser
 
 

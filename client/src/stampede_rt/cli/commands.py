@@ -31,8 +31,7 @@ def run(arguments: Sequence[str]) -> int:
         if arguments and arguments[0] in SERVICE_VERBS:
             status = _run_service(arguments[0], arguments[1:])
         else:
-            parsed = parser_of(arguments[0] if arguments else None).parse_args(arguments)
-            status = int(parsed.run(parsed))
+            status = _run_client(arguments)
         sys.stdout.flush()  # if the disk is full, the error comes here, and not when the interpreter ends
         return status
     except StampedeError as error:
@@ -56,6 +55,14 @@ def run(arguments: Sequence[str]) -> int:
             f"stampede: a defect: {type(error).__name__}: {error}; set STAMPEDE_DEBUG=1 to see where", file=sys.stderr
         )
         return FAILED
+
+
+def _run_client(arguments: Sequence[str]) -> int:
+    parsed = parser_of(arguments[0] if arguments else None).parse_args(arguments)
+    from stampede_rt.cli.instants import show_local  # --help ends above, and does not need it
+
+    show_local(getattr(parsed, "local", False))
+    return int(parsed.run(parsed))
 
 
 def _drop_output() -> None:

@@ -1,4 +1,4 @@
-"""`stampede put`, `stampede get` and `stampede echo`: they put items into channels, and print items."""
+"""`stampede get` and `stampede echo`: they print items of a channel."""
 
 from __future__ import annotations
 
@@ -13,20 +13,16 @@ from stampede_rt.cli.arguments import (
     checked,
     connected,
     existing,
-    parse_attribute,
     parse_bound_text,
     parse_count,
-    parse_time,
     timeout_seconds,
 )
-from stampede_rt.cli.messages import add_payload, payload_of
-from stampede_rt.cli.output import item_line, item_row
-from stampede_rt.cli.policy_options import add_policy, policy_of
+from stampede_rt.cli.item_text import add_item_options, item_printer, item_row
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item, Items, Reason
-from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, format_instant, last
+from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, last
 
 if TYPE_CHECKING:
     from stampede_rt import Channel
@@ -36,7 +32,6 @@ NOTHING = 3  # the exit status of `get` if there are no items
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
-    _add_put(subparsers)
     _add_get(subparsers)
     echo = add_verb(subparsers, "echo", "print items as they come, until Ctrl-C", run_echo)
     echo.add_argument("channel", help="the channel's name")
@@ -49,32 +44,7 @@ def add_verbs(subparsers: Any) -> None:
     )
     echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest one")
     echo.add_argument("--count", type=parse_count, metavar="N", help="stop after N items")
-    echo.add_argument("--no-payloads", action="store_true", help="print times and lengths only")
-
-
-def _add_put(subparsers: Any) -> None:
-    put = add_verb(subparsers, "put", "put one item; creates an absent channel", run_put)
-    put.add_argument("channel", help="the channel's name")
-    add_payload(put)
-    put.add_argument(
-        "--time", type=checked(parse_time), metavar="TIME", help="the item's time; default: the host's clock"
-    )
-    put.add_argument("--duration", metavar="DURATION", help='the duration of the item, such as "33ms"')
-    put.add_argument(
-        "--attribute",
-        type=checked(parse_attribute),
-        action="append",
-        metavar="KEY=VALUE",
-        help="an attribute of the item; may be repeated",
-    )
-    put.add_argument(
-        "--timeout",
-        type=timeout_seconds,
-        default=1.0,
-        metavar="DURATION",
-        help="wait this long for room, e.g. 500ms; default 1s",
-    )
-    add_policy(put)
+    add_item_options(echo)
 
 
 def _add_get(subparsers: Any) -> None:
@@ -117,27 +87,8 @@ def _add_get(subparsers: Any) -> None:
         help="wait this long for an item, e.g. 500ms; default 0s",
     )
     get.add_argument("--complete", action="store_true", help="wait until no more items can come into the interval")
-    get.add_argument("--no-payloads", action="store_true", help="print times and lengths only")
+    add_item_options(get)
     get.add_argument("--raw", action="store_true", help="write only the payloads, without separators")
-
-
-def run_put(arguments: argparse.Namespace) -> int:
-    """Put one item, and print its channel, seq and time."""
-    payload = payload_of(arguments)
-    with connected(arguments) as rt:
-        channel = rt.channel(arguments.channel, **policy_of(arguments))
-        item = channel.put(
-            payload,
-            time=arguments.time,
-            duration=arguments.duration,
-            attributes=dict(arguments.attribute) if arguments.attribute else None,
-            timeout=arguments.timeout,
-        )
-    if arguments.output == "table":
-        print(f"{arguments.channel} #{item.seq} at {format_instant(item.time)} ({item.time})")
-    else:
-        print(json.dumps({"channel": arguments.channel, "seq": item.seq, "time": item.time}))
-    return 0
 
 
 def run_get(arguments: argparse.Namespace) -> int:
@@ -150,7 +101,7 @@ def run_get(arguments: argparse.Namespace) -> int:
             sys.stdout.buffer.write(item.payload or b"")
         sys.stdout.flush()
     else:
-        _print_items(items, arguments.output)
+        _print_items(items, arguments)
     if reason is not None:
         print(f"stampede: {reason}: {escaped(reason.detail)}", file=sys.stderr)
     return 0 if items else NOTHING
@@ -195,12 +146,13 @@ def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
     return tuple(arguments.interval) if arguments.interval else (NEWEST, NEWEST)
 
 
-def _print_items(items: Sequence[Item], form: str) -> None:
-    if form == "json":
+def _print_items(items: Sequence[Item], arguments: argparse.Namespace) -> None:
+    if arguments.output == "json" and arguments.format is None:
         print(json.dumps([item_row(item) for item in items], indent=2))
         return
+    line = item_printer(arguments)
     for item in items:
-        print(json.dumps(item_row(item)) if form == "jsonl" else item_line(item))
+        print(line(item, arguments.channel if arguments.format else ""))
 
 
 def run_echo(arguments: argparse.Namespace) -> int:
@@ -211,8 +163,9 @@ def run_echo(arguments: argparse.Namespace) -> int:
             arguments.start, arguments.mode, payloads=not arguments.no_payloads
         ) as subscription,
     ):
+        line = item_printer(arguments)
         for count, item in enumerate(subscription, 1):
-            print(item_line(item) if arguments.output == "table" else json.dumps(item_row(item)), flush=True)
+            print(line(item, arguments.channel if arguments.format else ""), flush=True)
             if count == arguments.count:
                 break
         if subscription.dropped:

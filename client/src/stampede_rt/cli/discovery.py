@@ -7,11 +7,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
 from stampede_rt.values.model import ChannelInfo
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.statistics import ChannelStats
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
@@ -70,7 +71,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         proxies = rt.proxies(channel) if stats.copies else []
         replicas = _replicas(rt, stats) if stats.policy.replicas else []
     people = arguments.output == "table"
-    instant = format_instant if people else (lambda value: value)
+    instant = instant_text if people else (lambda value: value)
     facts: dict[str, Any] = {
         "channel": info.name,
         "host": info.host,

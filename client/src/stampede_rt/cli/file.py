@@ -10,13 +10,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import checked, parse_time
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.cli.record import INCOMPLETE, print_summary
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import RecordingSummary
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 if TYPE_CHECKING:
     from stampede_rt.files.editing import FileReport
@@ -88,7 +89,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         recording = None if summary is None else [one.to_json() for one in summary.channels]
         print(json.dumps(facts | {"topics": topics, "recording": recording}, indent=2))
         return 0
-    times = {name: format_instant(int(facts[name])) for name in ("begins", "ends")}
+    times = {name: instant_text(int(facts[name])) for name in ("begins", "ends")}
     print_facts(facts | times, "table")
     print()
     if summary is None:

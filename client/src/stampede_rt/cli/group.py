@@ -15,13 +15,15 @@ from stampede_rt.cli.arguments import (
     parse_bound_text,
     parse_count,
 )
-from stampede_rt.cli.output import item_line, item_row, print_rows
+from stampede_rt.cli.instants import instant_text
+from stampede_rt.cli.item_text import item_line, item_row
+from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.escaping import escaped
 from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus, Matched
 from stampede_rt.values.model import Item, Reason
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection, Group
@@ -177,7 +179,7 @@ def _status_line(status: GroupStatus[Channel]) -> str:
     if status.cut is None:
         return f"nothing is visible yet; waiting for {waiting or 'its members'}"
     ago = format_duration(status.host_time - status.cut)
-    return f"cut at {format_instant(status.cut)}, {ago} ago; " + (
+    return f"cut at {instant_text(status.cut)}, {ago} ago; " + (
         f"{waiting} {'hold' if len(status.waiting_on) > 1 else 'holds'} it back"
         if waiting
         else "no member holds it back"
@@ -189,7 +191,7 @@ def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> di
     people = form == "table"
     return {
         "channel": channel.name,
-        "newest": format_instant(member.newest) if people and member.newest is not None else member.newest,
+        "newest": instant_text(member.newest) if people and member.newest is not None else member.newest,
         "ahead": _lead(member.lead_nanos) if people else member.lead_nanos,
         "hidden": member.hidden,
         "holds_the_cut": _said(channel in status.waiting_on, people),
@@ -254,7 +256,7 @@ def _cuts(group: Group, arguments: argparse.Namespace) -> Any:
 
 def _cut_text(cut: Cut[Channel]) -> str:
     lacking = f"  without {', '.join(channel.name for channel in cut.incomplete)}" if cut.incomplete else ""
-    lines = [f"cut {format_instant(cut.time)}{lacking}"]
+    lines = [f"cut {instant_text(cut.time)}{lacking}"]
     for channel in cut:
         lines += [f"  {channel.name}  {item_line(item)}" for item in cut[channel]]
         lines += [f"  {channel.name}  late  {item_line(item)}" for item in cut.late[channel]]
@@ -287,7 +289,7 @@ def _matches(group: Group, arguments: argparse.Namespace) -> Any:
 
 
 def _match_text(matched: Matched[Channel]) -> str:
-    lines = [f"match {format_instant(matched.time)}"]
+    lines = [f"match {instant_text(matched.time)}"]
     lines += [f"  {channel.name}  {item_line(item)}" for channel, item in matched.items()]
     return "\n".join(lines + [f"  {channel.name}  nothing within the tolerance" for channel in matched.missing])
 

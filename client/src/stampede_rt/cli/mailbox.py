@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, checked, connected, parse_attribute, timeout_seconds
 from stampede_rt.cli.clock_findings import UNKNOWN, ahead, is_off
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.messages import (
     add_payload,
     add_pending,
@@ -21,7 +22,7 @@ from stampede_rt.cli.messages import (
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import PeerNotFound
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import PeerInfo
@@ -90,7 +91,7 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
     return {
         "peer": peer.name or peer.peer_id.hex(),
         "alive": ("yes" if peer.alive else "no") if people else peer.alive,
-        "since": format_instant(peer.registered) if people else peer.registered,
+        "since": instant_text(peer.registered) if people else peer.registered,
         "mailbox": ("yes" if peer.mailbox_queue_id else "no") if people else peer.mailbox_queue_id is not None,
         "host": hosts.get(peer.host_id) if peer.host_id is not None else None,
         "zone": peer.zone or None,

@@ -10,11 +10,13 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 from stampede_rt.cli.arguments import parse_count, timeout_seconds
-from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview, print_rows
+from stampede_rt.cli.instants import instant_text
+from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, print_rows
+from stampede_rt.cli.payload_text import preview
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats
@@ -94,7 +96,7 @@ def _print_message(message: Message, arguments: argparse.Namespace) -> None:
         again = f" (delivery {message.deliveries})" if message.deliveries > 1 else ""
         attributes = attributes_text(message.attributes)
         shown = preview(message.payload, len(message.payload), message.content_type)
-        print(f"{format_instant(message.time)}  #{message.seq}{again}{attributes}  {shown}", flush=True)
+        print(f"{instant_text(message.time)}  #{message.seq}{again}{attributes}  {shown}", flush=True)
         if message.origin is not None:
             print(f"    {_origin_text(message.origin)}", flush=True)
     else:
@@ -119,7 +121,7 @@ def _origin_text(origin: DeadLetterOrigin) -> str:
     by = f" by {escaped(origin.taker)}" if origin.taker else ""
     why = f": {escaped(origin.reason)}" if origin.reason else ""
     return (
-        f"left {origin.queue or 'a mailbox'} #{origin.seq}, put {format_instant(origin.enqueued)}, at delivery "
+        f"left {origin.queue or 'a mailbox'} #{origin.seq}, put {instant_text(origin.enqueued)}, at delivery "
         f"{origin.deliveries}, {ended}{by}{why}"
     )
 
@@ -138,8 +140,8 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
             "taker": one.taker,
             "taker_id": f"{one.taker_id:016x}",
             "deliveries": one.deliveries,
-            "leased": format_instant(one.leased) if people else one.leased,
-            "expires": format_instant(one.expires) if people else one.expires,
+            "leased": instant_text(one.leased) if people else one.leased,
+            "expires": instant_text(one.expires) if people else one.expires,
         }
         for one in pending
     ]

@@ -8,13 +8,12 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from stampede_rt.cli.payload_text import text_of
 from stampede_rt.cli.terminal import columns_max, table_lines
 from stampede_rt.escaping import escaped
-from stampede_rt.values.model import Item, Policy
+from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import FOREVER_NANOS
-from stampede_rt.values.timeline import format_duration, format_instant
-
-PREVIEW_CHARACTERS_MAX = 60  # the most characters of a text payload that a table shows
+from stampede_rt.values.timeline import format_duration
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
@@ -67,53 +66,15 @@ def print_behind(behind: Mapping[str, str]) -> None:
         print(f"stampede: not in force yet at {escaped(name)}: {escaped(why)}", file=sys.stderr)
 
 
-def item_row(item: Item) -> dict[str, Any]:
-    """Return the fields of an item for JSON. See `payload_fields` for its payload."""
-    row: dict[str, Any] = {
-        "time": item.time,
-        "end": item.end,
-        "duration": item.duration,
-        "seq": item.seq,
-        "length_bytes": item.payload_length_bytes,
-        "content_type": item.content_type,
-        "attributes": dict(item.attributes),
-    }
-    return row if item.payload is None else row | payload_fields(item.payload)
-
-
 def payload_fields(payload: bytes) -> dict[str, str]:
     """Return the field of a payload for JSON: `payload` for text, `payload_base64` for other bytes."""
-    text = _text(payload)
+    text = text_of(payload)
     return {"payload_base64": base64.b64encode(payload).decode()} if text is None else {"payload": text}
-
-
-def item_line(item: Item) -> str:
-    """Return an item as one line for people."""
-    duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
-    shown = preview(item.payload, item.payload_length_bytes, item.content_type)
-    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes_text(item.attributes)}  {shown}"
 
 
 def attributes_text(attributes: Mapping[str, str]) -> str:
     """Return attributes as a text for people, with a space before each."""
     return "".join(f" {escaped(key)}={escaped(value)}" for key, value in attributes.items())
-
-
-def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
-    """Return a payload for people: the escaped beginning of a text, or the length and content type of other bytes."""
-    kind = f" {escaped(content_type)}" if content_type else ""
-    text = None if payload is None else _text(payload)
-    if text is None or "\0" in text:
-        return f"[{length_bytes} bytes{kind}]"
-    more = f"... [{len(text)} characters]" if len(text) > PREVIEW_CHARACTERS_MAX else ""
-    return escaped(text[:PREVIEW_CHARACTERS_MAX]) + more
-
-
-def _text(payload: bytes) -> str | None:
-    try:
-        return payload.decode()
-    except UnicodeDecodeError:
-        return None
 
 
 def policy_text(policy: Policy) -> str:

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import bytes_text, joined, print_rows
 from stampede_rt.errors import FileError, InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
@@ -120,7 +121,7 @@ def _row(one: RecordedCounts) -> dict[str, Any]:
         "recorded": one.recorded,
         "missing": one.missing if not one.gap_count or one.missing else "unknown",
         "bytes": bytes_text(one.payload_bytes),
-        "begins": None if one.start is None else format_instant(one.start),
+        "begins": None if one.start is None else instant_text(one.start),
         "length": length,
     }
 

@@ -13,13 +13,14 @@ from typing import Any
 from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.backup_file import write_backup
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.supernode_findings import IN_DOUBT, WAITS_FOR_DISK, gathered, level_finding, refusal
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
-from stampede_rt.values.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration
 
 FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
@@ -189,7 +190,7 @@ def _run_add(arguments: argparse.Namespace) -> int:
     if arguments.output == "json":
         print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, "json")
         return 0
-    until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
+    until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {until}."))
     if is_secured:
         print("It needs its own certificate. Name the files there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
@@ -220,7 +221,7 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
         "supernode": taken.supernode_id,
         "index": taken.log_index,
         "size_bytes": taken.size_bytes,
-        "time": taken.time_unix_nano if arguments.output == "json" else format_instant(taken.time_unix_nano),
+        "time": taken.time_unix_nano if arguments.output == "json" else instant_text(taken.time_unix_nano),
         "took": taken.took_nanos if arguments.output == "json" else format_duration(taken.took_nanos),
     }
     if arguments.out is not None:

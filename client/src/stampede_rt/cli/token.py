@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from stampede_rt.cli.arguments import add_verb, checked
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import print_behind, print_facts
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.escaping import escaped
-from stampede_rt.values.timeline import format_instant, parse_duration
+from stampede_rt.values.timeline import parse_duration
 
 ROLES = ("client", "operator")
 TTL_NANOS_MAX = 30 * 86_400 * 10**9
@@ -68,7 +69,7 @@ def run_issue(arguments: argparse.Namespace) -> int:
         if file is not None:
             file.write(made.token + "\n")
         print_behind(cluster.parts_behind(made.version))
-    until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
+    until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
     if arguments.out is None:
         if arguments.output == "table":

@@ -11,12 +11,12 @@ from queue import Queue
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
+from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import policy_text
 from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Change, ChannelInfo, HostInfo
 from stampede_rt.values.peering import PeerChange
-from stampede_rt.values.timeline import format_instant
 
 AHEAD_MAX = 1000  # changes that have come and are not printed yet; each is less than 64 KiB
 SIGNS = {"added": "+", "updated": "~", "removed": "-"}
@@ -92,4 +92,4 @@ def _row(change: Change | PeerChange) -> dict[str, Any]:
 def _line(row: dict[str, Any]) -> str:
     lost = "" if row["alive"] or row["change"] == "removed" else "  (lost)"
     told = f"{SIGNS[row['change']]} {row['kind']:<7} {escaped(row['name'])}{lost}  {escaped(row['detail'])}"
-    return f"{format_instant(row['time'])}  {told}".rstrip()
+    return f"{instant_text(row['time'])}  {told}".rstrip()

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator
 from typing import Any
 
-from stampede_rt.cli import output
+from stampede_rt.cli import item_text, output
 from stampede_rt.cli.commands import full_parser
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Item
@@ -35,14 +35,14 @@ def items(source: ByteSource) -> None:
     """Items of others in all forms."""
     item = _item(source)
     with _printed() as printed:
-        print(output.item_line(item))
+        print(item_text.item_line(item))
     assert printed.getvalue().count("\n") == 1, "an item has one line"
     _check_lines(printed.getvalue())
     rows: list[dict[str, Any]] = [{"name": hostile_values.text(source), "at": hostile_values.integer(source)}]
     for form in ("table", "json", "jsonl"):
         with _printed() as printed:
             output.print_rows(rows, form, none="")
-            output.print_rows([output.item_row(item)], form, none="")
+            output.print_rows([item_text.item_row(item)], form, none="")
             output.print_facts({"fact": hostile_values.text(source)}, form)
         _check_lines(printed.getvalue())
 

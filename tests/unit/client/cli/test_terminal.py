@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.cli.output import item_line, preview
+from stampede_rt.cli.item_text import item_line
+from stampede_rt.cli.payload_text import preview
 from stampede_rt.cli.terminal import table_lines
 from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item

@@ -1,0 +1,87 @@
+"""The merge of several channels by time."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.cli.merging import CHANNEL_BYTES_MAX, CHANNEL_ITEMS_MAX, MergedItem, TimeMerge
+from stampede_rt.values.model import Item
+
+
+def item(time: int, payload: bytes = b"") -> Item:
+    return Item(
+        time=time, end=None, duration=None, seq=time, payload=payload, payload_length_bytes=len(payload),
+        attributes={}, content_type="", incarnation=0,
+    )  # fmt: skip
+
+
+def merge_of(*names: str, wait_s: float = 1.0) -> TimeMerge:
+    merge = TimeMerge(wait_s)
+    for name in names:
+        merge.join(name, 0.0)
+    return merge
+
+
+def all_of(merge: TimeMerge, now_s: float) -> list[MergedItem]:
+    found = []
+    while (one := merge.take(now_s)) is not None:
+        found.append(one)
+    return found
+
+
+def test_an_item_waits_for_a_channel_without_items_but_not_longer_than_said() -> None:
+    merge = merge_of("a", "b")
+    merge.offer("a", item(5))
+    assert merge.take(0.9) is None
+    assert merge.due_s() == 1.0
+    assert merge.take(1.0) == ("a", item(5), False)
+
+
+def test_a_quiet_channel_does_not_slow_down_the_others() -> None:
+    merge = merge_of("a", "quiet")
+    for time in range(10):
+        merge.offer("a", item(time))
+    assert [one.item.time for one in all_of(merge, 1.5)] == list(range(10))
+
+
+def test_an_item_before_a_printed_one_is_late_and_comes_at_once() -> None:
+    merge = merge_of("a", "b")
+    merge.offer("a", item(5))
+    assert [one.late for one in all_of(merge, 1.0)] == [False]
+    merge.offer("b", item(3))
+    assert all_of(merge, 1.0) == [("b", item(3), True)]
+
+
+def test_a_channel_that_has_ended_is_not_waited_for() -> None:
+    merge = merge_of("a", "b")
+    merge.offer("b", item(7))
+    merge.leave("b")
+    merge.offer("a", item(1))
+    merge.leave("a")
+    assert [one.item.time for one in all_of(merge, 0.0)] == [1, 7]
+
+
+def test_a_channel_has_room_for_so_many_items_and_bytes_and_always_for_one() -> None:
+    merge = merge_of("many", "long")
+    for time in range(CHANNEL_ITEMS_MAX):
+        assert merge.has_room("many")
+        merge.offer("many", item(time))
+    assert not merge.has_room("many")
+    assert merge.has_room("long")
+    merge.offer("long", item(0, bytes(CHANNEL_BYTES_MAX + 1)))
+    assert not merge.has_room("long")
+
+
+@given(some.dictionaries(some.sampled_from("abcd"), some.lists(some.integers(0, 50), max_size=30), min_size=1))
+def test_channels_in_the_order_of_time_come_out_in_the_order_of_time_and_none_is_late(
+    times: dict[str, list[int]],
+) -> None:
+    merge = merge_of(*times)
+    for name, held in times.items():
+        for time in sorted(held):
+            merge.offer(name, item(time))
+        merge.leave(name)
+    found = all_of(merge, 0.0)
+    assert [one.item.time for one in found] == sorted(time for held in times.values() for time in held)
+    assert not any(one.late for one in found)
