@@ -25,7 +25,7 @@ VERBS = {
     "top": ("top", "show the busiest channels, live, until q or Ctrl-C"),
     "lag": ("lag", "print how far channels, groups and queues are behind, the worst first"),
     "record": ("record", "record channels to an MCAP file, until Ctrl-C"),
-    "replay": ("replay", "play an MCAP file into channels"),
+    "replay": ("replay", "play an MCAP file, or channels, into channels"),
     "import": ("replay", "put the items of a file into channels"),
     "export": ("export", "write what channels hold, or a file, as MCAP, Parquet or CSV"),
     "file": ("file", "MCAP files: look at them, verify, recover, cut and merge them"),
