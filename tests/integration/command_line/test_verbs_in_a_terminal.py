@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from itertools import count
+from pathlib import Path
 
 import pytest
 
@@ -35,10 +36,11 @@ def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal
     monkeypatch.delenv("COLUMNS", raising=False)
     monkeypatch.delenv("LINES", raising=False)
 
-    def run(*words: str, status: int = 0, columns: int = 100, typed: bytes = b"") -> Screen:
+    def run(*words: str, status: int = 0, columns: int = 100, typed: bytes = b"", progress: bool = False) -> Screen:
         screen = run_in_terminal(words, columns=columns, typed=typed)
         assert screen.status == status, screen
-        assert screen.controls(screen=words[0] == "top") == set(), screen
+        moves = {"\r"} if progress else set()
+        assert screen.controls(screen=progress or words[0] == "top") <= moves, screen
         return screen
 
     return run
@@ -175,3 +177,20 @@ def test_items_are_printed_readably_as_a_format_says_and_in_local_time(
         time.tzset()
     assert said == "2023-11-15T07:13:20.000000000+09:00|001|readable/text\thi|2|x\\x1b||-\n"
     assert "the format has no field 'no'" in terminal("get", "readable/text", "--format", "{no}", status=2).text
+
+
+def test_long_work_shows_its_progress_on_a_terminal_and_erases_it_at_the_end(
+    rt: st.Connection, terminal: Terminal, tmp_path: Path
+) -> None:
+    channel = rt.channel("long/a", max_age="1h")
+    for _ in range(3):
+        channel.put(b"x")
+    path = str(tmp_path / "a.mcap")
+    screen = terminal("record", "long/a", "--since", "oldest", "--for", "1s", "-o", path, progress=True)
+    assert "3 items of 1 channels in " in screen.written
+    assert "%  3 items" in screen.written
+    assert screen.written.count("\r\x1b[K") >= 2
+    screen = terminal("import", path, "--as", "played/", "--output", "jsonl", progress=True)
+    assert json.loads(screen.lines[-1].rpartition("\r")[2])["items"] == {"played/long/a": 3}
+    facts = json.loads(terminal("file", "info", path, "--output", "jsonl").text)
+    assert facts["messages"] >= 3

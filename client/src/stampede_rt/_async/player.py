@@ -53,6 +53,7 @@ class Player(BackgroundStart, BoundToProcess):
         self._channels: dict[str, PlayedChannel] = {}
         self._gaps: list[RecordingGap] = []
         self._rounds = 0
+        self._done_share = 0.0
         self._stop = Signal()
         self._stopped = False
         self._holds = Signal()  # is set once the channels are open and take the items, or once the replay has ended
@@ -83,6 +84,16 @@ class Player(BackgroundStart, BoundToProcess):
     def channels(self) -> list[str]:
         """The names of the channels that get items, sorted."""
         return sorted(one.name for one in self._channels.values())
+
+    @property
+    def accepted(self) -> int:
+        """The number of items that the channels have accepted so far."""
+        return sum(one.accepted for one in self._channels.values())
+
+    @property
+    def done_share(self) -> float:
+        """How much of the time span of the file has been played in this round, from 0 to 1."""
+        return self._done_share
 
     def stop(self) -> None:
         """End the replay after the present item. Does not wait; see `wait`.
@@ -189,6 +200,7 @@ class Player(BackgroundStart, BoundToProcess):
                 wait = (schedule.due_nanos(due) - (time.monotonic_ns() - began)) / 1e9
                 if (wait > 0 and await self._stop.wait(wait)) or self._stopped:
                     return
+                self._done_share = (due - schedule.start) / max(1, schedule.end - schedule.start)
                 await self._take(event, schedule)
         await self._stop.wait(max(0.0, (schedule.due_nanos(schedule.end) - (time.monotonic_ns() - began)) / 1e9))
 

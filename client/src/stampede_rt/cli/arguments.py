@@ -16,6 +16,7 @@ from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_durati
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection
 
+FORMS = ("table", "json", "jsonl")
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
@@ -41,11 +42,19 @@ def add_verb(
         "--url", metavar="HOST:PORT", help="front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580"
     )
     if output:
-        parser.add_argument(
-            "-o", "--output", choices=("table", "json", "jsonl"), default="table", help="how to print; default table"
-        )
-        parser.add_argument("--local", action="store_true", help="print instants as local time; default: UTC")
+        parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
+        _add_local(parser)
     return parser
+
+
+def add_summary(parser: argparse.ArgumentParser) -> None:
+    """Add the option --output to a verb whose option -o names a file. `--summary` is its former name."""
+    parser.add_argument("--output", "--summary", choices=FORMS, default="table", help="how to print; default table")
+    _add_local(parser)
+
+
+def _add_local(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--local", action="store_true", help="print instants as local time; default: UTC")
 
 
 def connected(arguments: argparse.Namespace, name: str | None = None) -> Connection:
@@ -65,6 +74,11 @@ def existing(rt: Connection, name: str) -> Channel:
         raise ChannelNotFound(
             f"there is no channel {name}; `stampede ls` lists the channels, `stampede put {name}` creates it"
         ) from error
+
+
+def is_glob(word: str) -> bool:
+    """Whether a word is a glob. No name contains these characters."""
+    return "*" in word or "?" in word
 
 
 def parse_count(text: str) -> int:

@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob
 from stampede_rt.cli.output import policy_text, print_facts, print_rows
 from stampede_rt.cli.policy_options import add_limits, limits_of
 from stampede_rt.errors import InvalidArgument, StampedeError
@@ -34,41 +34,44 @@ def add_verbs(subparsers: Any) -> None:
 
 def run_rm(arguments: argparse.Namespace) -> int:
     """Delete channels. Go on after a channel that cannot be deleted, and return FAILED at the end."""
-    rows, failed = [], False
     with connected(arguments) as rt:
-        for name in _chosen(rt, arguments.channels, arguments.yes):
-            try:
-                existing(rt, name).delete()
-            except StampedeError as error:
-                print(f"stampede: {escaped(error.message)}", file=sys.stderr)
-                failed = True
-            else:
-                rows.append({"channel": name, "deleted": True})
+        chosen = _chosen(rt, arguments.channels, arguments.yes)
+        deleted = [name for name in chosen if _is_deleted(rt, name)]
     if arguments.output == "table":
-        for row in rows:
-            print(f"{row['channel']} is deleted")
+        sys.stdout.writelines(f"{name} is deleted\n" for name in deleted)
     else:
-        print_rows(rows, arguments.output, none="")
-    return FAILED if failed else 0
+        print_rows([{"channel": name, "deleted": True} for name in deleted], arguments.output, none="")
+    return 0 if deleted == chosen else FAILED
+
+
+def _is_deleted(rt: Connection, name: str) -> bool:
+    """Delete a channel. If that fails, say why, and return False."""
+    try:
+        existing(rt, name).delete()
+    except StampedeError as error:
+        print(f"stampede: {escaped(error.message)}", file=sys.stderr)
+        return False
+    return True
 
 
 def _chosen(rt: Connection, words: list[str], yes: bool) -> list[str]:
     """Return the names to delete, each once. Raises InvalidArgument for a glob without `yes`, before any deletion."""
     names: list[str] = []
     for word in words:
-        if "*" not in word and "?" not in word:
-            names.append(word)
-            continue
-        found = [channel.name for channel in rt.channels(word)]
-        if not found:
-            raise InvalidArgument(f"no channel matches {word!r}; nothing is deleted")
-        if not yes:
-            shown = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
-            raise InvalidArgument(
-                f"{word!r} matches {len(found)} channels ({shown}); nothing is deleted; --yes deletes them"
-            )
-        names += found
+        names += _matching(rt, word, yes) if is_glob(word) else [word]
     return list(dict.fromkeys(names))
+
+
+def _matching(rt: Connection, glob: str, yes: bool) -> list[str]:
+    found = [channel.name for channel in rt.channels(glob)]
+    if not found:
+        raise InvalidArgument(f"no channel matches {glob!r}; nothing is deleted")
+    if not yes:
+        shown = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+        raise InvalidArgument(
+            f"{glob!r} matches {len(found)} channels ({shown}); nothing is deleted; --yes deletes them"
+        )
+    return found
 
 
 def run_configure(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from stampede_rt.cli.arguments import (
     parse_count,
     timeout_seconds,
 )
-from stampede_rt.cli.item_text import add_item_options, item_printer, item_row
+from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, tell_dropped
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
@@ -168,9 +168,5 @@ def run_echo(arguments: argparse.Namespace) -> int:
             print(line(item, arguments.channel if arguments.format else ""), flush=True)
             if count == arguments.count:
                 break
-        if subscription.dropped:
-            print(
-                f"stampede: retention collected {subscription.dropped} items before they could be printed",
-                file=sys.stderr,
-            )
+        tell_dropped(subscription.dropped)
     return 0

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from stampede_rt.cli.arguments import add_verb, connected
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.progress import Progress, shown_progress
 from stampede_rt.cli.verb_parser import VerbParser
-from stampede_rt.escaping import TerminalParser
+from stampede_rt.escaping import TerminalParser, escaped
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection
 
 
 def drain(words: Sequence[str]) -> int:
@@ -18,11 +23,25 @@ def drain(words: Sequence[str]) -> int:
     verb.add_argument("host", metavar="HOST", help="the host's name")
     verb.add_argument("--timeout", default="60s", help="give up after this time, at most 60s; default: 60s")
     arguments = parser.parse_args(words)
-    with connected(arguments) as rt:
+    with connected(arguments) as rt, shown_progress(_progress(rt, arguments.host)):
         drained = rt.drain(arguments.host, timeout=arguments.timeout)
-    if arguments.output == "json":
-        print_facts({"host": drained.host, "moved": drained.moved, "left": dict(drained.left)}, "json")
+    if arguments.output != "table":
+        print_facts({"host": drained.host, "moved": drained.moved, "left": dict(drained.left)}, arguments.output)
     else:
         rows = [{"channel": name, "not moved because": reason} for name, reason in drained.left.items()]
         print_rows(rows, arguments.output, none=f"{drained.moved} channels have moved away from {drained.host}")
     return 1 if drained.left_count else 0
+
+
+def _progress(rt: Connection, host: str) -> Callable[[], Progress]:
+    """Return the function that tells how many channels have left the host, by the counts of the directory."""
+    all_channels = 0
+
+    def look() -> Progress:
+        nonlocal all_channels
+        left = next((one.channels for one in rt.hosts() if one.name == host), 0)
+        all_channels = max(all_channels, left)
+        share = (all_channels - left) / all_channels if all_channels else None
+        return share, f"{all_channels - left} of {all_channels} channels have moved away from {escaped(host)}"
+
+    return look

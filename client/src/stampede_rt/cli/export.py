@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, checked, parse_time
+from stampede_rt.cli.arguments import add_summary, add_verb, checked, parse_time
 from stampede_rt.cli.held_items import file_of
-from stampede_rt.cli.output import print_rows
+from stampede_rt.cli.output import print_document, print_rows
+from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text, print_summary
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import RecordingSummary
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
@@ -35,7 +38,7 @@ def add_verbs(subparsers: Any) -> None:
     export.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
     export.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
     export.add_argument("--overwrite", action="store_true", help="overwrite an existing file")
-    export.add_argument("--summary", choices=("table", "json"), default="table", help="how to print the summary")
+    add_summary(export)
 
 
 def run_export(arguments: argparse.Namespace) -> int:
@@ -45,10 +48,14 @@ def run_export(arguments: argparse.Namespace) -> int:
         raise InvalidArgument(f"{arguments.file} does not tell the format; give --format {', '.join(FORMATS)}")
     folder = Path(arguments.file).absolute().parent
     with file_of(arguments, arguments.sources, folder if folder.is_dir() else None) as (path, status):
-        return max(status, _export_file(path, arguments, form))
+        began_s = time.monotonic()
+        with shown_progress(lambda: (None, f"writing {escaped(arguments.file)}, {time.monotonic() - began_s:.0f} s")):
+            exported = _export_file(path, arguments, form)
+        return max(status, exported())
 
 
-def _export_file(path: str, arguments: argparse.Namespace, form: str) -> int:
+def _export_file(path: str, arguments: argparse.Namespace, form: str) -> Callable[[], int]:
+    """Write the file. Returns the function that prints the summary and returns the status."""
     from stampede_rt.files.editing import cut
     from stampede_rt.files.exporting import export_tables
     from stampede_rt.files.foreign import source_of
@@ -58,9 +65,8 @@ def _export_file(path: str, arguments: argparse.Namespace, form: str) -> int:
     end = MAX_INSTANT if arguments.end is None else arguments.end
     chosen = matches_any(arguments.channel)
     if form == "mcap":
-        return _written(
-            cut(path, arguments.file, start=start, end=end, chosen=chosen, overwrite=arguments.overwrite), arguments
-        )
+        written = cut(path, arguments.file, start=start, end=end, chosen=chosen, overwrite=arguments.overwrite)
+        return lambda: _written(written, arguments)
     source = source_of(path)
     try:
         tables = export_tables(
@@ -68,17 +74,17 @@ def _export_file(path: str, arguments: argparse.Namespace, form: str) -> int:
         )
     finally:
         source.close()
-    return _exported(tables, arguments)
+    return lambda: _exported(tables, arguments)
 
 
 def _written(summary: RecordingSummary, arguments: argparse.Namespace) -> int:
-    print_summary(summary, arguments.summary)
+    print_summary(summary, arguments.output)
     return 0 if summary.complete else INCOMPLETE
 
 
 def _exported(summary: ExportSummary, arguments: argparse.Namespace) -> int:
-    if arguments.summary == "json":
-        print(json.dumps({"rows": dict(summary.rows), "gaps": [gap.to_json() for gap in summary.gaps]}, indent=2))
+    if arguments.output != "table":
+        print_document({"rows": dict(summary.rows), "gaps": [gap.to_json() for gap in summary.gaps]}, arguments.output)
     else:
         print_rows([{"file": file, "rows": rows} for file, rows in summary.rows.items()], "table", none="no tables")
         for gap in summary.gaps[:GAPS_SHOWN]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import checked, parse_time
+from stampede_rt.cli.arguments import add_summary, checked, parse_time
 from stampede_rt.cli.instants import instant_text
-from stampede_rt.cli.output import bytes_text, print_facts, print_rows
+from stampede_rt.cli.output import bytes_text, print_document, print_facts, print_rows
 from stampede_rt.cli.record import INCOMPLETE, print_summary
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import FileError, InvalidArgument
@@ -56,7 +55,7 @@ def add_verbs(subparsers: Any) -> None:
 def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
-    parser.add_argument("--summary", choices=("table", "json"), default="table", help="how to print; default table")
+    add_summary(parser)
     return parser
 
 
@@ -78,16 +77,16 @@ def run_info(arguments: argparse.Namespace) -> int:
         ]
         facts = {
             "file": reader.path,
-            "size": bytes_text(reader.size) if arguments.summary == "table" else reader.size,
+            "size": bytes_text(reader.size) if arguments.output == "table" else reader.size,
             "writer": reader.library,
             "messages": index.statistics.message_count,
             "chunks": index.statistics.chunk_count,
             "begins": index.statistics.message_start_time,
             "ends": index.statistics.message_end_time,
         }
-    if arguments.summary == "json":
+    if arguments.output != "table":
         recording = None if summary is None else [one.to_json() for one in summary.channels]
-        print(json.dumps(facts | {"topics": topics, "recording": recording}, indent=2))
+        print_document(facts | {"topics": topics, "recording": recording}, arguments.output)
         return 0
     times = {name: instant_text(int(facts[name])) for name in ("begins", "ends")}
     print_facts(facts | times, "table")
@@ -104,7 +103,7 @@ def run_verify(arguments: argparse.Namespace) -> int:
     from stampede_rt.files.editing import verify
 
     report = verify(arguments.path)
-    _print_report(report, arguments.summary)
+    _print_report(report, arguments.output)
     if not report.intact:
         return FAILED
     return 0 if report.summary.complete else INCOMPLETE
@@ -115,7 +114,7 @@ def run_recover(arguments: argparse.Namespace) -> int:
     from stampede_rt.files.editing import recover
 
     report = recover(arguments.path, arguments.file, overwrite=arguments.overwrite)
-    _print_report(report, arguments.summary)
+    _print_report(report, arguments.output)
     return 0 if report.intact and report.summary.complete else INCOMPLETE
 
 
@@ -158,7 +157,7 @@ def run_merge(arguments: argparse.Namespace) -> int:
 
 
 def _written(summary: RecordingSummary, arguments: argparse.Namespace) -> int:
-    print_summary(summary, arguments.summary)
+    print_summary(summary, arguments.output)
     if not summary.channels:
         print(f"stampede: {escaped(os.fspath(arguments.file))} has no items", file=sys.stderr)
     return 0 if summary.complete else INCOMPLETE

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stampede_rt.cli.arguments import connected
-from stampede_rt.cli.record import INCOMPLETE
+from stampede_rt.cli.progress import shown_progress
+from stampede_rt.cli.record import INCOMPLETE, recording_progress
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 
@@ -35,7 +36,11 @@ def file_of(
 
 
 def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, since: str) -> int:
-    with connected(arguments) as rt, rt.record(sources, path, since=since, for_="0s") as recorder:
+    with (
+        connected(arguments) as rt,
+        rt.record(sources, path, since=since, for_="0s") as recorder,
+        shown_progress(recording_progress(recorder, None)),
+    ):
         summary = recorder.wait()
     assert summary is not None, "the recording has no limit of time here"
     for text in summary.absent:

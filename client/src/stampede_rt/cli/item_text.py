@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 from string import Formatter
 from typing import Any
@@ -41,14 +42,17 @@ def parse_format(text: str) -> Form:
     except ValueError as error:
         raise InvalidArgument(f"the format cannot be read: {error}; write {{{{ for a brace") from None
     for _, name, spec, conversion in parts:
-        if name is None:
-            continue
-        if name not in FIELDS and not (name.startswith("attributes[") and name.endswith("]")):
-            raise InvalidArgument(f"the format has no field {name!r}; write {', '.join(FIELDS)} or attributes[KEY]")
-        width = "".join(one for one in (spec or "") if one.isdigit())
-        if conversion or "{" in (spec or "") or (width and int(width[:9]) > WIDTH_MAX):
-            raise InvalidArgument(f"the format of {name!r} is not allowed; write a width such as {{seq:06d}}")
+        if name is not None:
+            _check_field(name, spec or "", conversion)
     return parts
+
+
+def _check_field(name: str, spec: str, conversion: str | None) -> None:
+    if name not in FIELDS and not (name.startswith("attributes[") and name.endswith("]")):
+        raise InvalidArgument(f"the format has no field {name!r}; write {', '.join(FIELDS)} or attributes[KEY]")
+    width = "".join(one for one in spec if one.isdigit())
+    if conversion or "{" in spec or (width and int(width[:9]) > WIDTH_MAX):
+        raise InvalidArgument(f"the format of {name!r} is not allowed; write a width such as {{seq:06d}}")
 
 
 def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
@@ -58,6 +62,12 @@ def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
     if arguments.output == "table":
         return item_line
     return lambda item, channel="", late=None: json.dumps(_named(channel) | item_row(item) | _lateness(late))
+
+
+def tell_dropped(dropped: int) -> None:
+    """Say on standard error how many items a subscription did not get, if there are any."""
+    if dropped:
+        print(f"stampede: retention collected {dropped} items before they could be printed", file=sys.stderr)
 
 
 def _named(channel: str) -> dict[str, str]:

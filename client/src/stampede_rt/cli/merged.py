@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import (
@@ -17,11 +18,11 @@ from stampede_rt.cli.arguments import (
     parse_count,
     timeout_seconds,
 )
-from stampede_rt.cli.item_text import add_item_options, item_printer
+from stampede_rt.cli.item_text import add_item_options, item_printer, tell_dropped
 from stampede_rt.cli.merging import MergedItem, TimeMerge
 from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, WatchRestart
 from stampede_rt.escaping import escaped
-from stampede_rt.values.model import ChannelInfo
+from stampede_rt.values.model import ChannelInfo, Item
 from stampede_rt.values.timeline import OLDEST, Bound
 
 if TYPE_CHECKING:
@@ -68,8 +69,7 @@ def run_sub(arguments: argparse.Namespace) -> int:
                     break
         finally:
             stream.end()
-    if stream.dropped:
-        print(f"stampede: retention collected {stream.dropped} items before they could be printed", file=sys.stderr)
+    tell_dropped(stream.dropped)
     return 0
 
 
@@ -113,20 +113,21 @@ class _Stream:
         start = self._start
         try:
             while not self._is_over:
-                try:
-                    with self._rt.watch(self._glob) as changes:
-                        for info in self._rt.channels(self._glob):
-                            self._begin(info.name, start)
-                        start = OLDEST  # a channel that is created later is read from its first item on
-                        for change in changes:
-                            if isinstance(change.subject, ChannelInfo) and change.kind == "added":
-                                self._begin(change.subject.name, start)
-                except WatchRestart:
-                    continue
+                with suppress(WatchRestart):
+                    self._follow_from(start)
+                start = OLDEST  # a channel that is created later is read from its first item on
         except StampedeError as error:
             with self._changed:
                 self._error = error
                 self._changed.notify_all()
+
+    def _follow_from(self, start: Bound | None) -> None:
+        with self._rt.watch(self._glob) as changes:
+            for info in self._rt.channels(self._glob):
+                self._begin(info.name, start)
+            for change in changes:
+                if isinstance(change.subject, ChannelInfo) and change.kind == "added":
+                    self._begin(change.subject.name, OLDEST)
 
     def _begin(self, name: str, start: Bound | None) -> None:
         with self._changed:
@@ -166,16 +167,21 @@ class _Stream:
         with channel.subscribe(start, payloads=self._payloads) as subscription:
             try:
                 for item in subscription:
-                    with self._changed:
-                        while not self._merge.has_room(name) and not self._is_over:
-                            self._changed.wait(LOOK_S)
-                        if self._is_over:
-                            return False
-                        self._merge.offer(name, item)
-                        self._changed.notify_all()
+                    if not self._offer(name, item):
+                        return False
             except IncarnationLost:
                 return True
             finally:
                 with self._changed:
                     self.dropped += subscription.dropped
         return False
+
+    def _offer(self, name: str, item: Item) -> bool:
+        """Wait for room, and give the item to the merge. Return False if the command has ended."""
+        with self._changed:
+            while not self._merge.has_room(name) and not self._is_over:
+                self._changed.wait(LOOK_S)
+            if not self._is_over:
+                self._merge.offer(name, item)
+                self._changed.notify_all()
+            return not self._is_over

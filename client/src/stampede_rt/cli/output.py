@@ -60,6 +60,11 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
         print(f"{key.replace('_', ' '):<{width}}  {_cell(value)}")
 
 
+def print_document(value: Any, form: str) -> None:
+    """Print one JSON value: on several lines in the form "json", on one line in the form "jsonl"."""
+    print(json.dumps(value, indent=2 if form == "json" else None))
+
+
 def print_behind(behind: Mapping[str, str]) -> None:
     """Warn that some services do not apply changed rules or quotas yet. `behind`: the reason for each service."""
     for name, why in behind.items():

@@ -17,19 +17,20 @@ def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
 
     JSON and numpy arrays are shown by their values, a text by its beginning, other bytes by length and content type.
     """
-    kind = content_type.partition(";")[0].strip().lower()
-    if payload is not None and length_bytes <= PARSED_BYTES_MAX:
-        shown = None
-        if kind == "application/json" or kind.endswith("+json"):
-            shown = _json_text(payload)
-        elif kind == "application/x-npy":
-            shown = _array_text(payload)
-        if shown is not None:
-            return _cut(shown, VALUE_CHARACTERS_MAX)
+    value = None if payload is None or length_bytes > PARSED_BYTES_MAX else _value_text(payload, content_type)
+    if value is not None:
+        return _cut(value, VALUE_CHARACTERS_MAX)
     text = None if payload is None else text_of(payload)
     if text is None or "\0" in text:
         return f"[{length_bytes} bytes{' ' + escaped(content_type) if content_type else ''}]"
     return _cut(text, TEXT_CHARACTERS_MAX)
+
+
+def _value_text(payload: bytes, content_type: str) -> str | None:
+    kind = content_type.partition(";")[0].strip().lower()
+    if kind == "application/json" or kind.endswith("+json"):
+        return _json_text(payload)
+    return _array_text(payload) if kind == "application/x-npy" else None
 
 
 def text_of(payload: bytes) -> str | None:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_summary, add_verb, connected, existing
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
-from stampede_rt.cli.output import bytes_text, joined, print_rows
+from stampede_rt.cli.output import bytes_text, joined, print_document, print_rows
+from stampede_rt.cli.progress import Progress, shown_progress
 from stampede_rt.errors import FileError, InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
-from stampede_rt.values.timeline import format_duration
+from stampede_rt.values.timeline import format_duration, parse_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
@@ -44,7 +46,7 @@ def add_verbs(subparsers: Any) -> None:
     )
     record.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd", help="default zstd")
     record.add_argument("--overwrite", action="store_true", help="overwrite an existing file")
-    record.add_argument("--summary", choices=("table", "json"), default="table", help="how to print the summary")
+    add_summary(record)
 
 
 def run_record(arguments: argparse.Namespace) -> int:
@@ -61,7 +63,8 @@ def run_record(arguments: argparse.Namespace) -> int:
         interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
         with recorder:
             _tell(recorder, arguments)
-            summary = recorder.wait()
+            with shown_progress(recording_progress(recorder, arguments.for_)):
+                summary = recorder.wait()
     return _ended(summary, arguments)
 
 
@@ -76,6 +79,19 @@ def _begun(rt: Connection, arguments: argparse.Namespace, path: Path) -> Recorde
     )
 
 
+def recording_progress(recorder: Recorder, for_: str | None) -> Callable[[], Progress]:
+    """Return the function that tells how far a recording is. `for_`: how long it takes, if that is known."""
+    began_s = time.monotonic()
+    takes_s = None if for_ is None else parse_duration(for_, "--for") / 1e9
+
+    def look() -> Progress:
+        passed_s = time.monotonic() - began_s
+        share = passed_s / takes_s if takes_s else None
+        return share, f"{recorder.recorded} items of {len(recorder.channels)} channels in {passed_s:.0f} s"
+
+    return look
+
+
 def _tell(recorder: Recorder, arguments: argparse.Namespace) -> None:
     names = recorder.channels
     shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
@@ -85,7 +101,7 @@ def _tell(recorder: Recorder, arguments: argparse.Namespace) -> None:
 
 def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> int:
     assert summary is not None, "the recording has no limit of time here"
-    print_summary(summary, arguments.summary)
+    print_summary(summary, arguments.output)
     return 0 if summary.complete else INCOMPLETE
 
 
@@ -100,7 +116,7 @@ def print_summary(summary: RecordingSummary, form: str) -> None:
             "absent": list(summary.absent),
             "channels": [one.to_json() for one in summary.channels],
         }
-        print(json.dumps(value, indent=2))
+        print_document(value, form)
         return
     rows = [_row(one) for one in summary.channels]
     print_rows(rows, "table", none=f"{escaped(summary.path)} has no channels")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, checked, connected, parse_time
+from stampede_rt.cli.arguments import add_summary, add_verb, checked, connected, parse_time
 from stampede_rt.cli.held_items import file_of
 from stampede_rt.cli.interrupts import interruption
-from stampede_rt.cli.output import joined, print_rows
+from stampede_rt.cli.output import joined, print_document, print_rows
+from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text
 from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import ReplaySummary
@@ -48,7 +48,7 @@ def add_verbs(subparsers: Any) -> None:
         verb.add_argument(
             "--shift", metavar="SHIFT", help='"now", or a duration such as -1h, for all times; default: as recorded'
         )
-        verb.add_argument("--summary", choices=("table", "json"), default="table", help="how to print the summary")
+        add_summary(verb)
 
 
 def _speed(text: str) -> float:
@@ -100,14 +100,15 @@ def _played(player: Player, arguments: argparse.Namespace, source: str) -> int:
     names = player.channels
     shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
     print(f"stampede: putting {escaped(source)} into {shown}", file=sys.stderr)
-    summary = player.wait()
+    with shown_progress(lambda: (player.done_share, f"{player.accepted} items put")):
+        summary = player.wait()
     assert summary is not None, "the replay has no limit of time here"
-    _print(summary, source, arguments.summary)
+    _print(summary, source, arguments.output)
     return 0 if summary.complete else INCOMPLETE
 
 
 def _print(summary: ReplaySummary, source: str, form: str) -> None:
-    if form == "json":
+    if form != "table":
         value = {
             "file": source,
             "items": dict(summary.items),
@@ -117,7 +118,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
             "rounds": summary.rounds,
             "gaps": [gap.to_json() for gap in summary.gaps],
         }
-        print(json.dumps(value, indent=2))
+        print_document(value, form)
         return
     rows = [{"channel": name, "items": items} for name, items in sorted(summary.items.items())]
     print_rows(rows, "table", none="no channels")

@@ -12,6 +12,7 @@ from typing import Any
 
 from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
+from stampede_rt.cli.arguments import FORMS
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import print_facts, print_rows
@@ -85,7 +86,7 @@ def _hours(text: str) -> float:
 def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
-    parser.add_argument("-o", "--output", choices=("table", "json"), default="table", help="the form")
+    parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
     return parser
 
 
@@ -187,8 +188,8 @@ def _run_add(arguments: argparse.Namespace) -> int:
         f"stampede supernode join --member {known} --token {made.token} --id {name} --listen {arguments.address} "
         "--data-dir DIR"
     )
-    if arguments.output == "json":
-        print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, "json")
+    if arguments.output != "table":
+        print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, arguments.output)
         return 0
     until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {until}."))
@@ -204,8 +205,8 @@ def _run_remove(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         removed = cluster.remove(arguments.id)
     remaining = [record.supernode_id for record in removed.supernodes]
-    if arguments.output == "json":
-        print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, "json")
+    if arguments.output != "table":
+        print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, arguments.output)
     else:
         print(escaped(f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}."))
     return 0
@@ -221,8 +222,8 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
         "supernode": taken.supernode_id,
         "index": taken.log_index,
         "size_bytes": taken.size_bytes,
-        "time": taken.time_unix_nano if arguments.output == "json" else instant_text(taken.time_unix_nano),
-        "took": taken.took_nanos if arguments.output == "json" else format_duration(taken.took_nanos),
+        "time": taken.time_unix_nano if arguments.output != "table" else instant_text(taken.time_unix_nano),
+        "took": taken.took_nanos if arguments.output != "table" else format_duration(taken.took_nanos),
     }
     if arguments.out is not None:
         facts |= {"backup": str(arguments.out), "sha256": taken.sha256.hex()}
