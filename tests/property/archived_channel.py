@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from stampede_rt.values.model import Policy, Reason
@@ -11,6 +12,8 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     ArchivedRun,
     ArchiveSpan,
+    BlocksOf,
+    PastFacts,
     PlacedBlock,
     Segment,
     WantedWindow,
@@ -18,6 +21,7 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.channel import (
     AllCursor,
     ChannelCore,
+    ChannelSnapshot,
     Offer,
     Position,
     PutOutcome,
@@ -41,13 +45,24 @@ class ArchivedChannel:
         self._per_block, self._per_segment = runs_per_block, blocks_per_segment
         self._archived_to = 1
         self._runs: dict[int, Run] = {}  # by first seq
+        self._accepted: dict[int, int] = {}  # by first seq
+        self.offers: list[tuple[int, Offer]] = []  # each accepted one, with the instant of its acceptance
         self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
         self._files: dict[int, bytes] = {}
         self.segments: list[Segment] = []
 
     def put(self, offer: Offer, now: int) -> PutOutcome:
         self.now = max(self.now, now)
-        return self.channel.put(offer, now, lambda first_seq, kept, stamped: b"%d" % first_seq)
+        outcome = self.channel.put(offer, now, lambda first_seq, kept, stamped: b"%d" % first_seq)
+        if outcome.run is not None:
+            self._accepted[outcome.run.first_seq] = now
+            self.offers.append((now, offer))
+        return outcome
+
+    @property
+    def first_accepted(self) -> int:
+        """When the first item was accepted."""
+        return min(self._accepted.values(), default=0)
 
     def archive(self) -> None:
         """Write all accepted items that the archive does not have."""
@@ -61,7 +76,7 @@ class ArchivedChannel:
         self.channel.collect(self.now)
 
     def _append(self, runs: list[Run]) -> None:
-        head, parts = archive.encode_items([ArchivedRun(self.now, run) for run in runs])
+        head, parts = archive.encode_items([ArchivedRun(self._accepted[run.first_seq], run) for run in runs])
         if not self.segments or len(self._blocks[self.segments[-1].number]) >= self._per_segment:
             number = len(self.segments)
             self._blocks[number], self._files[number] = [], b""
@@ -74,28 +89,38 @@ class ArchivedChannel:
     def read(self, query: Query) -> ReadAnswer:
         """The answer, in as many requests as a host would need."""
         moment = self.channel.snapshot(self.now)
-        lows = [one.low[0] for one in self.segments if one.low is not None]
-        highs = [one.high[0] for one in self.segments if one.high is not None]
-        span = ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=False)
+        try:
+            return self._read(query, moment, self.segments, self._blocks_of)
+        finally:
+            moment.close()
+
+    def read_as_of(self, query: Query, as_of: int) -> ReadAnswer:
+        """The answer as of an earlier instant, in as many requests as a host would need."""
+        past = archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, as_of)
+        facts = PastFacts(self.channel.policy, self.channel.incarnation, None, None, None)
+        moment = archive.past_moment(facts, past, span_of(past.segments), as_of)
+        return self._read(query, moment, past.segments, past.blocks_of(self._blocks_of))
+
+    def _read(
+        self, query: Query, moment: ChannelSnapshot, segments: Sequence[Segment], blocks_of: BlocksOf
+    ) -> ReadAnswer:
+        span = span_of(segments)
         within = archive.resolved(moment, span, query)
         assert within is not None, "the scenario puts an item first"
         answers = []
-        try:
-            while True:
-                read = ArchivedRead(moment, span, query, within)
-                run_to_end(read.begin())
-                while (wanted := read.next_window()) is not None:
-                    run_to_end(read.take(self._load(wanted)))
-                answers.append(answer := read.answer())
-                if not read.continues:
-                    break
-                last = answer.slices[0] if query.newest_first else answer.slices[-1]
-                at = last.lo if query.newest_first else last.hi - 1
-                position = Position(last.run.times[at], last.run.first_seq + at)
-                left = None if query.limit is None else query.limit - sum(one.items for one in answer.slices)
-                query = replace(query, after=position, limit=left)
-        finally:
-            moment.close()
+        while True:
+            read = ArchivedRead(moment, span, query, within)
+            run_to_end(read.begin())
+            while (wanted := read.next_window()) is not None:
+                run_to_end(read.take(self._load(wanted, segments, blocks_of)))
+            answers.append(answer := read.answer())
+            if not read.continues:
+                break
+            last = answer.slices[0] if query.newest_first else answer.slices[-1]
+            at = last.lo if query.newest_first else last.hi - 1
+            position = Position(last.run.times[at], last.run.first_seq + at)
+            left = None if query.limit is None else query.limit - sum(one.items for one in answer.slices)
+            query = replace(query, after=position, limit=left)
         return joined(answers, down=query.newest_first)
 
     def subscribe(self, start: int) -> AllCursor:
@@ -115,21 +140,29 @@ class ArchivedChannel:
         if missing is None:
             return self.channel.since(cursor, self.now, limit_bytes)
         chosen = archive.choose_part(
-            self.segments, lambda segment: self._blocks[segment.number], missing, bytes_max=limit_bytes
+            self.segments, self._blocks_of, missing, bytes_max=limit_bytes
         )
         runs = [run for segment, block in (*chosen.blocks, *chosen.among) for run in self._runs_of(segment, block)]
         held, _ = self.channel.look(self.now)
         part = archive.part_of(runs, chosen)
         return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
 
-    def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
+    def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
+        return self._blocks[segment.number]
+
+    def _archived_runs_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedRun]:
         content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
         assert archive.is_whole(block.head, content)
-        return [one.run for one in archive.decode_items(block.head, content, self._decode)]
+        return archive.decode_items(block.head, content, self._decode)
 
-    def _load(self, wanted: WantedWindow) -> archive.ArchiveWindow:
+    def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
+        return [one.run for one in self._archived_runs_of(segment, block)]
+
+    def _load(
+        self, wanted: WantedWindow, segments: Sequence[Segment], blocks_of: BlocksOf
+    ) -> archive.ArchiveWindow:
         self.loads += 1
-        chosen = archive.choose(self.segments, lambda segment: self._blocks[segment.number], wanted.wanted)
+        chosen = archive.choose(segments, blocks_of, wanted.wanted)
         runs = []
         for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
             runs += self._runs_of(segment, block)
@@ -138,6 +171,12 @@ class ArchivedChannel:
     def _decode(self, body: bytes) -> Run:
         run = self._runs[int(body)]
         return make_run(run.first_seq, run.times, run.durations, run.lengths, body)
+
+
+def span_of(segments: Sequence[Segment]) -> ArchiveSpan:
+    lows = [one.low[0] for one in segments if one.low is not None]
+    highs = [one.high[0] for one in segments if one.high is not None]
+    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=False)
 
 
 def joined(answers: list[ReadAnswer], *, down: bool) -> ReadAnswer:

@@ -107,6 +107,28 @@ def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alon
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_read_as_of_an_instant_answers_as_a_channel_of_memory_alone_did_then(seed: int) -> None:
+    draw = random.Random(seed)
+    large, small, positions, now = tell(draw)
+    small.archive()
+    overlap = large.policy.overlap_nanos
+    for _ in range(READS):
+        as_of = draw.randrange(small.first_accepted, now + 2)
+        then = ChannelCore(large.policy, incarnation=7)
+        for accepted, offer in small.offers:
+            if accepted <= as_of:
+                then.put(offer, accepted, lambda first_seq, kept, stamped: b"x")
+        query = query_of(draw, now, positions)
+        try:
+            expected = then.read(query, as_of)
+        except StampedeError as error:
+            with pytest.raises(type(error)):
+                small.read_as_of(query, as_of)
+            continue
+        assert shown(small.read_as_of(query, as_of), overlap or 0) == shown(expected, overlap or 0), (query, as_of)
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_subscription_that_begins_in_the_archive_brings_what_one_of_memory_alone_brings(seed: int) -> None:
     draw = random.Random(seed)
     large, small, _, now = tell(draw)

@@ -31,6 +31,7 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
+from stampede_rt_channel_host.core.archive.past import Past, PastFacts, RunsOf, nothing_left, past_moment, past_of
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import (
     Hole,
@@ -67,8 +68,11 @@ __all__ = [
     "BlocksOf",
     "Chosen",
     "Hole",
+    "Past",
+    "PastFacts",
     "PlacedBlock",
     "ReadAt",
+    "RunsOf",
     "Scan",
     "Segment",
     "Wanted",
@@ -85,7 +89,10 @@ __all__ = [
     "grown",
     "holes",
     "is_whole",
+    "nothing_left",
     "part_of",
+    "past_moment",
+    "past_of",
     "reaches",
     "resolved",
     "resolved_now",
