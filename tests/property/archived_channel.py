@@ -139,9 +139,7 @@ class ArchivedChannel:
         missing = self.channel.missing(cursor, self.now)
         if missing is None:
             return self.channel.since(cursor, self.now, limit_bytes)
-        chosen = archive.choose_part(
-            self.segments, self._blocks_of, missing, bytes_max=limit_bytes
-        )
+        chosen = archive.choose_part(self.segments, self._blocks_of, missing, bytes_max=limit_bytes)
         runs = [run for segment, block in (*chosen.blocks, *chosen.among) for run in self._runs_of(segment, block)]
         held, _ = self.channel.look(self.now)
         part = archive.part_of(runs, chosen)
@@ -158,9 +156,7 @@ class ArchivedChannel:
     def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
         return [one.run for one in self._archived_runs_of(segment, block)]
 
-    def _load(
-        self, wanted: WantedWindow, segments: Sequence[Segment], blocks_of: BlocksOf
-    ) -> archive.ArchiveWindow:
+    def _load(self, wanted: WantedWindow, segments: Sequence[Segment], blocks_of: BlocksOf) -> archive.ArchiveWindow:
         self.loads += 1
         chosen = archive.choose(segments, blocks_of, wanted.wanted)
         runs = []

@@ -24,6 +24,7 @@ from stampede_rt.values.reading import (
     SubscribeMode,
     Wait,
     after_position,
+    parse_as_of,
     parse_least_seq,
     parse_limit,
     parse_staleness,
@@ -101,6 +102,7 @@ class Reader(Reference):
         max_staleness: DurationLike | None = None,
         least_seq: int | None = None,
         within: Literal["memory"] | None = None,
+        as_of: InstantLike | None = None,
     ) -> Items:
         """Return the items in an interval, by default those whose span shares an instant with it.
 
@@ -113,7 +115,10 @@ class Reader(Reference):
         With `max_staleness`, such as "500ms", a proxy of the channel may answer whose state is at most this old. With
         `least_seq`, such as the seq of the program's own last item, a proxy may answer that has this item. If no proxy
         can, the owner answers. `staleness_nanos` of the answer tells. `within="memory"` reads only the items that the
-        host has in memory, and never waits for the archive of a recorded channel. Raises
+        host has in memory, and never waits for the archive of a recorded channel.
+
+        `as_of`, an instant that has passed: the answer of a recorded channel as its host would have given it then, with
+        the items that it had accepted by then and that its archive still holds. Without a timeout. Raises
         InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
@@ -131,27 +136,39 @@ class Reader(Reference):
                 max_staleness_nanos=parse_staleness(max_staleness),
                 least_seq=parse_least_seq(least_seq),
                 within_memory=parse_within(within),
+                as_of=parse_as_of(as_of),
             )
         )
 
-    def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
-        """Return the items whose span holds `time`. `timeout` as in `get`."""
+    def at(
+        self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
+    ) -> Items:
+        """Return the items whose span holds `time`. `timeout` and `as_of` as in `get`."""
         bound = parse_bound(time, "time")
-        return self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
+        return self._read(
+            ReadQuery(
+                parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout), as_of=parse_as_of(as_of)
+            )
+        )
 
-    def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+    def before(
+        self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
+    ) -> Item | None:
         """Return the newest item older than `time`, or None. Of several items with one time, return the last accepted.
 
-        `timeout` as in `get`.
+        `timeout` and `as_of` as in `get`.
         """
-        return self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
+        bound = parse_bound(time, "time")
+        return self._read_one(MIN_INSTANT, bound, "[)", True, None, payloads, timeout, as_of=as_of)
 
-    def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+    def oldest(
+        self, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
+    ) -> Item | None:
         """Return the oldest held item, or None. Of several items with one time, return the first accepted.
 
-        `timeout` as in `get`.
+        `timeout` and `as_of` as in `get`.
         """
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout, as_of=as_of)
 
     def newest(
         self,
@@ -161,15 +178,16 @@ class Reader(Reference):
         timeout: float | None = 0,
         max_staleness: DurationLike | None = None,
         least_seq: int | None = None,
+        as_of: InstantLike | None = None,
     ) -> Item | None:
         """Return the newest item, or None. With `after`, return the item only if it is later than this instant or item.
 
-        `timeout` in seconds: 0 answers at once, None waits without a limit. `max_staleness` and `least_seq` as in
-        `get`.
+        `timeout` in seconds: 0 answers at once, None waits without a limit. `max_staleness`, `least_seq` and
+        `as_of` as in `get`.
         """
         demand = parse_staleness(max_staleness), parse_least_seq(least_seq)
         position = None if after is None else after_position(after)
-        if self._view is None and payloads is True:
+        if self._view is None and payloads is True and as_of is None:
             deadline_s: float | None = 0.0
             if timeout != 0 or timeout is False:
                 wait_s = Wait.parse(timeout).seconds
@@ -179,7 +197,7 @@ class Reader(Reference):
                 return found
             if timeout and deadline_s is not None:
                 timeout = max(0.0, deadline_s - monotonic_s())
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, position, payloads, timeout, demand)
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, position, payloads, timeout, demand, as_of)
 
     def _read_one(
         self,
@@ -191,6 +209,7 @@ class Reader(Reference):
         payloads: bool,
         timeout: float | None,
         demand: tuple[int | None, int | None] = (None, None),
+        as_of: InstantLike | None = None,
     ) -> Item | None:
         items = self._read(
             ReadQuery(
@@ -203,12 +222,14 @@ class Reader(Reference):
                 wait=Wait.parse(timeout),
                 max_staleness_nanos=demand[0],
                 least_seq=demand[1],
+                as_of=parse_as_of(as_of),
             )
         )
         return items[0] if items else None
 
     def _read(self, query: ReadQuery) -> Items:
-        if self._view is None and query.payloads and query.after is None and query.newer_than is None:
+        is_plain = query.payloads and query.after is None and query.newer_than is None and query.as_of is None
+        if self._view is None and is_plain:
             found = read_interval(self._session, self._state, query)
             if not isinstance(found, AskHost):
                 return found

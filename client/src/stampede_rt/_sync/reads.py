@@ -21,6 +21,7 @@ from stampede_rt.values.timeline import ResolvedInterval, fixed
 from stampede_rt.wire.reads import (
     interval_to_message,
     match_to_message,
+    past_from_message,
     position_of,
     resolved_from_message,
     summary_reason,
@@ -103,6 +104,7 @@ def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | Non
         max_staleness_nanos=query.max_staleness_nanos,
         least_seq=query.least_seq,
         within_memory=query.within_memory,
+        as_of_unix_nano=query.as_of,
     )
 
 
@@ -128,5 +130,6 @@ def _answer(state: ChannelState, query: ReadQuery, responses: list[channel_pb.Ge
         reason=summary_reason(summary),
         incarnation=summary.incarnation,
         cut=summary.cut_unix_nano if summary.HasField("cut_unix_nano") else None,
+        past=past_from_message(summary.past) if summary.HasField("past") else None,
         staleness_nanos=summary.staleness_nanos if summary.HasField("staleness_nanos") else None,
     )

@@ -15,6 +15,7 @@ from stampede_rt.cli.arguments import (
     existing,
     parse_bound_text,
     parse_count,
+    parse_time,
     timeout_seconds,
 )
 from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, tell_dropped
@@ -57,13 +58,7 @@ def _add_get(subparsers: Any) -> None:
         metavar="TIME",
         help='start and end: a time, or now, newest or oldest, also with an offset, such as "newest-30ms"',
     )
-    which = get.add_mutually_exclusive_group()
-    which.add_argument("--last", metavar="DURATION", help='the items of the last DURATION, such as "30s"')
-    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="the items that hold at this time")
-    which.add_argument(
-        "--before", type=checked(parse_bound_text), metavar="TIME", help="the newest item before this time"
-    )
-    which.add_argument("--all", action="store_true", help="all held items")
+    _add_which(get)
     get.add_argument(
         "--bounds",
         choices=("[]", "[)", "(]", "()"),
@@ -87,8 +82,24 @@ def _add_get(subparsers: Any) -> None:
         help="wait this long for an item, e.g. 500ms; default 0s",
     )
     get.add_argument("--complete", action="store_true", help="wait until no more items can come into the interval")
+    get.add_argument(
+        "--as-of",
+        type=checked(parse_time),
+        metavar="TIME",
+        help="answer as the host would have answered then; for recorded channels",
+    )
     add_item_options(get)
     get.add_argument("--raw", action="store_true", help="write only the payloads, without separators")
+
+
+def _add_which(get: argparse.ArgumentParser) -> None:
+    which = get.add_mutually_exclusive_group()
+    which.add_argument("--last", metavar="DURATION", help='the items of the last DURATION, such as "30s"')
+    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="the items that hold at this time")
+    which.add_argument(
+        "--before", type=checked(parse_bound_text), metavar="TIME", help="the newest item before this time"
+    )
+    which.add_argument("--all", action="store_true", help="all held items")
 
 
 def run_get(arguments: argparse.Namespace) -> int:
@@ -110,7 +121,7 @@ def run_get(arguments: argparse.Namespace) -> int:
 def _get(channel: Channel, arguments: argparse.Namespace) -> tuple[Sequence[Item], Reason | None]:
     payloads = not arguments.no_payloads
     if arguments.at is not None:
-        items = channel.at(arguments.at, payloads=payloads, timeout=arguments.timeout)
+        items = channel.at(arguments.at, payloads=payloads, timeout=arguments.timeout, as_of=arguments.as_of)
         return items, items.reason
     items = _get_interval(channel, arguments, payloads)
     return items, items.reason
@@ -129,6 +140,7 @@ def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: boo
         payloads=payloads,
         timeout=arguments.timeout,
         complete=arguments.complete,
+        as_of=arguments.as_of,
     )
 
 

@@ -105,7 +105,7 @@ class PutRejection(_message.Message):
     def __init__(self, index: _Optional[int] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetRequest(_message.Message):
-    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "max_staleness_nanos", "least_seq", "cut_unix_nano", "within_memory")
+    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "max_staleness_nanos", "least_seq", "cut_unix_nano", "within_memory", "as_of_unix_nano")
     CALL_ID_FIELD_NUMBER: _ClassVar[int]
     CANCEL_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -125,6 +125,7 @@ class GetRequest(_message.Message):
     LEAST_SEQ_FIELD_NUMBER: _ClassVar[int]
     CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     WITHIN_MEMORY_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     call_id: int
     cancel: bool
     channel_id: bytes
@@ -144,7 +145,8 @@ class GetRequest(_message.Message):
     least_seq: int
     cut_unix_nano: int
     within_memory: bool
-    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., max_staleness_nanos: _Optional[int] = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., within_memory: bool = ...) -> None: ...
+    as_of_unix_nano: int
+    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., max_staleness_nanos: _Optional[int] = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., within_memory: bool = ..., as_of_unix_nano: _Optional[int] = ...) -> None: ...
 
 class GetResponse(_message.Message):
     __slots__ = ("call_id", "runs", "summary", "error")
@@ -159,7 +161,7 @@ class GetResponse(_message.Message):
     def __init__(self, call_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., summary: _Optional[_Union[GetSummary, _Mapping]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetSummary(_message.Message):
-    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano", "staleness_nanos", "continues")
+    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano", "staleness_nanos", "continues", "past")
     INTERVAL_FIELD_NUMBER: _ClassVar[int]
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
@@ -171,6 +173,7 @@ class GetSummary(_message.Message):
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     CONTINUES_FIELD_NUMBER: _ClassVar[int]
+    PAST_FIELD_NUMBER: _ClassVar[int]
     interval: _time_pb2.ResolvedInterval
     complete: bool
     truncated: bool
@@ -182,7 +185,16 @@ class GetSummary(_message.Message):
     host_time_unix_nano: int
     staleness_nanos: int
     continues: bool
-    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., continues: bool = ...) -> None: ...
+    past: PastSummary
+    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., continues: bool = ..., past: _Optional[_Union[PastSummary, _Mapping]] = ...) -> None: ...
+
+class PastSummary(_message.Message):
+    __slots__ = ("advance_unix_nano", "next_change_unix_nano")
+    ADVANCE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    NEXT_CHANGE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    advance_unix_nano: int
+    next_change_unix_nano: int
+    def __init__(self, advance_unix_nano: _Optional[int] = ..., next_change_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
     __slots__ = ("open", "credit_bytes")

@@ -116,6 +116,17 @@ class _Columnar(Protocol):
     def column(self, name: str) -> memoryview: ...
 
 
+class PastState(NamedTuple):
+    """Facts about a channel as it was at an earlier instant.
+
+    `advance`: the highest instant that its producers had promised to pass by then; None: none. `next_change`: when its
+    host next accepted an item or an advance; None: it has not done so yet.
+    """
+
+    advance: int | None
+    next_change: int | None
+
+
 class Items(Sequence[Item]):
     """The answer to a get: items in time order, or in reverse with `newest_first`, and facts about the answer.
 
@@ -129,6 +140,7 @@ class Items(Sequence[Item]):
     - `more`: the limit left out items.
     - `reason`: why the answer is empty or partial; None if nothing is missing.
     - `cut`: for reads through a group, its cut, exclusive. None for other reads, and while the group shows nothing.
+    - `past`: facts about the channel as it was then, for reads with `as_of`. None for other reads.
     - `staleness_nanos`: a copy of the channel has answered, and its state was at most this old; None: the owner has
       answered.
     """
@@ -140,6 +152,7 @@ class Items(Sequence[Item]):
         "incarnation",
         "interval",
         "more",
+        "past",
         "reason",
         "staleness_nanos",
         "truncated",
@@ -157,6 +170,7 @@ class Items(Sequence[Item]):
         incarnation: int,
         cut: int | None = None,
         staleness_nanos: int | None = None,
+        past: PastState | None = None,
     ) -> None:
         self._items = items
         self.interval = interval
@@ -167,6 +181,7 @@ class Items(Sequence[Item]):
         self.incarnation = incarnation
         self.cut = cut
         self.staleness_nanos = staleness_nanos
+        self.past = past
 
     @overload
     def __getitem__(self, index: int) -> Item: ...

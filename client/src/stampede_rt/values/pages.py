@@ -47,4 +47,5 @@ class Pages:
             incarnation=first.incarnation,
             cut=first.cut,
             staleness_nanos=first.staleness_nanos,
+            past=first.past,
         )

@@ -62,6 +62,7 @@ class ReadQuery:
       `cut` is None, the host reads at the present cut.
     - `max_staleness_nanos` and `least_seq`: the read accepts a copy that is at most this old, and that has the item of
       this seq. If both are None, it accepts no copy.
+    - `as_of`: the answer is as of this instant of the host's clock, and `cut` is a cut of then.
     - `within_memory`: the read leaves out the items that only the archive of the channel has.
     """
 
@@ -78,6 +79,7 @@ class ReadQuery:
     max_staleness_nanos: int | None = None
     least_seq: int | None = None
     within_memory: bool = False
+    as_of: int | None = None
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -91,6 +93,11 @@ def parse_within(within: str | None) -> bool:
     if within not in (None, "memory"):
         raise InvalidArgument(f'within is {within!r}; write "memory", or leave it out to read the archive, too')
     return within is not None
+
+
+def parse_as_of(as_of: InstantLike | None) -> int | None:
+    """Return `as_of` in nanoseconds; None for None. Raises InvalidArgument."""
+    return None if as_of is None else parse_instant(as_of, "as_of")
 
 
 def parse_staleness(max_staleness: DurationLike | None) -> int | None:

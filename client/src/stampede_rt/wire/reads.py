@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, time_pb2
-from stampede_rt.values.model import Item, Reason
+from stampede_rt.values.model import Item, PastState, Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 
 _TO_META = {
@@ -53,6 +53,14 @@ def interval_from_message(message: time_pb2.Interval) -> Interval:
         bound_from_message(message.end, "the interval's end"),
         message.start.exclusive,
         message.end.exclusive,
+    )
+
+
+def past_from_message(message: channel_service_pb2.PastSummary) -> PastState:
+    """Return the facts about a channel as it was at an earlier instant."""
+    return PastState(
+        message.advance_unix_nano if message.HasField("advance_unix_nano") else None,
+        message.next_change_unix_nano if message.HasField("next_change_unix_nano") else None,
     )
 
 

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
-from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Segment, WantedWindow
+from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 
 logger = logging.getLogger(__name__)
@@ -149,10 +149,17 @@ class HostArchive:
                 "the archive is written again", extra={"event": "archive_recovered", "folder": str(self.folder.path)}
             )
 
-    async def load(self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow) -> ArchiveWindow:
+    async def load(
+        self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: Past | None = None
+    ) -> ArchiveWindow:
         """Load a window in a thread. Raises OSError, for example if the archive's limits have removed a segment."""
         loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest)
+        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest, past)
+
+    async def past(self, files: SegmentFiles, segments: tuple[Segment, ...], as_of: int) -> Past:
+        """The segments as they were at an earlier instant. Looks at them in a thread. Raises OSError as `load`."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._readers, files.past, segments, as_of, self._decode)
 
     async def load_part(
         self, files: SegmentFiles, segments: tuple[Segment, ...], missing: tuple[int, int], bytes_max: int

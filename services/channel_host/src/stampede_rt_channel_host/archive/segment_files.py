@@ -7,6 +7,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchiveWindow,
     BlockHead,
     Hole,
+    Past,
     PlacedBlock,
     Segment,
     WantedWindow,
@@ -31,6 +33,7 @@ from stampede_rt_channel_host.core.archive import (
     holes,
     is_whole,
     part_of,
+    past_of,
     scan,
     summary,
     window_of,
@@ -260,9 +263,11 @@ class SegmentFiles:
         wanted: WantedWindow,
         decode: Callable[[bytes], Run],
         rest: Callable[[], None],
+        past: Past | None = None,
     ) -> ArchiveWindow:
-        """Load a window of the segments. Calls `rest` after each block, so that other threads have their turn."""
-        chosen = choose(segments, self._blocks_of, wanted.wanted)
+        """Load a window of `segments`, perhaps those of `past`. Calls `rest` after each block, for other threads."""
+        blocks_of = self._blocks_of if past is None else past.blocks_of(self._blocks_of)
+        chosen = choose(segments, blocks_of, wanted.wanted)
         runs: list[Run] = []
         missing: list[Hole] = []
         taken: dict[Segment, set[int]] = {}
@@ -274,9 +279,13 @@ class SegmentFiles:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
             rest()
         for segment, offsets in taken.items():
-            missing += holes(self._blocks_of(segment), offsets)
+            missing += holes(blocks_of(segment), offsets)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         return window._replace(holes=missing)
+
+    def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> Past:
+        """The segments as they were at an earlier instant."""
+        return past_of(segments, self._blocks_of, partial(self._archived_runs_of, decode), as_of)
 
     def load_part(
         self,
@@ -295,12 +304,17 @@ class SegmentFiles:
         return part_of(runs, chosen)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
+        return [one.run for one in self._archived_runs_of(decode, segment, block)]
+
+    def _archived_runs_of(
+        self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock
+    ) -> list[ArchivedRun]:
         with self._path(segment.number).open("rb", buffering=0) as file:
             content = os.pread(file.fileno(), block.head.content_bytes, block.offset + HEAD_BYTES)
         if not is_whole(block.head, content):
             self.damaged_blocks += 1
             return []
-        return [one.run for one in decode_items(block.head, content, decode)]
+        return decode_items(block.head, content, decode)
 
     def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
         """The blocks of a segment, as far as it had grown when the read began."""

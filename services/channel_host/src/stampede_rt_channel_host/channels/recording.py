@@ -13,6 +13,7 @@ from stampede_rt.values.timeline import Bound, Interval, ResolvedInterval
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.channels.past_reads import PastReader
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
@@ -136,6 +137,10 @@ class Recording:
             except OSError as error:
                 raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
         raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+
+    def past_reader(self) -> PastReader:
+        """Reads the channel as it was at earlier instants."""
+        return PastReader(self._archive, self.recorder, self._channel)
 
     def beginning(self, where: dict[str, Any], now: int) -> dict[str, Any]:
         """The place where a subscription begins, if it reaches below the items in memory.

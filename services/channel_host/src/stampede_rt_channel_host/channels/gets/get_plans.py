@@ -27,6 +27,7 @@ class GetPlan:
 
     `wait_nanos`: 0 means that the get may not wait; below 0 means that it may wait without limit. `group`: the group
     through which the get reads, if any. `demand`: the read's demands on a copy; None: it accepts none.
+    `as_of`: answer as at this instant; then only with the items before `cut`, if it is set.
     """
 
     channel_id: bytes
@@ -37,6 +38,8 @@ class GetPlan:
     demand: Freshness | None = None
     group: GroupReadParams | None = None
     within_memory: bool = False
+    as_of: int | None = None
+    cut: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,7 @@ class GetPlans:
 
 
 def _plan(request: pb.GetRequest) -> GetPlan:
+    has_past = request.HasField("as_of_unix_nano")
     return GetPlan(
         channel_id=request.channel_id,
         epoch=request.epoch,
@@ -95,6 +99,8 @@ def _plan(request: pb.GetRequest) -> GetPlan:
         demand=demand_of(request),
         group=group_of(request),
         within_memory=request.within_memory,
+        as_of=request.as_of_unix_nano if has_past else None,
+        cut=request.cut_unix_nano if has_past and request.HasField("cut_unix_nano") else None,
     )
 
 

@@ -18,7 +18,7 @@ from stampede_rt.status import to_error_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
 from stampede_rt_channel_host.channels.gets.archived_gets import read_recorded
 from stampede_rt_channel_host.channels.gets.get_plans import REQUEST_BYTES_MAX, GetCall, GetPlan, GetPlans, check_length
-from stampede_rt_channel_host.channels.gets.get_summaries import kept_bytes_of, summary_of
+from stampede_rt_channel_host.channels.gets.get_summaries import kept_bytes_of, past_to_message, summary_of
 from stampede_rt_channel_host.channels.gets.open_get import OpenGet
 from stampede_rt_channel_host.channels.gets.outbox import Outbox
 from stampede_rt_channel_host.channels.gets.waiting_get import Outcome, WaitingGet
@@ -138,7 +138,7 @@ class GetStream:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
         get = OpenGet(call_id, plan, hosted, now)
-        if hosted.recording is not None and get.reads_archive(now):
+        if get.reads_archive(now):
             self._calls[call_id] = self._stream.spawn(self._read_archive(get))
             return
         if not plan.wait_nanos:
@@ -300,6 +300,8 @@ class GetStream:
         if get.hosted.copy is not None:
             summary.staleness_nanos = get.hosted.copy.staleness_nanos
         summary.continues = get.continues
+        if get.past is not None:
+            summary.past.CopyFrom(past_to_message(get.past))
         messages = get_responses(get.call_id, answer, summary, without_payloads=get.plan.without_payloads)
         self._outbox.add(get.call_id, messages, get.hosted.count_delivered, kept_bytes, answer.slices)
 

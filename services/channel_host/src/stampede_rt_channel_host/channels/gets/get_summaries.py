@@ -5,6 +5,7 @@ from __future__ import annotations
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels.gets.outbox import COUNTED_BYTES_MAX
+from stampede_rt_channel_host.channels.past_reads import PastSummary
 from stampede_rt_channel_host.core.channel import (
     ITEM_OVERHEAD_BYTES,
     ReadAnswer,
@@ -27,6 +28,11 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
         cut_unix_nano=cut,
         host_time_unix_nano=now,
     )
+
+
+def past_to_message(past: PastSummary) -> pb.PastSummary:
+    """The facts about the channel at the instant as of which a get was answered."""
+    return pb.PastSummary(advance_unix_nano=past.advance, next_change_unix_nano=past.next_change)
 
 
 def kept_bytes_of(answer: ReadAnswer) -> int:

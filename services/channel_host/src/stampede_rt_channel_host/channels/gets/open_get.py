@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.timeline import format_instant
 from stampede_rt_channel_host.channels.gets.get_plans import GetPlan
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.past_reads import PastSummary
 from stampede_rt_channel_host.core.channel import Pending, ReadAnswer, Unfinished, WakeAt, first_of
 
 
 class OpenGet:
     """One get of a channel, from its start to its answer."""
 
-    __slots__ = ("_begun_at", "_polled_at", "call_id", "continues", "hosted", "pending", "plan", "waits_for_archive")
+    __slots__ = (
+        "_begun_at",
+        "_polled_at",
+        "call_id",
+        "continues",
+        "hosted",
+        "past",
+        "pending",
+        "plan",
+        "waits_for_archive",
+    )
 
     def __init__(self, call_id: int, plan: GetPlan, hosted: HostedChannel, now: int) -> None:
         self.call_id = call_id
@@ -19,13 +32,33 @@ class OpenGet:
         self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
         self.continues = False  # whether the answer was cut off for its length
         self.waits_for_archive = False  # whether the answer of memory is to be completed from the archive
+        self.past: PastSummary | None = None  # of a get as of an earlier instant
         self._begun_at = now
         self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
 
     def reads_archive(self, now: int) -> bool:
-        """Whether the answer may have items that only the archive of the channel has."""
+        """Whether the answer may have items that only the archive of the channel has, or is as of an earlier instant.
+
+        Raises InvalidArgument for a get that cannot be answered as of an earlier instant.
+        """
+        if self.plan.as_of is not None:
+            self._check_past(self.plan.as_of, now)
+            return True
         recording = self.hosted.recording
         return recording is not None and not self.plan.within_memory and recording.reaches(self.plan.query, now)
+
+    def _check_past(self, as_of: int, now: int) -> None:
+        name = self.hosted.record.name
+        if self.hosted.recording is None:
+            why = f"channel {name} is not recorded, so its host does not know its past; open it with archive="
+        elif self.plan.wait_nanos or self.plan.group is not None:
+            why = f"the read of channel {name} waits, or is through a group; a read as of an instant does neither"
+        elif as_of > now:
+            clock = format_instant(now)
+            why = f"{format_instant(as_of)} is ahead of the host's clock, {clock}; read as of a past instant"
+        else:
+            return
+        raise InvalidArgument(f"as_of: {why}")
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
         """Look for the answer of a blocking get.

@@ -31,7 +31,15 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
-from stampede_rt_channel_host.core.archive.past import Past, PastFacts, RunsOf, nothing_left, past_moment, past_of
+from stampede_rt_channel_host.core.archive.past import (
+    Past,
+    PastFacts,
+    RunsOf,
+    nothing_left,
+    past_moment,
+    past_of,
+    read_nothing,
+)
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import (
     Hole,
@@ -94,6 +102,7 @@ __all__ = [
     "past_moment",
     "past_of",
     "reaches",
+    "read_nothing",
     "resolved",
     "resolved_now",
     "scan",

@@ -115,8 +115,7 @@ def is_whole(head: BlockHead, content: bytes | memoryview) -> bool:
 
 
 def decode_items(head: BlockHead, content: bytes, decode: Callable[[bytes], Run]) -> list[ArchivedRun]:
-    """The runs below the head's `end_seq`, of a block whose content is whole. `decode` makes a run of its stored body.
-    """
+    """The runs below the head's `end_seq`. The content is whole. `decode` makes a run of its stored body."""
     at, runs = head.runs * _ROW.size, []
     for accepted, length in _ROW.iter_unpack(content[:at]):
         run = decode(content[at : at + length])

@@ -16,7 +16,9 @@ from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, 
 from stampede_rt_channel_host.core.archive.window import BlocksOf
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
-from stampede_rt_channel_host.core.channel.values import ReadAnswer
+from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
 
 RunsOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedRun]]
 """Returns the runs of a block; none if the block is damaged."""
@@ -96,7 +98,7 @@ class PastFacts(NamedTuple):
 
 
 def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
-    """The channel as it was at `clock`. `span` is that of its past. It has no item in memory, because the archive has all of them."""
+    """The channel as it was at `clock`, with no item in memory, because the archive has all. `span`: of `past`."""
     channel = ChannelCore(facts.policy, incarnation=facts.incarnation)
     channel.restore((), after=span.newest, next_seq=past.next_seq, lost_from=None)
     moment = channel.snapshot(clock)
@@ -104,6 +106,14 @@ def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> 
     if facts.lost_before is not None and facts.lost_before <= clock:
         moment.lost_before, moment.lost_from = facts.lost_before, facts.lost_from
     return moment
+
+
+def read_nothing(moment: ChannelSnapshot, query: Query, within: ResolvedInterval | None) -> Pieces[ReadAnswer]:
+    """The answer of a channel that had no item yet."""
+    held, retention = moment.look(moment.clock)
+    reading = Reading(held, retention, moment.incarnation, moment.lost_before)
+    reading.lost_from, reading.advance = moment.lost_from, moment.advanced_to
+    return (yield from reading.answer(query, within, moment.clock))
 
 
 def nothing_left(within: ResolvedInterval | None, as_of: int, incarnation: int) -> ReadAnswer:

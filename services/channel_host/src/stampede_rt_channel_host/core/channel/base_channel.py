@@ -181,6 +181,11 @@ class BaseChannel:
         return self._held.freed_entries
 
     @property
+    def lost_from(self) -> int | None:
+        """The earliest instant of items that may have been lost; see `Reading`."""
+        return self._reading.lost_from
+
+    @property
     def policy(self) -> Policy:
         """The policy as it was stated, without defaults."""
         return self._policy

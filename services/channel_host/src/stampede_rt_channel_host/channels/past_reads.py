@@ -1,0 +1,101 @@
+"""Reads of a recorded channel as of an earlier instant: when the host knew an item, not when it happened."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import NamedTuple
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.archive import (
+    ArchivedRead,
+    Past,
+    PastFacts,
+    nothing_left,
+    past_moment,
+    read_nothing,
+    resolved,
+)
+from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer
+
+_TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
+_RETRY_SECONDS = 0.02
+ARCHIVED_WITHIN_SECONDS = 5.0  # the longest wait until the archive has the items that were accepted by then
+
+
+class PastSummary(NamedTuple):
+    """The highest advance at an earlier instant, and when the channel next changed; None: never yet."""
+
+    advance: int | None
+    next_change: int | None
+
+
+class PastAnswer(NamedTuple):
+    """The answer of a read. `continues`: it was cut off for its length."""
+
+    answer: ReadAnswer
+    continues: bool
+    summary: PastSummary
+
+
+class PastReader:
+    """Reads one channel from its archive alone."""
+
+    def __init__(self, archive: HostArchive, recorder: ChannelRecorder, channel: ChannelCore) -> None:
+        self._archive = archive
+        self._recorder = recorder
+        self._channel = channel
+
+    async def read(self, query: Query, as_of: int, cut: int | None, scheduler: PieceScheduler) -> PastAnswer:
+        """Read as of an instant of the host's clock that has passed, only items before `cut` if it is set.
+
+        First waits until the archive has all items that the host had accepted by then. Raises Unavailable if that takes
+        more than ARCHIVED_WITHIN_SECONDS, or if the archive cannot be read.
+        """
+        self._channel.check_positions(query)
+        await self._archived(as_of)
+        for _ in range(_TRIES):
+            try:
+                return await self._read(query, as_of, scheduler)
+            except FileNotFoundError:  # a segment has just left the archive
+                await asyncio.sleep(_RETRY_SECONDS)
+            except OSError as error:
+                raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
+        raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+
+    async def _archived(self, as_of: int) -> None:
+        """Wait until the archive has all items that the host had accepted by `as_of`."""
+        tries = round(ARCHIVED_WITHIN_SECONDS / _RETRY_SECONDS)
+        while (since := self._recorder.waiting_since) is not None and since <= as_of:
+            tries -= 1
+            if tries < 0:
+                raise Unavailable(
+                    f"the archive does not have the items of that instant after {ARCHIVED_WITHIN_SECONDS} s; the disk "
+                    "is full or too slow, read again later"
+                )
+            await asyncio.sleep(_RETRY_SECONDS)
+
+    async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
+        segments, recorder = self._recorder.segments, self._recorder
+        past = await self._archive.past(recorder.files, segments, as_of)
+        later = [one for one in (past.next_accepted, recorder.waiting_since) if one is not None and one > as_of]
+        summary = PastSummary(None, min(later, default=None))
+        channel, span = self._channel, span_of(past.segments)
+        facts = PastFacts(channel.policy, channel.incarnation, None, channel.lost_before, channel.lost_from)
+        moment = past_moment(facts, past, span, as_of)
+        within = resolved(moment, span, query)
+        if not past.segments and segments and segments[0].first_seq > 1:
+            return PastAnswer(nothing_left(within, as_of, channel.incarnation), False, summary)
+        if within is None or not past.segments:
+            return PastAnswer(await scheduler.do(read_nothing(moment, query, within)), False, summary)
+        read = ArchivedRead(moment, span, query, within)
+        await scheduler.do(read.begin())
+        await self._load(read, past, scheduler)
+        return PastAnswer(read.answer(), read.continues, summary)
+
+    async def _load(self, read: ArchivedRead, past: Past, scheduler: PieceScheduler) -> None:
+        while (wanted := read.next_window()) is not None:
+            window = await self._archive.load(self._recorder.files, past.segments, wanted, past)
+            await scheduler.do(read.take(window))
