@@ -24,7 +24,7 @@ BEGIN, END = "<!-- layers: drawn by tools/signposts.py from pyproject.toml -->",
 WIDTH = 112
 
 MODULE = re.compile(r"`(stampede_rt\w*(?:\.\w+)*)`")
-ENTRY_POINTS = {"stampede_rt.verbs"}
+ENTRY_POINTS = {"stampede_rt.verbs", "stampede_rt.embedded_hosts"}
 PATH = re.compile(r"`([\w./-]+(?:\.(?:py|proto|toml|md)|/))`")
 MAPPED = re.compile(r"^  (\w+)/", re.MULTILINE)
 ROOM = re.compile(r"((?:client|services/\w+)/src/\w+/(\w+))/.+\.py$")

@@ -20,7 +20,8 @@ from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.watch import PeerWatch, Watch
-from stampede_rt.cluster.connecting import parse_target
+from stampede_rt.cluster.connecting import Target, parse_target
+from stampede_rt.cluster.embedding import HostHere, HostOptions, embedder
 from stampede_rt.errors import (
     ChannelExists,
     ChannelFull,
@@ -211,6 +212,7 @@ __all__ = [
     "WrongEventLoop",
     "__version__",
     "connect",
+    "host",
     "last",
     "now",
 ]
@@ -245,6 +247,16 @@ def connect(
     Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
+    return _opened(target, secret, transport, proof, None)
+
+
+def _opened(
+    target: Target,
+    secret: str | os.PathLike[str] | None,
+    transport: str | None,
+    proof: str | None,
+    host_here: HostHere | None,
+) -> Connection:
     address = ClusterReference.of(target, secret, transport)
     session = Session(
         target.frontends,
@@ -255,10 +267,51 @@ def connect(
         reopening=address,
     )
     try:
-        return Connection(session, target.name, proof)._open()
+        return Connection(session, target.name, proof)._open(host_here)
     except BaseException:
         session.close()
         raise
+
+
+def host(
+    url: str | None = None,
+    *,
+    name: str | None = None,
+    proof: str | None = None,
+    secret: str | os.PathLike[str] | None = None,
+    zone: str | None = None,
+    tls: TlsFiles | None = None,
+    transport: str | None = None,
+    listen: str | None = None,
+    advertise: str | None = None,
+    max_memory: int | str = "1GiB",
+    drain: DurationLike = "5s",
+    allow_insecure_anywhere: bool = False,
+) -> Connection:
+    """Connect to a cluster, and make this process a channel host of it (docs/embedding.md).
+
+    New channels and queues of this connection are at this host, unless the call names another place. All programs of
+    the cluster use them like others, and the directory may place channels of other programs here.
+
+    - `name`: the name of the host, and the name of this connection as a peer. Default: the host gets the name of the
+      machine with a random end, and the connection is no peer. With certificates it is the name in the certificate.
+    - `listen`: the address at which the host listens, as "HOST:PORT". Default: any free port at localhost, or, if a
+      front-end is on another machine, at this machine's address towards it; this needs certificates.
+    - `advertise`: the address at which others reach the host. Default: `listen`.
+    - `max_memory`: the most memory that all items at this host may use, in bytes or as "512MiB". Beyond it the host
+      refuses puts.
+    - `allow_insecure_anywhere`: listen beyond this machine without certificates, on a network that you trust.
+    - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
+      moves none, and their items are lost.
+
+    The other arguments are those of `connect`. The host needs the cluster's secret, or a certificate of the role host.
+
+    Blocks for at most 20 s. `close` blocks for `drain` and some seconds more.
+    Raises HostExists, the errors of `connect`, and InvalidArgument if the extra [server] is not installed.
+    """
+    options = HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere)
+    target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
+    return _opened(target, secret, transport, proof, embedder()(target, options))
 
 
 def now() -> int:

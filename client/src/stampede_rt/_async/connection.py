@@ -13,12 +13,14 @@ from stampede_rt._async.files import Files
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
+from stampede_rt._async.hosting import Hosting, open_channel, open_queue_near
 from stampede_rt._async.mailbox_sender import MailboxSender
 from stampede_rt._async.peer_locator import PeerLocator
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
-from stampede_rt._async.queue_locator import open_queue, queue_state
+from stampede_rt._async.queue_locator import queue_state
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt.cluster.embedding import HostHere
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
@@ -67,13 +69,16 @@ class Connection(Files, Reference):
             )
         return self._session.reopened("connection")
 
-    async def _open(self) -> Connection:
+    async def _open(self, host: HostHere | None = None) -> Connection:
         """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
-        Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+        `host` is the channel host of this process, if there is one; it starts first, which takes at most 15 s more.
+        Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists, HostExists.
         """
-        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         await self._session.open()
+        if host is not None:
+            await Hosting(self._session, host).begin()
+        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         if self._presence is not None:
             mailbox = await self._presence.begin(left_s(deadline_s))
             self._mailbox = Mailbox(self._session, self._presence, mailbox)
@@ -172,7 +177,7 @@ class Connection(Files, Reference):
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
         near = beside.name if isinstance(beside, Channel) else beside
-        info = await self._session.open_channel(name, stated, host, create, beside=near)
+        info = await open_channel(self._session, name, stated, host, create, near)
         return Channel(self._session, self._session.state_of(info, stated, create, coding))
 
     async def group(
@@ -288,7 +293,7 @@ class Connection(Files, Reference):
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
-        info = await open_queue(self._session, name, stated, host, create)
+        info = await open_queue_near(self._session, name, stated, host, create)
         return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead, reconnect)
 
     @property

@@ -14,12 +14,14 @@ from stampede_rt._sync.files import Files
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers, member_handles
+from stampede_rt._sync.hosting import Hosting, open_channel, open_queue_near
 from stampede_rt._sync.mailbox_sender import MailboxSender
 from stampede_rt._sync.peer_locator import PeerLocator
 from stampede_rt._sync.presence import Mailbox, Presence
 from stampede_rt._sync.queue import Queue, dead_letter_id, pending_at, stats_at
-from stampede_rt._sync.queue_locator import open_queue, queue_state
+from stampede_rt._sync.queue_locator import queue_state
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt.cluster.embedding import HostHere
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
@@ -68,13 +70,16 @@ class Connection(Files, Reference):
             )
         return self._session.reopened("connection")
 
-    def _open(self) -> Connection:
+    def _open(self, host: HostHere | None = None) -> Connection:
         """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
-        Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+        `host` is the channel host of this process, if there is one; it starts first, which takes at most 15 s more.
+        Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists, HostExists.
         """
-        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         self._session.open()
+        if host is not None:
+            Hosting(self._session, host).begin()
+        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         if self._presence is not None:
             mailbox = self._presence.begin(left_s(deadline_s))
             self._mailbox = Mailbox(self._session, self._presence, mailbox)
@@ -173,7 +178,7 @@ class Connection(Files, Reference):
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
         near = beside.name if isinstance(beside, Channel) else beside
-        info = self._session.open_channel(name, stated, host, create, beside=near)
+        info = open_channel(self._session, name, stated, host, create, near)
         return Channel(self._session, self._session.state_of(info, stated, create, coding))
 
     def group(
@@ -287,7 +292,7 @@ class Connection(Files, Reference):
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
-        info = open_queue(self._session, name, stated, host, create)
+        info = open_queue_near(self._session, name, stated, host, create)
         return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead, reconnect)
 
     @property

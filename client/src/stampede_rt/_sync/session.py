@@ -76,6 +76,7 @@ class Session:
         self.rings = SharedRings(self.endpoints, self.perform, transport)
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
+        self.own_host = ""  # the name of the channel host in this process, which belongs to this connection
         self.closing = False  # from the beginning of `close` on
         self.closed = False  # once `close` has ended all tasks
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer

@@ -24,7 +24,11 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt._async.watch import PeerWatch, Watch
 from stampede_rt.cluster.connecting import Target as _Target
 from stampede_rt.cluster.connecting import parse_target as _parse_target
+from stampede_rt.cluster.embedding import HostHere as _HostHere
+from stampede_rt.cluster.embedding import HostOptions as _HostOptions
+from stampede_rt.cluster.embedding import embedder as _embedder
 from stampede_rt.security.tls import TlsFiles
+from stampede_rt.values.timeline import DurationLike
 
 __all__ = [
     "Channel",
@@ -43,15 +47,17 @@ __all__ = [
     "Subscription",
     "Watch",
     "connect",
+    "host",
 ]
 
 
 class _Connecting:
     """`await connect(...)` gives the connection; `async with connect(...) as rt` also closes it at the end."""
 
-    def __init__(self, target: _Target, proof: str | None) -> None:
+    def __init__(self, target: _Target, proof: str | None, host_here: _HostHere | None = None) -> None:
         self._target = target
         self._proof = proof
+        self._host_here = host_here
         self._connection: Connection | None = None
 
     async def _connect(self) -> Connection:
@@ -64,7 +70,7 @@ class _Connecting:
             transport=target.transport,
         )
         try:
-            self._connection = await Connection(session, target.name, self._proof)._open()
+            self._connection = await Connection(session, target.name, self._proof)._open(self._host_here)
         except BaseException:
             await session.aclose()
             raise
@@ -95,3 +101,24 @@ def connect(
 ) -> _Connecting:
     """As `stampede_rt.connect`. Await it, or enter it with `async with`."""
     return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport), proof)
+
+
+def host(
+    url: str | None = None,
+    *,
+    name: str | None = None,
+    proof: str | None = None,
+    secret: str | _os.PathLike[str] | None = None,
+    zone: str | None = None,
+    tls: TlsFiles | None = None,
+    transport: str | None = None,
+    listen: str | None = None,
+    advertise: str | None = None,
+    max_memory: int | str = "1GiB",
+    drain: DurationLike = "5s",
+    allow_insecure_anywhere: bool = False,
+) -> _Connecting:
+    """As `stampede_rt.host`. Await it, or enter it with `async with`. The host has a thread of its own."""
+    options = _HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere)
+    target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
+    return _Connecting(target, proof, _embedder()(target, options))

@@ -18,6 +18,7 @@ MAX_BYTES_MIN = 64
 FOREVER_NANOS = 2**63 - 1
 """The value of `Policy.archive_nanos` for an archive that keeps its items for ever."""
 ARCHIVE_BYTES_MIN = 2**20
+HOST_MEMORY_BYTES_MIN = 2**20
 _SIZE_UNITS = {
     "": 1,
     "KiB": 2**10,
@@ -109,14 +110,29 @@ def archive_nanos_of(value: DurationLike | None) -> int | None:
 
 def archive_bytes_of(value: int | str | None) -> int | None:
     """Return `value`, a number of bytes or a text such as "200GiB"; None if it is None. Raises InvalidArgument."""
+    count = None if value is None else size_of("archive_bytes", value)
+    if count is not None and count < ARCHIVE_BYTES_MIN:
+        raise InvalidArgument(f"archive_bytes is {value!r}; it must be {ARCHIVE_BYTES_MIN} (1 MiB) or more")
+    return count
+
+
+def memory_of(what: str, value: int | str) -> int:
+    """Return `value` in bytes, the memory of a host. Raises InvalidArgument, which names `what`."""
+    count = size_of(what, value)
+    if count < HOST_MEMORY_BYTES_MIN:
+        raise InvalidArgument(f"{what} is {value!r}; it must be {HOST_MEMORY_BYTES_MIN} (1 MiB) or more")
+    return count
+
+
+def size_of(what: str, value: int | str) -> int:
+    """Return `value`, a number of bytes or a text such as "200GiB", in bytes. Raises InvalidArgument."""
     if isinstance(value, str):
         found = _SIZE.fullmatch(value.strip())
         if found is None:
-            raise InvalidArgument(f'archive_bytes is {value!r}; write a number of bytes, or a size such as "200GiB"')
+            raise InvalidArgument(f'{what} is {value!r}; write a number of bytes, or a size such as "200GiB"')
         value = int(float(found[1]) * _SIZE_UNITS[found[2]])
-    count = count_of("archive_bytes", value)
-    if count is not None and count < ARCHIVE_BYTES_MIN:
-        raise InvalidArgument(f"archive_bytes is {value!r}; it must be {ARCHIVE_BYTES_MIN} (1 MiB) or more")
+    count = count_of(what, value)
+    assert count is not None, "only None gives None"
     return count
 
 

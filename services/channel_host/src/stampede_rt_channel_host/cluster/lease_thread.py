@@ -8,10 +8,12 @@ the channels to other hosts.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import threading
 import time
 from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any, NoReturn, TypeVar
 
 from stampede_rt.values.peering import ClockOffset
@@ -78,6 +80,7 @@ class LeaseThread:
         self._registration: Registration | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
+        self._ended = asyncio.Event()  # the thread has ended
 
     def lease_held(self) -> bool:
         """Whether the host may serve its channels now."""
@@ -117,19 +120,23 @@ class LeaseThread:
             await _on(loop, registration.aclose())
         finally:
             loop.call_soon_threadsafe(loop.stop)
-            await asyncio.to_thread(thread.join, STOP_SECONDS_MAX)
+            # not with another thread: the interpreter may be ending, and begins none
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._ended.wait(), STOP_SECONDS_MAX)
 
     def _started(self) -> tuple[Registration, asyncio.AbstractEventLoop]:
         if self._registration is None or self._loop is None:
-            self._registration = self._make(ServingLoop(asyncio.get_running_loop()))
+            serving = asyncio.get_running_loop()
+            self._registration = self._make(ServingLoop(serving))
             self._loop = asyncio.new_event_loop()
-            self._thread = threading.Thread(target=_run_loop, args=(self._loop,), name="lease", daemon=True)
+            end = partial(serving.call_soon_threadsafe, self._ended.set)
+            self._thread = threading.Thread(target=_run_loop, args=(self._loop, end), name="lease", daemon=True)
             self._thread.start()
         return self._registration, self._loop
 
 
-def _run_loop(loop: asyncio.AbstractEventLoop) -> None:
-    """Run the loop until somebody stops it; then cancel its tasks and close it."""
+def _run_loop(loop: asyncio.AbstractEventLoop, tell_end: Callable[[], object]) -> None:
+    """Run the loop until somebody stops it; then cancel its tasks, close it, and call `tell_end`."""
     asyncio.set_event_loop(loop)
     try:
         loop.run_forever()
@@ -139,6 +146,8 @@ def _run_loop(loop: asyncio.AbstractEventLoop) -> None:
             task.cancel()
         loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
         loop.close()
+        with contextlib.suppress(RuntimeError):  # the serving loop has been closed
+            tell_end()
 
 
 async def _on(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, Result]) -> Result:

@@ -1,0 +1,248 @@
+"""A channel host inside another program's process: `stampede_rt.host` (paper, section 4.2).
+
+The host has a thread and an event loop of its own, so it serves others while the program is busy. It never sets what
+belongs to the whole process, such as signal handlers, limits or the garbage collector.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import re
+import socket
+import stat
+import threading
+from concurrent.futures import Future
+from pathlib import Path
+from weakref import WeakSet
+
+from stampede_rt.cluster.connecting import Target
+from stampede_rt.cluster.embedding import HostOptions
+from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable
+from stampede_rt.security.credentials import Credentials, SecretReader
+from stampede_rt_channel_host.served_host import ServedHost
+from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_runtime.access.tokens import is_token
+from stampede_rt_runtime.auth import Secret, load_secret
+from stampede_rt_runtime.dial import Dialer
+from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.listen import CannotListen, NotAllowed
+from stampede_rt_runtime.settings import SettingsError
+from stampede_rt_runtime.tls import load_tls
+from stampede_rt_runtime.values import parse_address_text, parse_target
+
+logger = logging.getLogger(__name__)
+
+ANSWER_SECONDS = 2.0  # `start` waits longer than the host tries to enter, so that it gets the host's own error
+LEAVE_SECONDS_MAX = 10.0  # for the end of a host, beside the time of its drain
+_MISUSES = (CannotListen, NotAllowed, SettingsError, ValueError)
+
+
+class EmbeddedHost:
+    """A host on a thread of this process, from `start` to `leave`. It also leaves when the main thread has ended."""
+
+    def __init__(self, target: Target, options: HostOptions) -> None:
+        self._credentials = _credentials(target.credentials)
+        self._drain_s = options.drain_s
+        self._start_timeout_s = 0.0
+        self._settings = _settings(target, options)
+        self._process = os.getpid()
+        self._served: ServedHost | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop = asyncio.Event()
+        self._started: Future[None] = Future()
+        # not a daemon: when the program ends without a close, the interpreter waits until the host has left
+        self._thread = threading.Thread(target=self._run, name="stampede host", daemon=False)
+
+    @property
+    def name(self) -> str:
+        """The host's name in the directory."""
+        return "" if self._served is None else self._served.host.identity.name
+
+    @property
+    def target(self) -> str:
+        """The address at which others reach the host."""
+        return "" if self._served is None else self._served.advertise
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread of the host runs, in this process."""
+        return self._process == os.getpid() and self._thread.is_alive()
+
+    def start(self, timeout_s: float) -> None:
+        """Start the host, and wait until the directory knows it.
+
+        Raises InvalidArgument if the host cannot listen, HostExists, PermissionDenied, Unavailable.
+        """
+        _here.add(self)
+        self._start_timeout_s = timeout_s
+        self._thread.start()
+        try:
+            self._started.result(timeout_s + ANSWER_SECONDS)
+        except TimeoutError:
+            self.leave()
+            raise Unavailable(f"this process did not become a host within {timeout_s:.0f} s; try again") from None
+        except _MISUSES as error:
+            raise _cannot_host(error) from error
+
+    def leave(self) -> None:
+        """Move the channels to other hosts, deregister the host, and end its thread. Idempotent.
+
+        Blocks for the drain and for LEAVE_SECONDS_MAX at most. In a forked child it does nothing.
+        """
+        if not self.is_alive:
+            return
+        self.ask_to_leave()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(self._drain_s + LEAVE_SECONDS_MAX)
+
+    def ask_to_leave(self) -> None:
+        """Begin to leave. Does not wait. Idempotent."""
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            with contextlib.suppress(RuntimeError):  # the loop has closed meanwhile
+                loop.call_soon_threadsafe(self._stop.set)
+
+    def close_in_child(self) -> None:
+        """Close the copies of the host's sockets that a forked child has.
+
+        Otherwise the port would stay open after the end of the parent, and its callers would wait for an answer.
+        """
+        served = self._served
+        if served is None:
+            return
+        port, path = served.address.rpartition(":")[2], served.local.removeprefix("unix:")
+        for descriptor in _sockets_of_this_process():
+            if _local_end(descriptor) in (port, path):
+                os.close(descriptor)
+
+    def _run(self) -> None:
+        try:
+            with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+                runner.run(self._serve())
+        except BaseException as error:  # `start` raises it on the program's thread
+            if not self._started.done():
+                self._started.set_exception(error)
+            else:
+                logger.exception("the host in this process ended", extra={"event": "embedded_host_failed"})
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        served = self._served = ServedHost(self._settings, self._credentials, lambda failure: self._stop.set())
+        try:
+            await served.listen()
+            await self._enter(served)
+            await self._stop.wait()
+            if self._drain_s:
+                await served.host.give_away(self._drain_s)
+        finally:
+            await served.server.stop(served.host.leave)
+
+    async def _enter(self, served: ServedHost) -> None:
+        work = served.host.enter(served.advertise, self._start_timeout_s, local_target=served.local)
+        entering = asyncio.ensure_future(work)
+        stopping = asyncio.ensure_future(self._stop.wait())
+        await asyncio.wait({entering, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        stopping.cancel()
+        if not entering.done():
+            raise Unavailable("the host was told to leave before the directory knew it")
+        entering.result()
+        self._started.set_result(None)
+
+
+def _settings(target: Target, options: HostOptions) -> HostSettings:
+    """The settings of the host. Raises InvalidArgument."""
+    try:
+        return HostSettings(
+            listen=parse_address_text(options.listen) if options.listen else "",
+            advertise=parse_target(options.advertise) if options.advertise else "",
+            name=target.name,
+            frontend=target.frontends,
+            zone=target.zone,
+            memory_bytes_max=options.memory_bytes_max,
+            allow_insecure_anywhere=options.allow_insecure_anywhere,
+        )
+    except ValueError as error:
+        raise _cannot_host(error) from error
+
+
+def _cannot_host(error: Exception) -> InvalidArgument:
+    """The error for the caller of `stampede_rt.host`, whose arguments have the names of the flags."""
+    text = re.sub(r"--([a-z][a-z-]*)", lambda found: found[1].replace("-", "_"), str(error))
+    return InvalidArgument(f"this process cannot host channels: {text}")
+
+
+def _credentials(given: Credentials) -> Dialer:
+    """The credentials of a host, from those of the program. Raises PermissionDenied."""
+    secret = given.secret
+    if isinstance(secret, SecretReader):
+        found = load_secret(secret.path) if secret.current() else None
+    else:
+        found = Secret(text=secret, path=Path("the argument `secret`")) if secret else None
+    if found is not None and is_token(found.text):
+        raise PermissionDenied(
+            "a process with a client token cannot host channels, because hosts check callers; give it the "
+            "cluster's secret, or a certificate of the role host"
+        )
+    return Dialer(secret=found, tls=load_tls(given.tls.files, Role.HOST) if given.tls else None)
+
+
+def _sockets_of_this_process() -> list[int]:
+    """The file descriptors of this process that are sockets."""
+    try:
+        descriptors = [int(name) for name in os.listdir("/dev/fd")]
+    except OSError:  # the system has no such folder: a child keeps the sockets open
+        return []
+    return [one for one in descriptors if _is_socket(one)]
+
+
+def _is_socket(descriptor: int) -> bool:
+    try:
+        return stat.S_ISSOCK(os.fstat(descriptor).st_mode)
+    except OSError:  # the descriptor with which the folder was listed
+        return False
+
+
+def _local_end(descriptor: int) -> str:
+    """The port or the path of a socket at this end."""
+    with socket.socket(fileno=os.dup(descriptor)) as copy:
+        name = copy.getsockname()
+    return str(name[1]) if isinstance(name, tuple) else str(name)
+
+
+_here: WeakSet[EmbeddedHost] = WeakSet()  # the hosts of this process
+_watch_started = threading.Lock()
+
+
+def _leave_at_exit() -> None:
+    """Wait for the end of the program's main thread, and have the hosts leave. Runs on a daemon thread.
+
+    The threads of the hosts are no daemons, so the interpreter waits for them.
+    """
+    threading.main_thread().join()
+    for host in [*_here]:
+        host.ask_to_leave()
+
+
+def _in_child() -> None:
+    global _watch_started
+    _watch_started = threading.Lock()
+    for host in [*_here]:
+        host.close_in_child()
+    _here.clear()
+
+
+os.register_at_fork(after_in_child=_in_child)
+
+
+def embed(target: Target, options: HostOptions) -> EmbeddedHost:
+    """Make the host of a program, for `stampede_rt.host`. Raises InvalidArgument, PermissionDenied.
+
+    The first host of a process starts a thread that watches for the end of the program.
+    """
+    made = EmbeddedHost(target, options)
+    if _watch_started.acquire(blocking=False):
+        threading.Thread(target=_leave_at_exit, name="stampede host exit", daemon=True).start()
+    return made
