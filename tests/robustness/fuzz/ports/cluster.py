@@ -7,6 +7,7 @@ import resource
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import grpc
@@ -31,10 +32,16 @@ class FuzzedCluster:
     With `tls`, callers need certificates.
     """
 
-    def __init__(self, outcome: Outcome, *, tls: bool) -> None:
+    def __init__(self, outcome: Outcome, *, tls: bool, archive: Path) -> None:
         self.outcome = outcome
         self.processes = LocalCluster(
-            hosts=1, supernodes=1, tls=tls, on_line=self._hear, on_exit=self._ended, log_level="warning"
+            hosts=1,
+            supernodes=1,
+            tls=tls,
+            on_line=self._hear,
+            on_exit=self._ended,
+            log_level="warning",
+            archive=archive,
         )
         self.processes.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
         self._tls, self._stopping = tls, False
@@ -97,9 +104,10 @@ class FuzzedCluster:
 @asynccontextmanager
 async def fuzzed_cluster(outcome: Outcome, *, tls: bool) -> AsyncIterator[FuzzedCluster]:
     """Running."""
-    one = FuzzedCluster(outcome, tls=tls)
-    await asyncio.to_thread(one.processes.start)
-    try:
-        yield one
-    finally:
-        await asyncio.to_thread(one.stop)
+    with TemporaryDirectory(prefix="stampede-fuzz-") as archive:
+        one = FuzzedCluster(outcome, tls=tls, archive=Path(archive))
+        await asyncio.to_thread(one.processes.start)
+        try:
+            yield one
+        finally:
+            await asyncio.to_thread(one.stop)

@@ -24,7 +24,7 @@ from tests.robustness.fuzz.ports.cluster import FuzzedCluster
 
 PERIOD_SECONDS, CALL_SECONDS = 1.0, 10.0
 MS, S = 10**6, 10**9
-NAMES = ("a", "b", "c", "cam/1", "cam/2", "q", "r", "g", "h1", "hostile")
+NAMES = ("a", "b", "c", "d", "cam/1", "cam/2", "q", "r", "g", "h1", "hostile")
 MEMBERS = ("s1", "s9")
 TOLD: dict[str, Sequence[Any]] = {
     **dict.fromkeys(("name", "name_glob", "taker_name", "host_name", "mailbox_host_name"), NAMES),
@@ -48,6 +48,7 @@ CHANNELS: dict[str, dict[str, Any]] = {
     "a": {"max_items": 50},
     "b": {"max_items": 20, "consumers": 1, "on_full": "block"},
     "c": {"max_age": "5s", "overlap": "1s"},
+    "d": {"max_items": 5, "archive": "10s", "archive_bytes": "1MiB"},
 }
 QUEUES: dict[str, dict[str, Any]] = {"q": {"max_items": 50, "lease": "1s"}, "r": {"max_items": 20, "copies": 2}}
 LISTED: tuple[tuple[Any, str, Any], ...] = (
