@@ -10,7 +10,8 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
-# those with a whole cluster; a test that cannot run with rules says so: @pytest.mark.without_rules(reason)
+# Those with a whole cluster. A test that cannot run with rules says so: @pytest.mark.without_rules(reason). They use
+# --tb=native, because the own tracebacks of pytest may exceed the recursion of the parser of Python 3.11, which ends the run.
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
 # Where bytecode files are forbidden beside the sources (as in many container images), all that runs here keeps them
@@ -45,7 +46,7 @@ test: setup  ## the whole test suite
 	$(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
-	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile $(ACL_TESTS)
+	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(ACL_TESTS)
 
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
