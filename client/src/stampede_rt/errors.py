@@ -211,8 +211,8 @@ class PermissionDenied(StampedeError):
 class Overloaded(StampedeError):
     """The server has reached one of its bounds, or the caller one of its quotas. Try again later.
 
-    `retryable` is False at the quotas `channels`, `queues` and `groups`: no room comes until someone deletes some of
-    these.
+    `retryable` is False at the quotas `channels`, `queues`, `groups` and `bytes-archived`, and if the archive of a host
+    is full: no room comes until someone deletes some of these.
     """
 
     reason = "OVERLOADED"
@@ -220,7 +220,8 @@ class Overloaded(StampedeError):
 
     def __init__(self, message: str, *, reason: str | None = None, metadata: Mapping[str, str] | None = None) -> None:
         super().__init__(message, reason=reason, metadata=metadata)
-        self.retryable = self.metadata.get("quota") not in ("channels", "queues", "groups")
+        is_lasting = self.metadata.get("quota") in ("channels", "queues", "groups", "bytes-archived")
+        self.retryable = not is_lasting and "archive_bytes_max" not in self.metadata
 
     @property
     def is_over_open_streams(self) -> bool:

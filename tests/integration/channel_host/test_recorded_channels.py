@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import stampede_rt as st
+from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
 
 ITEMS = 400
@@ -176,3 +177,25 @@ def test_a_subscription_begins_in_the_archive_and_goes_on_live(rt: st.Connection
     assert [item.end for item in taken[:300]] == [item.time + MS for item in taken[:300]]
     with channel.subscribe(after=taken[2]) as items:
         assert next(items).payload == b"8"
+
+
+def test_a_caller_may_fill_the_disk_only_up_to_its_quota_and_hears_the_name_of_the_quota(
+    rt: st.Connection, cluster: LocalCluster, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret.path))
+    channel = rt.channel("rig/filling", max_items=2, archive="forever")
+    assert stampede(["quota", "set", "@cluster", "bytes-archived=600KiB"]) == 0
+    with pytest.raises(st.Overloaded, match=r"@cluster has \d+ bytes on the disk .* quota bytes-archived is 614400"):  # noqa: PT012
+        for _ in range(10_000):  # the host counts the bytes when they are on the disk
+            channel.put(bytes(2**16))
+    with pytest.raises(st.Overloaded, match="bytes-archived"):
+        rt.channel("rig/another", archive="forever").put(b"new")
+    plain = rt.channel("rig/plain", max_items=2)
+    with pytest.raises(st.Overloaded, match="bytes-archived"):
+        plain.configure(archive="forever")
+    plain.put(b"goes on")
+    assert stampede(["quota", "rm", "@cluster"]) == 0
+    channel.put(b"more")
+    plain.configure(archive="forever")
+    capsys.readouterr()

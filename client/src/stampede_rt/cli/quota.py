@@ -18,9 +18,10 @@ from stampede_rt.escaping import escaped
 
 QUOTAS = (
     "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "groups", "peers",
-    "changes-per-second", "bytes-held", "cpu-percent",
+    "changes-per-second", "bytes-held", "bytes-archived", "cpu-percent",
 )  # fmt: skip
-IN_BYTES = frozenset({"bytes-in-flight", "bytes-held"})
+IN_BYTES = frozenset({"bytes-in-flight", "bytes-held", "bytes-archived"})
+OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}  # the defaults are 7/8
 DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
@@ -193,8 +194,8 @@ def _limit_row(kind: int, limit: int) -> dict[str, Any]:
 
 
 def _amount_text(row: dict[str, Any], key: str) -> str:
-    if row["quota"] == "bytes-held" and row[key] == UNLIMITED and DEFAULT in row.values():
-        return "7/8 of each host's --memory-bytes-max"
+    if row["quota"] in OF_EACH_HOST and row[key] == UNLIMITED and DEFAULT in row.values():
+        return f"7/8 of each host's {OF_EACH_HOST[row['quota']]}"
     return _text(row["quota"], row[key])
 
 

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/quota.proto\x12\x0estampede_rt.v1\"S\n\x0cQuotaSetting\x12\x0b\n\x03who\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\r\n\x05limit\x18\x03 \x01(\x04\"s\n\nQuotaLimit\x12\'\n\x04kind\x18\x01 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\r\n\x05limit\x18\x02 \x01(\x04\x12-\n\x07setting\x18\x03 \x01(\x0b\x32\x1c.stampede_rt.v1.QuotaSetting\"r\n\x08QuotaUse\x12\x0f\n\x07subject\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\x0c\n\x04used\x18\x03 \x01(\x04\x12\r\n\x05limit\x18\x04 \x01(\x04\x12\x0f\n\x07refused\x18\x05 \x01(\x04*\xd2\x02\n\tQuotaKind\x12\x1a\n\x16QUOTA_KIND_UNSPECIFIED\x10\x00\x12\x16\n\x12QUOTA_KIND_STREAMS\x10\x01\x12\x1c\n\x18QUOTA_KIND_SUBSCRIPTIONS\x10\x02\x12\x1c\n\x18QUOTA_KIND_WAITING_CALLS\x10\x03\x12\x1e\n\x1aQUOTA_KIND_BYTES_IN_FLIGHT\x10\x04\x12\x17\n\x13QUOTA_KIND_CHANNELS\x10\x05\x12\x15\n\x11QUOTA_KIND_QUEUES\x10\x06\x12!\n\x1dQUOTA_KIND_CHANGES_PER_SECOND\x10\x07\x12\x19\n\x15QUOTA_KIND_BYTES_HELD\x10\x08\x12\x1a\n\x16QUOTA_KIND_CPU_PERCENT\x10\t\x12\x15\n\x11QUOTA_KIND_GROUPS\x10\n\x12\x14\n\x10QUOTA_KIND_PEERS\x10\x0b\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/quota.proto\x12\x0estampede_rt.v1\"S\n\x0cQuotaSetting\x12\x0b\n\x03who\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\r\n\x05limit\x18\x03 \x01(\x04\"s\n\nQuotaLimit\x12\'\n\x04kind\x18\x01 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\r\n\x05limit\x18\x02 \x01(\x04\x12-\n\x07setting\x18\x03 \x01(\x0b\x32\x1c.stampede_rt.v1.QuotaSetting\"r\n\x08QuotaUse\x12\x0f\n\x07subject\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.stampede_rt.v1.QuotaKind\x12\x0c\n\x04used\x18\x03 \x01(\x04\x12\r\n\x05limit\x18\x04 \x01(\x04\x12\x0f\n\x07refused\x18\x05 \x01(\x04*\xf1\x02\n\tQuotaKind\x12\x1a\n\x16QUOTA_KIND_UNSPECIFIED\x10\x00\x12\x16\n\x12QUOTA_KIND_STREAMS\x10\x01\x12\x1c\n\x18QUOTA_KIND_SUBSCRIPTIONS\x10\x02\x12\x1c\n\x18QUOTA_KIND_WAITING_CALLS\x10\x03\x12\x1e\n\x1aQUOTA_KIND_BYTES_IN_FLIGHT\x10\x04\x12\x17\n\x13QUOTA_KIND_CHANNELS\x10\x05\x12\x15\n\x11QUOTA_KIND_QUEUES\x10\x06\x12!\n\x1dQUOTA_KIND_CHANGES_PER_SECOND\x10\x07\x12\x19\n\x15QUOTA_KIND_BYTES_HELD\x10\x08\x12\x1a\n\x16QUOTA_KIND_CPU_PERCENT\x10\t\x12\x15\n\x11QUOTA_KIND_GROUPS\x10\n\x12\x14\n\x10QUOTA_KIND_PEERS\x10\x0b\x12\x1d\n\x19QUOTA_KIND_BYTES_ARCHIVED\x10\x0c\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -32,7 +32,7 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.quota_pb2', 
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_QUOTAKIND']._serialized_start=365
-  _globals['_QUOTAKIND']._serialized_end=703
+  _globals['_QUOTAKIND']._serialized_end=734
   _globals['_QUOTASETTING']._serialized_start=46
   _globals['_QUOTASETTING']._serialized_end=129
   _globals['_QUOTALIMIT']._serialized_start=131

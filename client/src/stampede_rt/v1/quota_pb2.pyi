@@ -20,6 +20,7 @@ class QuotaKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     QUOTA_KIND_CPU_PERCENT: _ClassVar[QuotaKind]
     QUOTA_KIND_GROUPS: _ClassVar[QuotaKind]
     QUOTA_KIND_PEERS: _ClassVar[QuotaKind]
+    QUOTA_KIND_BYTES_ARCHIVED: _ClassVar[QuotaKind]
 QUOTA_KIND_UNSPECIFIED: QuotaKind
 QUOTA_KIND_STREAMS: QuotaKind
 QUOTA_KIND_SUBSCRIPTIONS: QuotaKind
@@ -32,6 +33,7 @@ QUOTA_KIND_BYTES_HELD: QuotaKind
 QUOTA_KIND_CPU_PERCENT: QuotaKind
 QUOTA_KIND_GROUPS: QuotaKind
 QUOTA_KIND_PEERS: QuotaKind
+QUOTA_KIND_BYTES_ARCHIVED: QuotaKind
 
 class QuotaSetting(_message.Message):
     __slots__ = ("who", "kind", "limit")

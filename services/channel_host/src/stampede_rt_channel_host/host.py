@@ -14,6 +14,7 @@ import grpc
 
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, migration_service_pb2_grpc
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
@@ -56,6 +57,7 @@ from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import naming_cluster
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.quotas.accounts import Accounts
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.sockets.tickets import SocketTickets
 
@@ -69,6 +71,15 @@ def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
     access.takes_ids = True
     access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
     return access
+
+
+def _archive(folder: ArchiveFolder, accounts: Accounts, now: Callable[[], int]) -> HostArchive:
+    """The archive in a folder. Blocks."""
+    found = [*folder.of_channels()]
+    disk = DiskUse(folder.limit_bytes(sum(one.bytes for one in found)), accounts.of)
+    accounts.set_default(Quota.BYTES_ARCHIVED, disk.bytes_max * 7 // 8)
+    disk.update(found)
+    return HostArchive(folder, run_of, disk, now)
 
 
 class ChannelHost:
@@ -114,7 +125,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
-        self.store.recordings.archive = None if archive is None else HostArchive(archive, run_of)
+        self.store.recordings.archive = None if archive is None else _archive(archive, access.accounts, self.store.now)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id

@@ -35,6 +35,7 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
         own["--data-dir"] = str(settings.data_dir / f"process-{number}")
     if settings.archive is not None:
         own["--archive"] = str(settings.archive / f"process-{number}")
+        own["--archive-bytes-max"] = str(settings.archive_bytes_max // settings.processes)
     for flag, path in (("--tls-certificate", settings.tls_certificate), ("--tls-key", settings.tls_key)):
         if path is not None:
             own[flag] = str(_of_process(path, number))

@@ -92,7 +92,7 @@ class ServedHost:
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
         )
-        archive = None if settings.archive is None else ArchiveFolder(settings.archive)
+        archive = None if settings.archive is None else ArchiveFolder(settings.archive, settings.archive_bytes_max)
         if archive is not None:
             archive.open(identity.host_id)
         return ChannelHost(

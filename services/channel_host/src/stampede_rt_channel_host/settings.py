@@ -85,6 +85,17 @@ class HostSettings(ServiceSettings):
             "--data-dir, its identity; default: none, the host records no channel",
         ),
     )
+    archive_bytes_max: int = field(
+        default=0,
+        metadata=setting(
+            metavar="SIZE",
+            parse=parse_size,
+            minimum=0,
+            help="the most bytes that the archive may use on its disk; beyond it the host refuses puts into recorded "
+            "channels; several processes have equal parts of it; default: nine tenths of the room that the disk has "
+            "at the start, so give it if several hosts or processes share a disk",
+        ),
+    )
     memory_bytes_max: int = field(
         default=4 * 2**30,
         metadata=setting(

@@ -1,4 +1,4 @@
-"""Quotas of groups and peers, while some supernodes run a release that cannot read a command about them."""
+"""Quotas of later releases, while some supernodes run a release that cannot read a command about them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 
 from stampede_rt.errors import VersionMismatch
 from stampede_rt_runtime.quotas.limits import Quota
-from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.quota_servicer import LATER_QUOTAS, QuotaServicer
 from tests.support.supernode.node import Node, running_node
@@ -32,9 +31,10 @@ async def node() -> AsyncIterator[Node]:
 async def test_a_quota_that_a_member_cannot_read_does_not_come_into_the_log(node: Node, quota: Quota) -> None:
     servicer, call = QuotaServicer(DirectoryCalls(node.replica, node.submission)), Call()
     context: Any = call
-    node.replica.read(lambda directory: setattr(directory, "feature_level", GROUPS_AND_PEERS_LEVEL - 1))
-    with pytest.raises(VersionMismatch, match=f"the quota {quota} needs feature level {GROUPS_AND_PEERS_LEVEL}, the "):
+    level = LATER_QUOTAS[quota]
+    node.replica.read(lambda directory: setattr(directory, "feature_level", level - 1))
+    with pytest.raises(VersionMismatch, match=f"the quota {quota} needs feature level {level}, the "):
         await servicer.check_known_to_all(context, [Quota.STREAMS, quota])
     await servicer.check_known_to_all(context, [Quota.STREAMS])
-    node.replica.read(lambda directory: setattr(directory, "feature_level", GROUPS_AND_PEERS_LEVEL))
+    node.replica.read(lambda directory: setattr(directory, "feature_level", level))
     await servicer.check_known_to_all(context, [quota])

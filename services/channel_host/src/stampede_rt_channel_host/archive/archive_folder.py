@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+from stampede_rt_channel_host.archive.disk_use import FoundFolder, folders_of_channels
 from stampede_rt_runtime.settings import SettingsError
 
 _LOCK_FILE, _OWNER_FILE, _CHANNELS = "lock", "owner", "channels"
@@ -19,8 +22,10 @@ class ArchiveFolder:
     host, another process uses it, or it cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, bytes_max: int = 0) -> None:
+        """`bytes_max`: the most bytes that the archive may have; 0: nine tenths of the room that its disk has."""
         self.path = path
+        self._bytes_max = bytes_max
         self._lock: IO[str] | None = None
 
     def open(self, host_id: bytes) -> None:
@@ -72,6 +77,14 @@ class ArchiveFolder:
     def of_channel(self, channel_id: bytes) -> Path:
         """The folder of one channel's segments."""
         return self.path / _CHANNELS / channel_id.hex()
+
+    def of_channels(self) -> Iterator[FoundFolder]:
+        """The folders of all channels, those of deleted channels included. Blocks. Raises OSError."""
+        return folders_of_channels(self.path / _CHANNELS)
+
+    def limit_bytes(self, used_bytes: int) -> int:
+        """The most bytes that the archive may have, if it has `used_bytes` now. Raises OSError."""
+        return self._bytes_max or (used_bytes + shutil.disk_usage(self.path).free) * 9 // 10
 
     def close(self) -> None:
         """Let other processes use the folder."""

@@ -7,8 +7,10 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.disk_use import DiskUse, FoundFolder
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
@@ -28,12 +30,22 @@ class HostArchive:
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more. Then it writes the items of all channels,
     one channel after the other. `decode` makes a run of its stored body. `on_written` is called after each write of a
-    channel that succeeds.
+    channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
     """
 
-    def __init__(self, folder: ArchiveFolder, decode: Callable[[bytes], Run]) -> None:
+    def __init__(
+        self,
+        folder: ArchiveFolder,
+        decode: Callable[[bytes], Run],
+        disk: DiskUse | None = None,
+        now: Callable[[], int] = time.time_ns,
+    ) -> None:
         self.folder = folder
-        self._decode = decode
+        self.disk = disk or DiskUse()
+        self.disk.on_full = self._make_room
+        self._decode, self._now = decode, now
+        self._recorders: set[ChannelRecorder] = set()
+        self._making_room: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="archive-reader")
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with what to call after the write
@@ -48,9 +60,12 @@ class HostArchive:
         """Why the last write of a channel failed; empty: none did."""
         return next(iter(self._failing.values()), "")
 
-    async def open(self, channel_id: bytes, name: str, epoch: int) -> tuple[SegmentFiles, OpenedArchive]:
+    async def open(
+        self, channel_id: bytes, name: str, epoch: int, created_by: str = ""
+    ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, after a look at them. Raises OSError."""
-        files = SegmentFiles(self.folder.of_channel(channel_id), {"channel_id": channel_id.hex(), "channel": name})
+        facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": created_by}
+        files = SegmentFiles(self.folder.of_channel(channel_id), facts)
         found = await asyncio.get_running_loop().run_in_executor(self._writer, files.open, epoch)
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
@@ -63,6 +78,10 @@ class HostArchive:
                 },
             )
         return files, found
+
+    def record(self, recorder: ChannelRecorder) -> None:
+        """A channel is recorded from now on, until `forget`."""
+        self._recorders.add(recorder)
 
     def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         """There are items of this channel to write."""
@@ -81,6 +100,7 @@ class HostArchive:
         recorder.stop()
         self._due.pop(recorder, None)
         self._failing.pop(recorder, None)
+        self._recorders.discard(recorder)
         self._writer.submit(_close, recorder.files, False)
 
     async def _write_on(self) -> None:
@@ -149,6 +169,27 @@ class HostArchive:
                 "the archive is written again", extra={"event": "archive_recovered", "folder": str(self.folder.path)}
             )
 
+    def _make_room(self) -> None:
+        """Look for files that may go, because the limit of the disk has refused something. Once in a while."""
+        if self._making_room is None or self._making_room.done():
+            self._making_room = asyncio.create_task(self._delete_outdated(), name="archive-room")
+            self._making_room.add_done_callback(_log_defect)
+
+    async def _delete_outdated(self) -> None:
+        """Delete outdated files, and count the files again: an operator may have deleted some."""
+        recorders = [*self._recorders]
+        with suppress(OSError):
+            kept, folders = await asyncio.get_running_loop().run_in_executor(self._writer, self._look, recorders)
+            for recorder, segments in zip(recorders, kept, strict=True):
+                recorder.keep(segments)
+            self.disk.update(folders, besides={one.disk.channel_id for one in self._recorders})
+        await asyncio.sleep(RETRY_SECONDS)
+
+    def _look(self, recorders: list[ChannelRecorder]) -> tuple[list[tuple[Segment, ...]], list[FoundFolder]]:
+        """Delete outdated files. Returns the other files of the recorders, and all folders. Blocks. Raises OSError."""
+        kept = [one.files.drop_outdated(one.limits, self._now()) for one in recorders]
+        return kept, [*self.folder.of_channels()]
+
     async def load(
         self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: Past | None = None
     ) -> ArchiveWindow:
@@ -176,6 +217,8 @@ class HostArchive:
         writes, and once more for the notes.
         """
         self._is_closing = True
+        if self._making_room is not None:
+            self._making_room.cancel()
         for recorder in recorders:
             if recorder.backlog_items and recorder not in self._due:
                 self.touch(recorder, lambda: None)

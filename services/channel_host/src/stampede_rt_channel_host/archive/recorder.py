@@ -6,6 +6,7 @@ import asyncio
 from bisect import bisect_right
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
@@ -32,11 +33,20 @@ class ChannelRecorder:
     `unarchived` counts the items that max_bytes collected before the archive had them.
     """
 
-    def __init__(self, channel: ChannelCore, files: SegmentFiles, segments: tuple[Segment, ...]) -> None:
+    span: ArchiveSpan
+    """The times between which the archive has items."""
+
+    def __init__(
+        self,
+        channel: ChannelCore,
+        files: SegmentFiles,
+        segments: tuple[Segment, ...],
+        disk: ChannelDiskUse | None = None,
+    ) -> None:
+        """`disk` counts the bytes of the files."""
         self.files = files
-        self.segments = segments
-        self.span: ArchiveSpan = span_of(segments)
-        """The times between which the archive has items."""
+        self.disk = disk or DiskUse().of_channel(b"", "")
+        self.keep(segments)
         self.unarchived = 0
         self.is_stopped = False
         """Whether the host has given the channel up: nothing is written for it any more."""
@@ -104,9 +114,18 @@ class ChannelRecorder:
         runs.append(ArchivedRun(accepted, run))
         return run.first_seq + len(run)
 
+    def keep(self, segments: tuple[Segment, ...]) -> None:
+        """Note the segments that the archive has now."""
+        self.segments, self.span = segments, span_of(segments)
+        self.disk.set(FOLDER_BYTES + sum(one.length for one in segments) if segments else 0)
+
+    def check_room(self) -> None:
+        """Check that the archive of the channel may grow. Raises Overloaded."""
+        self.disk.check(self.limits.bytes_max)
+
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
-        self.segments, self.span = segments, span_of(segments)
+        self.keep(segments)
         gaps = [one for one in job.parts if isinstance(one, SeqGap)]
         self.unarchived += sum(one.end_seq - one.first_seq for one in gaps)
         self._gaps += gaps

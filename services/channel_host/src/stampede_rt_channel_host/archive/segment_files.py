@@ -12,6 +12,7 @@ from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
     ArchivedPart,
@@ -46,7 +47,6 @@ SEGMENTS_KEPT = 64  # the most segments whose block lists stay in memory
 SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
 _SUFFIX = ".segment"
 _CLEAN_FILE = "stopped-cleanly"
-_VECTORS_MAX = 512  # buffers in one call of writev
 
 
 class SeqGap(NamedTuple):
@@ -148,7 +148,12 @@ class SegmentFiles:
         except OSError:
             self._undo(before)
             raise
-        self._drop_old(limits)
+        self._drop_old(limits, self._segments[-1].last_accepted if self._segments else 0)
+        return self._segments
+
+    def drop_outdated(self, limits: ArchiveLimits, now: int) -> tuple[Segment, ...]:
+        """Delete the segments that the limits do not keep at `now`, but for the last one. Returns the others."""
+        self._drop_old(limits, now)
         return self._segments
 
     def _append(self, part: Sequence[ArchivedRun] | SeqGap, limits: ArchiveLimits) -> None:
@@ -171,7 +176,7 @@ class SegmentFiles:
             self._begin_segment(head)
         file, segment = self._file, self._segments[-1]
         assert file is not None, "a segment is open"
-        _write_all(file, buffers)
+        write_all(file, buffers)
         self._segments = (*self._segments[:-1], grown(segment, head))
         self._near = head.high
 
@@ -188,9 +193,9 @@ class SegmentFiles:
         number = self._segments[-1].number + 1 if self._segments else 1
         self._delete_leftovers(number)
         self._file = os.open(self._path(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
-        _sync_folder(self._folder)
+        sync_folder(self._folder)
         opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
-        _write_all(self._file, opening)
+        write_all(self._file, opening)
         length = sum(map(len, opening))
         self._begun_at = head.first_accepted
         fresh = Segment(number, length, 0, head.first_seq, head.first_seq, None, None, 0)
@@ -224,16 +229,15 @@ class SegmentFiles:
             self._path(number).unlink()
             number += 1
 
-    def _drop_old(self, limits: ArchiveLimits) -> None:
+    def _drop_old(self, limits: ArchiveLimits, now: int) -> None:
         """Delete the oldest segments as long as the limits are kept without them. Never deletes the last segment.
 
         A segment that cannot be deleted now stays in the archive until a later write.
         """
         size = sum(one.length for one in self._segments)
-        newest = self._segments[-1].last_accepted if self._segments else 0
         while len(self._segments) > 1:
             oldest = self._segments[0]
-            too_old = limits.age_nanos is not None and oldest.last_accepted < newest - limits.age_nanos
+            too_old = limits.age_nanos is not None and oldest.last_accepted < now - limits.age_nanos
             if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
                 return
             try:
@@ -248,14 +252,17 @@ class SegmentFiles:
         self._epoch = max(self._epoch, epoch)
 
     def close(self, *, stopped_cleanly: bool) -> None:
-        """End the present segment. `stopped_cleanly`: all accepted items are in it."""
+        """End the present segment. `stopped_cleanly`: all accepted items are in it. Deletes a folder without files."""
         self._end_segment()
+        if not self._segments:
+            with suppress(OSError):
+                self._folder.rmdir()
         if stopped_cleanly and self._folder.is_dir():
             with (self._folder / _CLEAN_FILE).open("w") as file:
                 file.write(str(self._epoch))
                 file.flush()
                 os.fsync(file.fileno())
-            _sync_folder(self._folder)
+            sync_folder(self._folder)
 
     def load(
         self,
@@ -333,22 +340,3 @@ class SegmentFiles:
 
     def _path(self, number: int) -> Path:
         return self._folder / f"{number:012}{_SUFFIX}"
-
-
-def _write_all(file: int, buffers: Sequence[bytes]) -> None:
-    """Write all buffers, one after the other. Raises OSError."""
-    for at in range(0, len(buffers), _VECTORS_MAX):
-        part = buffers[at : at + _VECTORS_MAX]
-        written = os.writev(file, part)
-        if written < sum(map(len, part)):  # a signal, or a disk that is nearly full
-            rest = memoryview(b"".join(part))[written:]
-            while rest:
-                rest = rest[os.write(file, rest) :]
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -169,7 +169,7 @@ class HostedChannel:
 
     def record_with(self, recording: Recording) -> None:
         """From now on record what the channel accepts."""
-        self.recording = recording
+        self.recording, self.puts.check_room = recording, recording.recorder.check_room
         recording.set_policy(self.record.policy)
         self._touched()
 

@@ -10,6 +10,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import Bound, Interval, ResolvedInterval
+from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
@@ -37,6 +38,7 @@ from stampede_rt_channel_host.core.channel import (
     make_run,
 )
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.records import RecordedChannel
 
 RESTORED_BYTES = 2**20
 _NOT_ARCHIVED = Reason(
@@ -51,26 +53,29 @@ _RETRY_SECONDS = 0.02
 class OpenedChannelArchive:
     """The archive of a channel that the host is about to serve, and the newest items in it."""
 
-    def __init__(self, files: SegmentFiles, found: OpenedArchive, newest: ArchiveWindow | None) -> None:
+    def __init__(
+        self, files: SegmentFiles, found: OpenedArchive, newest: ArchiveWindow | None, disk: ChannelDiskUse
+    ) -> None:
         self.files = files
+        self.disk = disk
         self.found = found
         self.newest = newest
 
 
-async def open_archive(archive: HostArchive, channel_id: bytes, name: str, epoch: int) -> OpenedChannelArchive:
+async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedChannelArchive:
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written."""
     try:
-        files, found = await archive.open(channel_id, name, epoch)
+        files, found = await archive.open(record.channel_id, record.name, record.epoch, record.created_by)
         newest = None
         if found.segments:
             wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True)
             newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
     except OSError as error:
         raise Unavailable(
-            f"the archive of channel {name} in {archive.folder.path} cannot be used ({error.strerror}); free the disk, "
-            "or give the host a folder that it can write, and open the channel again"
+            f"the archive of channel {record.name} in {archive.folder.path} cannot be used ({error.strerror}); free "
+            "the disk, or give the host a folder that it can write, and open the channel again"
         ) from error
-    return OpenedChannelArchive(files, found, newest)
+    return OpenedChannelArchive(files, found, newest, archive.disk.of_channel(record.channel_id, record.created_by))
 
 
 class Recording:
@@ -90,7 +95,8 @@ class Recording:
         self._on_archived = on_archived
         if channel.next_seq == 1 and opened.newest is not None:
             _restore(channel, opened, cut)
-        self.recorder = ChannelRecorder(channel, opened.files, opened.found.segments)
+        self.recorder = ChannelRecorder(channel, opened.files, opened.found.segments, opened.disk)
+        archive.record(self.recorder)
 
     def set_policy(self, policy: Policy, epoch: int = 0) -> None:
         """Take over the limits of the archive, and the epoch of the channel at this host."""

@@ -39,15 +39,17 @@ class Recordings:
         """Look at the archive of a channel that the host is about to serve as `record` says.
 
         Raises InvalidArgument if the channel is to be recorded and the host has no archive. Raises Unavailable if the
-        archive cannot be used.
+        archive cannot be used, and Overloaded if it has no room for a new channel.
         """
         self.check(record.name, is_recorded=record.policy.is_recorded)
         is_same = hosted is not None and hosted.record.incarnation == record.incarnation
         if self.archive is None or not record.policy.is_recorded or (is_same and hosted and hosted.recording):
             return
-        if hosted is not None and hosted.recording is not None:
+        if hosted is None:
+            self._check_room(record)
+        elif hosted.recording is not None:
             hosted.recording.stop()
-        opened = await open_archive(self.archive, record.channel_id, record.name, record.epoch)
+        opened = await open_archive(self.archive, record)
         self._opened[record.channel_id] = opened
 
     async def adopt(
@@ -69,9 +71,21 @@ class Recordings:
             )
 
     def check_change(self, record: RecordedChannel, stated: Policy) -> None:
-        """Raises InvalidArgument if the channel cannot have a policy with the values of `stated`."""
+        """Raises InvalidArgument if the channel cannot have a policy with the values of `stated`.
+
+        Raises Overloaded if the archive has no room for a channel that was not recorded before.
+        """
         check_policy_change(record.policy, stated)
         self.check(record.name, is_recorded=stated.is_recorded)
+        if stated.is_recorded and not record.policy.is_recorded:
+            self._check_room(record)
+
+    def _check_room(self, record: RecordedChannel) -> None:
+        """Raises Overloaded if the archive has no room for this channel, and nothing of it yet."""
+        if self.archive is not None:
+            disk = self.archive.disk.of_channel(record.channel_id, record.created_by)
+            if not disk.bytes:
+                disk.check()
 
     def attach(self, hosted: HostedChannel) -> HostedChannel:
         """Record the channel from now on, if `prepare` has opened its archive."""

@@ -58,6 +58,9 @@ class HostMetrics:
         archive, counts = self._store.recordings.archive, self._store.recordings.counts()
         yield catalog.ITEMS_UNARCHIVED.of(counts.unarchived)
         yield catalog.ARCHIVE_BACKLOG.of(counts.backlog_items)
+        if archive is not None:
+            yield catalog.ARCHIVE_BYTES.of(archive.disk.used_bytes)
+            yield catalog.ARCHIVE_LIMIT.of(archive.disk.bytes_max)
         yield catalog.ARCHIVE_FAILING.of(archive is not None and bool(archive.failure))
         yield catalog.ARCHIVE_DAMAGED.of(counts.damaged_blocks)
 

@@ -31,6 +31,10 @@ _TEXTS: Mapping[Quota, tuple[str, str]] = {
         "bytes held in its channels and queues here",
         "tighten retention, delete some, or use another host",
     ),
+    Quota.BYTES_ARCHIVED: (
+        "bytes on the disk in its recorded channels here",
+        "record less, use another host, or have an operator delete the folders of its deleted channels",
+    ),
 }
 
 

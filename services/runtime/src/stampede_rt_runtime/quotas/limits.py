@@ -30,6 +30,7 @@ class Quota(StrEnum):
     CPU_PERCENT = "cpu-percent"
     GROUPS = "groups"
     PEERS = "peers"
+    BYTES_ARCHIVED = "bytes-archived"
 
 
 DEFAULTS: Mapping[Quota, int] = {
@@ -46,10 +47,11 @@ DEFAULTS: Mapping[Quota, int] = {
     # Of the 100,000 of a directory. A mailbox takes the room of a queue, and 40,000 mailboxes and 150,000 queues leave
     # room for others.
     Quota.PEERS: 40_000,
+    Quota.BYTES_ARCHIVED: LIMIT_MAX,  # a host with an archive sets its own limit
 }
 # The directory counts and refuses these.
 IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.GROUPS, Quota.PEERS})
-COUNTED_BY_CREATOR = IN_DIRECTORY | {Quota.BYTES_HELD}
+COUNTED_BY_CREATOR = IN_DIRECTORY | {Quota.BYTES_HELD, Quota.BYTES_ARCHIVED}
 """These quotas count the things that a caller has created, wherever it calls from.
 
 Callers without a name of their own count together, by the kind of their proof.

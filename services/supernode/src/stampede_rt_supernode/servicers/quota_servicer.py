@@ -15,11 +15,15 @@ from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, check_
 from stampede_rt_runtime.quotas.messages import limit_message, quota_from, setting_from, setting_message
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
-from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
-# Members of a release below GROUPS_AND_PEERS_LEVEL cannot read a command about these quotas.
-LATER_QUOTAS = frozenset({Quota.GROUPS, Quota.PEERS})
+# Members of a release below this feature level cannot read a command about the quota.
+LATER_QUOTAS = {
+    Quota.GROUPS: GROUPS_AND_PEERS_LEVEL,
+    Quota.PEERS: GROUPS_AND_PEERS_LEVEL,
+    Quota.BYTES_ARCHIVED: ARCHIVE_LEVEL,
+}
 
 
 class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
@@ -48,9 +52,8 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
 
     async def check_known_to_all(self, context: Context, quotas: Iterable[Quota]) -> None:
         """Check that all supernodes know these quotas. Raises VersionMismatch."""
-        later = sorted(LATER_QUOTAS.intersection(quotas))
-        if later:
-            await self._calls.check_level(context, f"the quota {later[0]}", GROUPS_AND_PEERS_LEVEL)
+        for quota in sorted(LATER_QUOTAS.keys() & set(quotas)):
+            await self._calls.check_level(context, f"the quota {quota}", LATER_QUOTAS[quota])
 
     @errors_as_status
     async def ListQuotas(self, request: pb.ListQuotasRequest, context: Context) -> pb.ListQuotasResponse:

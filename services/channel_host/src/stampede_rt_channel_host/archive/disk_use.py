@@ -1,0 +1,141 @@
+"""The bytes that the archive of a host uses on its disk: their limit, and the share of each caller."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from pathlib import Path
+from typing import NamedTuple
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.core.archive import HEAD_BYTES, decode_head
+from stampede_rt_runtime.quotas.accounts import Account, unlimited
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
+
+FOLDER_BYTES = 2**18
+"""The folder of a channel counts for so many bytes besides its files, because folders and files take inodes, too."""
+_FACTS_BYTES_MAX = 2**16
+
+
+class FoundFolder(NamedTuple):
+    """The folder of a channel as it is on the disk. `created_by`: the creator of the channel; empty: unknown."""
+
+    channel_id: bytes
+    created_by: str
+    bytes: int
+
+
+class DiskUse:
+    """The bytes of all folders of channels together. Folders of deleted channels count, because they stay.
+
+    `account_of` gives the account of a caller. The archive may exceed `bytes_max` by the items that wait in memory.
+    """
+
+    def __init__(
+        self, bytes_max: int = LIMIT_MAX, account_of: Callable[[str], Account] = lambda created_by: unlimited()
+    ) -> None:
+        self.used_bytes = 0
+        self.bytes_max = bytes_max
+        self.on_full: Callable[[], None] = _ignore
+        """Called when the limit refuses something: there may be files to delete."""
+        self._account_of = account_of
+        self._channels: dict[bytes, ChannelDiskUse] = {}
+
+    def of_channel(self, channel_id: bytes, created_by: str) -> ChannelDiskUse:
+        """The use of a channel that the caller `created_by` has created."""
+        found = self._channels.get(channel_id)
+        return found or ChannelDiskUse(self, channel_id, created_by, self._account_of(created_by))
+
+    def update(self, folders: Iterable[FoundFolder], besides: Set[bytes] = frozenset()) -> None:
+        """Take over the folders as they are on the disk now, but for the channels `besides`."""
+        gone = self._channels.keys() - besides
+        for one in folders:
+            if one.channel_id not in besides:
+                gone -= {one.channel_id}
+                self.of_channel(one.channel_id, one.created_by).set(one.bytes)
+        for channel_id in gone:
+            self._channels[channel_id].set(0)
+
+    def changed(self, channel: ChannelDiskUse, more: int) -> None:
+        """Count `more` bytes, which may be negative, for a channel."""
+        self.used_bytes += more
+        if channel.bytes:
+            self._channels[channel.channel_id] = channel
+        else:
+            self._channels.pop(channel.channel_id, None)
+
+    def check(self) -> None:
+        """Raises Overloaded if the archive is full."""
+        if self.used_bytes >= self.bytes_max:
+            raise Overloaded(
+                f"the archive of the host has {self.used_bytes} bytes on its disk, of at most {self.bytes_max} "
+                "(--archive-bytes-max); record less, use another host, or have an operator delete the folders of "
+                "deleted channels",
+                metadata={"archive_bytes_max": str(self.bytes_max)},
+            )
+
+
+class ChannelDiskUse:
+    """The bytes of one channel's folder. They also count for the caller that created the channel."""
+
+    __slots__ = ("_account", "_charge", "_disk", "bytes", "channel_id")
+
+    def __init__(self, disk: DiskUse, channel_id: bytes, created_by: str, account: Account) -> None:
+        self.channel_id = channel_id
+        self.bytes = 0
+        self._disk, self._account = disk, account
+        self._charge = account.charge_for(Quota.BYTES_ARCHIVED)
+
+    def set(self, bytes_: int) -> None:
+        """Report the bytes of the folder; 0: there is no folder."""
+        before, self.bytes = self.bytes, bytes_
+        self._disk.changed(self, bytes_ - before)
+        self._charge.set(bytes_)
+
+    def check(self, archive_bytes: int | None = None) -> None:
+        """Check that the channel may grow. Raises Overloaded.
+
+        A channel that has reached its own limit `archive_bytes` may always go on, because it deletes its oldest file
+        for each new one.
+        """
+        if archive_bytes is not None and self.bytes >= archive_bytes * 3 // 4:
+            return
+        try:
+            self._disk.check()
+            self._account.check(Quota.BYTES_ARCHIVED)
+        except Overloaded:
+            self._disk.on_full()
+            raise
+
+
+def folders_of_channels(path: Path) -> Iterator[FoundFolder]:
+    """The folders of channels in `path`. Blocks. Leaves out what is no folder of a channel."""
+    with os.scandir(path) as entries:
+        for entry in entries:
+            try:
+                channel_id = bytes.fromhex(entry.name)
+                with os.scandir(entry.path) as files:
+                    sizes = {file.path: file.stat(follow_symlinks=False).st_size for file in files}
+            except (OSError, ValueError):  # a file of somebody else, or a folder that was deleted meanwhile
+                continue
+            yield FoundFolder(channel_id, _creator(sizes), FOLDER_BYTES + sum(sizes.values()))
+
+
+def _creator(sizes: Mapping[str, int]) -> str:
+    """The caller that created the channel of some files, as one of them tells; empty: no file tells."""
+    for path in sorted(one for one in sizes if one.endswith(".segment")):
+        try:
+            with open(path, "rb", buffering=0) as file:
+                head = decode_head(file.read(HEAD_BYTES))
+                length = 0 if head is None else min(head.content_bytes, _FACTS_BYTES_MAX)
+                facts = json.loads(file.read(length))
+        except (OSError, ValueError):
+            continue
+        if isinstance(facts, dict) and isinstance(facts.get("created_by"), str):
+            return str(facts["created_by"])
+    return ""
+
+
+def _ignore() -> None:
+    """Nothing can be deleted."""

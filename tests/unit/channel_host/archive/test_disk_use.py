@@ -1,0 +1,121 @@
+"""The limit of an archive's bytes on the disk, and the share of each caller."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.archive import host_archive
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, DiskUse
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.core.channel import ChannelCore
+from stampede_rt_runtime.quotas.accounts import Accounts
+from stampede_rt_runtime.quotas.limits import Quota
+from tests.unit.channel_host.archive.test_archive_files import decode, opened, write
+
+ONE, TWO, THREE = b"1" * 16, b"2" * 16, b"3" * 16
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[ArchiveFolder]:
+    one = ArchiveFolder(tmp_path / "archive")
+    one.open(b"h" * 16)
+    yield one
+    one.close()
+
+
+def recorded(folder: ArchiveFolder, channel_id: bytes, created_by: str) -> SegmentFiles:
+    """The files of a channel with two blocks."""
+    files = SegmentFiles(folder.of_channel(channel_id), {"created_by": created_by})
+    files.open(1)
+    write(files, 1, 2)
+    files.close(stopped_cleanly=True)
+    return files
+
+
+def test_a_full_archive_refuses_all_channels_but_those_that_have_reached_their_own_limit() -> None:
+    disk = DiskUse(1000)
+    first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
+    first.set(800)
+    second.check()
+    second.set(200)
+    with pytest.raises(Overloaded, match=r"has 1000 bytes on its disk, of at most 1000 \(--archive-bytes-max\)"):
+        second.check(archive_bytes=400)
+    first.check(archive_bytes=1000)
+    first.set(799)
+    second.check(archive_bytes=400)
+
+
+def test_the_bytes_of_a_channel_count_for_the_caller_that_made_it_also_when_the_channel_is_gone() -> None:
+    accounts = Accounts()
+    disk = DiskUse(10_000, accounts.of)
+    accounts.set_default(Quota.BYTES_ARCHIVED, 700)
+    disk.of_channel(ONE, "cam").set(700)
+    with pytest.raises(Overloaded, match=r"cam has 700 bytes on the disk .* quota bytes-archived is 700") as refused:
+        disk.of_channel(TWO, "cam").check()
+    assert refused.value.metadata["quota"] == "bytes-archived"
+    disk.of_channel(TWO, "other").check()
+    disk.update([])
+    assert disk.used_bytes == 0
+    disk.of_channel(TWO, "cam").check()
+
+
+def test_a_start_finds_the_folders_of_all_channels_and_who_made_them(folder: ArchiveFolder) -> None:
+    recorded(folder, ONE, "cam")
+    recorded(folder, TWO, "")
+    (folder.path / "channels" / "no-channel").mkdir()
+    (folder.of_channel(TWO) / "000000000000.segment").write_bytes(b"no block")
+    found = {one.channel_id: one for one in folder.of_channels()}
+    assert {channel_id: one.created_by for channel_id, one in found.items()} == {ONE: "cam", TWO: ""}
+    size = sum(path.stat().st_size for path in folder.of_channel(ONE).iterdir())
+    assert found[ONE].bytes == FOLDER_BYTES + size
+
+
+def test_the_folder_of_a_channel_without_items_goes_with_its_channel(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path / "empty")
+    files.close(stopped_cleanly=True)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_has_deleted(
+    folder: ArchiveFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host_archive, "RETRY_SECONDS", 0)
+    recorded(folder, TWO, "")
+    disk = DiskUse(1)
+    disk.update(folder.of_channels())
+    disk.of_channel(THREE, "").set(5_000)  # its folder is not there any more
+    files = SegmentFiles(folder.of_channel(ONE), {})
+    files.open(1)
+    segments = write(files, 1, 9, ArchiveLimits(None, 8))  # a segment for each block
+
+    async def scenario() -> tuple[int, int]:
+        counted = asyncio.Event()
+        update = disk.update
+
+        def note(*folders: Any, **besides: Any) -> None:
+            update(*folders, **besides)
+            counted.set()
+
+        monkeypatch.setattr(disk, "update", note)
+        archive = HostArchive(folder, decode, disk, now=lambda: 1_000)
+        recorder = ChannelRecorder(ChannelCore(Policy(), incarnation=1), files, segments, disk.of_channel(ONE, ""))
+        recorder.limits = ArchiveLimits(10, None)
+        archive.record(recorder)
+        with pytest.raises(Overloaded):
+            recorder.check_room()
+        await counted.wait()
+        on_disk = sum(one.bytes for one in folder.of_channels())
+        await archive.close([recorder])
+        return len(recorder.segments), on_disk
+
+    assert asyncio.run(scenario()) == (1, disk.used_bytes)
