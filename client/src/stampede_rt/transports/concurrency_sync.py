@@ -12,12 +12,14 @@ import weakref
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from math import inf
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
 END_LIMIT_S = 2.0  # how long the end of a call or connection may take
+LOOK_S = 0.2  # how often the waiting main thread looks for signals
 
 Result = TypeVar("Result")
 _log = logging.getLogger("stampede_rt")
@@ -43,6 +45,22 @@ def live_thread_ids() -> set[int | None]:
     return {thread.ident for thread in threading.enumerate()}
 
 
+def wait_in_parts(wait: Callable[[float | None], bool], timeout_s: float | None) -> bool:
+    """Call `wait` until it returns True, for at most `timeout_s`. Returns what `wait` has returned last.
+
+    Only the main thread runs handlers of signals, such as that of Ctrl-C, and it runs none inside a wait for a lock.
+    The system ends that wait for a signal, but not if the signal comes just before the wait begins, or at another
+    thread. Therefore the main thread waits for LOOK_S at a time.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return wait(timeout_s)
+    ends_s = inf if timeout_s is None else time.monotonic() + timeout_s
+    while not wait(max(0.0, min(LOOK_S, ends_s - time.monotonic()))):
+        if time.monotonic() >= ends_s:
+            return False
+    return True
+
+
 class Signal:
     """A flag that callers can wait for. After each wait a caller must check whether its own condition holds."""
 
@@ -59,7 +77,7 @@ class Signal:
 
     def wait(self, timeout_s: float | None) -> bool:
         """Wait until `set`, for at most `timeout_s`. Returns whether it is set."""
-        return self._event.wait(timeout_s)
+        return wait_in_parts(self._event.wait, timeout_s)
 
 
 def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:
@@ -101,8 +119,9 @@ class BackgroundTask:
 
         Returns whether it has; False if the thread calls this itself.
         """
-        if self._thread is threading.current_thread():
-            return False
+        return self._thread is not threading.current_thread() and wait_in_parts(self._ended, timeout_s)
+
+    def _ended(self, timeout_s: float | None) -> bool:
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 

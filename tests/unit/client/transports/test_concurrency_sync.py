@@ -1,0 +1,92 @@
+"""The blocking client's waits, while signals come."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+import pytest
+
+from stampede_rt.transports.concurrency_sync import BackgroundTask, Signal
+
+
+class Interrupted(BaseException):
+    """Raised by the handler of the test, as Python's own handler of Ctrl-C raises KeyboardInterrupt."""
+
+
+@pytest.fixture(autouse=True)
+def handler() -> Iterator[None]:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise Interrupted
+
+    before = signal.signal(signal.SIGUSR1, interrupt)
+    yield
+    signal.signal(signal.SIGUSR1, before)
+
+
+def is_waiting(thread: threading.Thread) -> bool:
+    """Whether the thread has come from `wait_in_parts` to the wait for a lock."""
+    frame: FrameType | None = sys._current_frames()[thread.ident or 0]
+    names = []
+    while frame is not None:
+        names.append(frame.f_code.co_name)
+        frame = frame.f_back
+    return "wait_in_parts" in names[1:] and names[0] in ("wait", "_wait_for_tstate_lock")
+
+
+def interrupted_in(wait: Callable[[], object]) -> bool:
+    """Whether a signal ends `wait`, if it comes at another thread while the main thread waits for a lock.
+
+    The main thread then learns of the signal as little as of one that came just before the wait began.
+    """
+    main = threading.main_thread()
+    assert threading.current_thread() is main
+
+    def send() -> None:
+        while not is_waiting(main):
+            pass
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+
+    sender = threading.Thread(target=send)
+    try:
+        sender.start()
+        wait()
+    except Interrupted:
+        return True
+    finally:
+        sender.join()
+    return False
+
+
+@pytest.mark.parametrize("timeout_s", [None, 1000.0])
+def test_a_signal_ends_a_wait_for_a_flag_though_no_thread_sets_the_flag(timeout_s: float | None) -> None:
+    assert interrupted_in(lambda: Signal().wait(timeout_s))
+
+
+def test_a_signal_ends_a_wait_for_the_end_of_a_task() -> None:
+    release = threading.Event()
+    task = BackgroundTask(lambda: release.wait() and None, "of the test")
+    assert interrupted_in(lambda: task.join(1000.0))
+    release.set()
+    assert task.join(1000.0)
+
+
+def test_a_wait_ends_with_its_timeout_or_with_the_flag_on_every_thread() -> None:
+    found: list[bool] = []
+    flag = Signal()
+
+    def look() -> None:
+        found.append(flag.wait(0.0))
+        found.append(flag.wait(0.01))
+        flag.set()
+        found.append(flag.wait(None))
+        flag.clear()
+
+    look()
+    other = threading.Thread(target=look)
+    other.start()
+    other.join()
+    assert found == [False, False, True] * 2
