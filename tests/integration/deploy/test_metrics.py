@@ -7,7 +7,6 @@ import subprocess
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -29,6 +28,15 @@ needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="De
 def cluster() -> Iterator[LocalCluster]:
     with running_cluster(hosts=2, supernodes=3, metrics="localhost:0") as made:
         yield made
+
+
+@pytest.fixture(scope="module")
+def prometheus(cluster: LocalCluster, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prometheus]:
+    made = Prometheus(cluster, tmp_path_factory.mktemp("prometheus"))
+    try:
+        yield made
+    finally:
+        made.stop()
 
 
 def page(address: str) -> str:
@@ -59,42 +67,31 @@ def test_each_service_tells_all_its_metrics(cluster: LocalCluster) -> None:
 
 
 @needs_prometheus
-def test_prometheus_scrapes_every_part_and_its_counts_are_true(cluster: LocalCluster, tmp_path: Path) -> None:
-    prometheus = Prometheus(cluster, tmp_path)
-    try:
-        prometheus.until('sum(up{job="stampede"})', lambda values: values == [float(len(cluster.metrics))])
-        with st.connect(cluster.address) as rt:
-            channels = [rt.channel(f"metrics/true/{number}") for number in range(8)]
-            for channel in channels:
-                for _ in range(25):
-                    channel.put(b"12345678")
-            one = 'sum(stampede_channel_items_accepted_total{channel=~"metrics/true/.*"})'
-            prometheus.until(one, lambda values: values == [200.0])
-            assert (
-                prometheus.ask('sum(stampede_channel_items_accepted_bytes_total{channel=~"metrics/true/.*"})')[0][1]
-                == 1600
-            )
-        assert prometheus.ask("max(stampede_raft_members_serving)")[0][1] == 3
-        assert prometheus.ask("sum(stampede_host_lease_held)")[0][1] == 2
-        assert not [alert for alert, _ in prometheus.ask('ALERTS{alertstate="firing",severity="critical"}')]
-    finally:
-        prometheus.stop()
+def test_prometheus_scrapes_every_part_and_its_counts_are_true(cluster: LocalCluster, prometheus: Prometheus) -> None:
+    prometheus.until('sum(up{job="stampede"})', lambda values: values == [float(len(cluster.metrics))])
+    with st.connect(cluster.address) as rt:
+        channels = [rt.channel(f"metrics/true/{number}") for number in range(8)]
+        for channel in channels:
+            for _ in range(25):
+                channel.put(b"12345678")
+        one = 'sum(stampede_channel_items_accepted_total{channel=~"metrics/true/.*"})'
+        prometheus.until(one, lambda values: values == [200.0])
+        accepted_bytes = 'sum(stampede_channel_items_accepted_bytes_total{channel=~"metrics/true/.*"})'
+        assert prometheus.ask(accepted_bytes)[0][1] == 1600
+    assert prometheus.ask("max(stampede_raft_members_serving)")[0][1] == 3
+    assert prometheus.ask("sum(stampede_host_lease_held)")[0][1] == 2
+    assert not [alert for alert, _ in prometheus.ask('ALERTS{alertstate="firing",severity="critical"}')]
 
 
 @needs_prometheus
-def test_parts_that_are_killed_are_seen_to_go_and_to_come_back(tmp_path: Path) -> None:
-    with running_cluster(hosts=2, supernodes=3, metrics="localhost:0") as cluster:
-        prometheus = Prometheus(cluster, tmp_path)
-        try:
-            everybody = float(len(cluster.metrics))
-            prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
-            for process in (cluster.hosts[0], cluster.supernodes[0], cluster.frontends[0]):
-                process.kill()
-                prometheus.until(f'up{{part="{process.name}"}}', lambda values: values == [0.0])
-                process.start()
-                process.wait_ready(SECONDS)
-                prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
-            prometheus.until("max(stampede_raft_members_serving)", lambda values: values == [3.0])
-            prometheus.until("sum(stampede_ready)", lambda values: values == [everybody])
-        finally:
-            prometheus.stop()
+def test_parts_that_are_killed_are_seen_to_go_and_to_come_back(cluster: LocalCluster, prometheus: Prometheus) -> None:
+    everybody = float(len(cluster.metrics))
+    prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
+    for process in (cluster.hosts[0], cluster.supernodes[0], cluster.frontends[0]):
+        process.kill()
+        prometheus.until(f'up{{part="{process.name}"}}', lambda values: values == [0.0])
+        process.start()
+        process.wait_ready(SECONDS)
+        prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
+    prometheus.until("max(stampede_raft_members_serving)", lambda values: values == [3.0])
+    prometheus.until("sum(stampede_ready)", lambda values: values == [everybody])

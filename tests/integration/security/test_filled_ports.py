@@ -30,7 +30,7 @@ from tests.support.supernode.processes import (
     resolve,
 )
 
-AT_ONCE = 128
+AT_ONCE = 64
 
 
 @contextlib.asynccontextmanager

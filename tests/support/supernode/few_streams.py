@@ -11,8 +11,8 @@ from unittest import mock
 
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 
-LIMITS = replace(CONTROL_LIMITS, streams_max=1280, concurrent_rpcs_max=1792)
-"""still more streams than one connection carries, and as many other calls as at every port"""
+LIMITS = replace(CONTROL_LIMITS, streams_max=192, concurrent_rpcs_max=704, calls_per_connection_max=128)
+"""Still more streams than one connection carries, and as many other calls as at every port."""
 
 
 def main() -> int:
