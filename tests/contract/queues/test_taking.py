@@ -82,7 +82,7 @@ async def test_iteration_takes_one_after_the_other_until_the_handle_is_closed(ri
     other = await rig.queue(queue.name)
     await until(other, lambda stats: stats.consumed == 3 and stats.waiting_gets == 1)
     await queue.aclose()
-    await asyncio.wait_for(working, 10)
+    await asyncio.wait_for(working, 45)
     assert found == [b"0", b"1", b"2"]
     with pytest.raises(st.InvalidArgument, match="closed"):
         await queue.get(timeout=0)

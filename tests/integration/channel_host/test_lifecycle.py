@@ -31,7 +31,7 @@ async def rig() -> AsyncIterator[Rig]:
 async def refusal(call: Any) -> StampedeError:
     """The error that a call or stream ends with."""
     with pytest.raises(grpc.aio.AioRpcError) as caught:
-        await asyncio.wait_for(_to_the_end(call), 10)
+        await asyncio.wait_for(_to_the_end(call), 45)
     return from_rpc_error(caught.value, "the host")
 
 

@@ -46,7 +46,7 @@ async def ready(process: Process) -> str:
 
 async def stopped(process: Process) -> int:
     process.send_signal(signal.SIGTERM)
-    return await asyncio.wait_for(process.wait(), 10)
+    return await asyncio.wait_for(process.wait(), 45)
 
 
 async def test_a_host_says_when_it_is_ready_serves_and_leaves_on_sigterm(directory: FakeDirectory) -> None:

@@ -61,7 +61,7 @@ def following(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.
 
 def interrupt(process: subprocess.Popen[str]) -> None:
     process.send_signal(signal.SIGINT)
-    _, complaints = process.communicate(timeout=10)
+    _, complaints = process.communicate(timeout=45)
     assert (process.returncode, complaints) == (130, "")
 
 

@@ -56,12 +56,12 @@ def test_every_page_passes_the_check_of_prometheus(cluster: LocalCluster) -> Non
 
 def test_each_service_tells_all_its_metrics(cluster: LocalCluster) -> None:
     of_each = {"host": of_hosts.METRICS, "supernode": of_supernodes.METRICS, "front-end": of_frontends.METRICS}
-    only_with_certificates = {service_metrics.CERTIFICATE_EXPIRY}
+    of_parts_that_are_not_here = {service_metrics.CERTIFICATE_EXPIRY, of_hosts.ARCHIVE_BYTES, of_hosts.ARCHIVE_LIMIT}
     for title, address in cluster.metrics.items():
         lines = page(address).splitlines()
         told = {line.split()[2] for line in lines if line.startswith("# TYPE ")}
         own = of_each[title.split()[0]]
-        expected = {one.name for one in {*own, *service_metrics.METRICS} - only_with_certificates}
+        expected = {one.name for one in {*own, *service_metrics.METRICS} - of_parts_that_are_not_here}
         assert expected <= told, expected - told
         assert {one for one in told if not one.startswith("process_")} == expected
 

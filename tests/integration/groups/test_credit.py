@@ -9,7 +9,7 @@ from typing import Any
 import grpc
 import pytest
 
-from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import channel_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.groups import writing
 from tests.support.channel_host.group_rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
@@ -23,7 +23,8 @@ async def host() -> AsyncIterator[Host]:
 
 
 async def a_pair(host: Host) -> tuple[GroupedChannel, GroupedChannel, group_pb2.GroupRecord]:
-    left, right = await host.open("left"), await host.open("right")
+    policy = channel_pb2.RetentionPolicy(max_age_nanos=3600 * S)  # no item leaves while a busy machine does other work
+    left, right = [await host.open(name, channel_pb2.ChannelSpec(retention=policy)) for name in ("left", "right")]
     return left, right, host.directory.add_group("pair", [left, right])
 
 

@@ -153,7 +153,7 @@ async def test_matches_reach_over_hosts(pair: Pair) -> None:
     )
     call = pair.left.host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
     found: list[pb.ItemMatch] = []
-    async with asyncio.timeout(15):
+    async with asyncio.timeout(45):
         while len(found) < 2:
             found += (await call.read()).matches
     assert [[near.position.time_unix_nano for near in one.matched] for one in found] == [[t + 11], []]

@@ -52,7 +52,7 @@ def taker(client: str, address: str, queue: str) -> Iterator[subprocess.Popen[st
     finally:
         process.send_signal(signal.SIGCONT)
         process.kill()
-        process.communicate(timeout=10)
+        process.communicate(timeout=45)
 
 
 def until(queue: st.Queue, condition: Callable[[st.QueueStats], bool]) -> None:

@@ -133,7 +133,7 @@ async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, name="aio") as rt:
         get = asyncio.ensure_future(rt.mailbox.get())
         await rt.send("aio", b"x")
-        message = await asyncio.wait_for(get, 10)
+        message = await asyncio.wait_for(get, 45)
         assert message is not None
         async with message:
             assert message.payload == b"x"

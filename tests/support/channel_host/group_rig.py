@@ -91,7 +91,7 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
     async def Watch(  # noqa: N802
         self, request: Any, context: Any
     ) -> AsyncIterator[directory_service_pb2.WatchResponse]:
-        assert request.include_groups or request.include_queues
+        assert request.include_groups or request.include_queues or request.include_access
         changes: asyncio.Queue[directory_pb2.DirectoryChange] = asyncio.Queue()
         self._watchers.add(changes)
         await self._begin("Watch", context)

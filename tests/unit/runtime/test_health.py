@@ -76,5 +76,5 @@ async def test_callers_that_send_no_request_make_way_for_one_that_does(
 
 async def test_a_request_that_is_no_request_is_answered_for_readiness(server: ServiceServer) -> None:
     async with grpc.aio.insecure_channel(server.address) as channel:
-        raw = await asyncio.wait_for(channel.unary_unary(CHECK)(b"\xff\xff"), 10)
+        raw = await asyncio.wait_for(channel.unary_unary(CHECK)(b"\xff\xff"), 45)
         assert health_pb2.HealthCheckResponse.FromString(raw).status == NOT_SERVING

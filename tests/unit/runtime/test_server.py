@@ -119,7 +119,7 @@ async def test_a_stream_that_does_not_end_is_cut_after_the_bound(monkeypatch: py
     async with serving(probe.register) as server, dial(server.address, secret=None) as channel:
         stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
         assert await stream.read() == b"held"
-        await asyncio.wait_for(server.stop(asyncio.Event().wait), 5)
+        await asyncio.wait_for(server.stop(asyncio.Event().wait), 45)
         with pytest.raises(grpc.aio.AioRpcError) as caught:
             await stream.read()
     assert caught.value.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
@@ -132,7 +132,7 @@ async def test_a_stop_signal_ends_run(number: signal.Signals) -> None:
     await server.start()
     running = asyncio.create_task(server.run())
     asyncio.get_running_loop().call_soon(os.kill, os.getpid(), number)
-    await asyncio.wait_for(running, 5)
+    await asyncio.wait_for(running, 45)
     assert server.stopping.is_set()
 
 
@@ -155,7 +155,7 @@ async def test_a_second_signal_cuts_the_drain() -> None:
         await draining.wait()
         began = asyncio.get_running_loop().time()
         os.kill(os.getpid(), signal.SIGINT)
-        await asyncio.wait_for(running, 5)
+        await asyncio.wait_for(running, 45)
         assert asyncio.get_running_loop().time() - began < DRAIN_SECONDS / 2
 
 
