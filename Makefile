@@ -21,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels bench bench-docs bench-moves clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels bench bench-docs bench-moves kill-moves clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -67,6 +67,9 @@ fuzz-ports: setup  ## all RPCs of a host, a supernode and a front-end, a million
 
 race-rings: setup  ## readers and the writer of a ring in shared memory at the same time, for 5 minutes, each payload with a checksum
 	$(RUN)/python -m tests.robustness.rings.racing $${STAMPEDE_RACE_SECONDS:-300}
+
+kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at each of the 12 steps of a move: about 12 minutes
+	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py
 
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants

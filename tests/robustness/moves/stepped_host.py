@@ -1,0 +1,99 @@
+"""A channel host whose moves do what a test wants at a step: `python -m ... --plan FILE HOST-ARGUMENTS`.
+
+The production code runs unchanged: this program wraps the methods that are the steps of a move, and then runs `stampede
+host`. At each step it looks into the plan, a file with "STEP|PID|SIGNAL". If the file names the step, the program
+removes the file and sends the signal, perhaps to itself.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from stampede_rt_channel_host.app import main
+from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.move_feed import MoveFeed
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
+
+
+class Step(NamedTuple):
+    """A step: it is reached before the call of a method, or after the call if `is_after`."""
+
+    owner: type
+    method: str
+    is_after: bool = False
+
+
+DESTINATION_STEPS = {
+    "destination: feeds itself": Step(MoveFeed, "_begin", is_after=True),
+    "destination: asks the source to hold": Step(MoveFeed, "hold"),
+    "destination: has everything": Step(IncomingMoves, "_commit"),
+    "destination: is the owner": Step(MoveDirectory, "commit", is_after=True),
+    "destination: tells the source": Step(MoveFeed, "committed", is_after=True),
+    "destination: has removed the heir": Step(MoveDirectory, "remove_heir", is_after=True),
+    "destination: releases the source": Step(MoveFeed, "released"),
+}
+SOURCE_STEPS = {
+    "source: begins": Step(OutgoingMoves, "begin"),
+    "source: holds": Step(OutgoingMove, "hold", is_after=True),
+    "source: has handed over": Step(FeedStream, "_hand_off", is_after=True),
+    "source: hears of the commit": Step(OutgoingMove, "committed"),
+    "source: is released": Step(OutgoingMove, "released"),
+}
+
+
+def reach(plan: Path, name: str) -> None:
+    """Do what the plan says about this step."""
+    try:
+        step, pid, number = plan.read_text().split("|")
+    except FileNotFoundError:
+        return
+    if step == name:
+        plan.unlink()
+        os.kill(int(pid), int(number))
+
+
+def told(step: Step, name: str, plan: Path) -> Callable[..., Any]:
+    """The method of the step, which calls `reach`."""
+    inner = getattr(step.owner, step.method)
+    if not inspect.iscoroutinefunction(inner):
+
+        def plain(*arguments: Any, **options: Any) -> Any:
+            if not step.is_after:
+                reach(plan, name)
+            found = inner(*arguments, **options)
+            if step.is_after:
+                reach(plan, name)
+            return found
+
+        return plain
+
+    async def awaited(*arguments: Any, **options: Any) -> Any:
+        if not step.is_after:
+            reach(plan, name)
+        found = await inner(*arguments, **options)
+        if step.is_after:
+            reach(plan, name)
+        return found
+
+    return awaited
+
+
+def run() -> int:
+    """Run the host."""
+    _, word, plan, *arguments = sys.argv
+    assert word == "--plan"
+    for name, step in (DESTINATION_STEPS | SOURCE_STEPS).items():
+        setattr(step.owner, step.method, told(step, name, Path(plan)))
+    sys.argv = [sys.argv[0], *arguments]
+    return main()
+
+
+if __name__ == "__main__":
+    sys.exit(run())
