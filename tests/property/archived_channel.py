@@ -9,9 +9,11 @@ from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import (
+    ArchivedAdvance,
     ArchivedRead,
     ArchivedRun,
     ArchiveSpan,
+    BlockHead,
     BlocksOf,
     PastFacts,
     PlacedBlock,
@@ -46,6 +48,9 @@ class ArchivedChannel:
         self._archived_to = 1
         self._runs: dict[int, Run] = {}  # by first seq
         self._accepted: dict[int, int] = {}  # by first seq
+        self.advances: list[tuple[int, int]] = []  # the instant of each acceptance, and the advance
+        self._unwritten: list[ArchivedAdvance] = []
+        self._advance: ArchivedAdvance | None = None
         self.offers: list[tuple[int, Offer]] = []  # each accepted one, with the instant of its acceptance
         self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
         self._files: dict[int, bytes] = {}
@@ -66,6 +71,9 @@ class ArchivedChannel:
 
     def archive(self) -> None:
         """Write all accepted items that the archive does not have."""
+        if self._unwritten:
+            self._append_block(*archive.encode_advances(self._unwritten, self._archived_to, (0, 0)))
+            self._advance, self._unwritten = self._unwritten[-1], []
         runs = list(dict.fromkeys(part.run for part in self.channel.accepted_from(self._archived_to)))
         for run in runs:
             self._runs[run.first_seq] = run
@@ -75,12 +83,26 @@ class ArchivedChannel:
         self.channel.record(self._archived_to)
         self.channel.collect(self.now)
 
+    def advance(self, instant: int, now: int) -> None:
+        self.now = max(self.now, now)
+        before = self.channel.advanced_to
+        if self.channel.advance(instant, now) != before:
+            self.advances.append((now, instant))
+            self._unwritten.append(ArchivedAdvance(now, instant))
+
     def _append(self, runs: list[Run]) -> None:
-        head, parts = archive.encode_items([ArchivedRun(self._accepted[run.first_seq], run) for run in runs])
+        self._append_block(*archive.encode_items([ArchivedRun(self._accepted[run.first_seq], run) for run in runs]))
+
+    def _append_block(self, head: BlockHead, parts: list[bytes]) -> None:
         if not self.segments or len(self._blocks[self.segments[-1].number]) >= self._per_segment:
             number = len(self.segments)
             self._blocks[number], self._files[number] = [], b""
             self.segments.append(Segment(number, 0, 0, head.first_seq, head.first_seq, None, None, 0))
+            if self._advance is not None:
+                self._place(*archive.encode_advances([self._advance], head.first_seq, (0, 0)))
+        self._place(head, parts)
+
+    def _place(self, head: BlockHead, parts: list[bytes]) -> None:
         segment = self.segments[-1]
         self._blocks[segment.number].append(PlacedBlock(len(self._files[segment.number]), head))
         self._files[segment.number] += b"".join(parts)
@@ -96,8 +118,8 @@ class ArchivedChannel:
 
     def read_as_of(self, query: Query, as_of: int) -> ReadAnswer:
         """The answer as of an earlier instant, in as many requests as a host would need."""
-        past = archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, as_of)
-        facts = PastFacts(self.channel.policy, self.channel.incarnation, None, None, None)
+        past = archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
+        facts = PastFacts(self.channel.policy, self.channel.incarnation, past.advance, None, None)
         moment = archive.past_moment(facts, past, span_of(past.segments), as_of)
         return self._read(query, moment, past.segments, past.blocks_of(self._blocks_of))
 
@@ -152,6 +174,10 @@ class ArchivedChannel:
         content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
         assert archive.is_whole(block.head, content)
         return archive.decode_items(block.head, content, self._decode)
+
+    def _advances_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedAdvance]:
+        content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
+        return archive.decode_advances(content)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
         return [one.run for one in self._archived_runs_of(segment, block)]

@@ -61,7 +61,7 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
     return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
 
 
-def tell(draw: random.Random) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
+def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
     """Put the same items into a channel in memory and into a recorded one. Returns them, the items and the time."""
     overlap = draw.choice([None, None, 3, 8])
     large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
@@ -85,6 +85,10 @@ def tell(draw: random.Random) -> tuple[ChannelCore, ArchivedChannel, list[Positi
                 assert kept.run is not None
                 assert kept.run.first_seq == outcome.run.first_seq
                 positions.append(Position(time, outcome.run.first_seq))
+        if advances and draw.random() < 0.2:
+            now += 1  # so that the order of the instants is that of the acceptances
+            small.advance(now - draw.randrange(3), now)
+            now += 1
         if draw.random() < 0.5:
             small.archive()
     return large, small, positions, now
@@ -109,15 +113,17 @@ def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alon
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_read_as_of_an_instant_answers_as_a_channel_of_memory_alone_did_then(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw)
+    large, small, positions, now = tell(draw, advances=True)
     small.archive()
     overlap = large.policy.overlap_nanos
     for _ in range(READS):
         as_of = draw.randrange(small.first_accepted, now + 2)
         then = ChannelCore(large.policy, incarnation=7)
-        for accepted, offer in small.offers:
-            if accepted <= as_of:
-                then.put(offer, accepted, lambda first_seq, kept, stamped: b"x")
+        for accepted, change in sorted([*small.offers, *small.advances], key=lambda one: one[0]):
+            if accepted <= as_of and isinstance(change, Offer):
+                then.put(change, accepted, lambda first_seq, kept, stamped: b"x")
+            elif accepted <= as_of and isinstance(change, int):
+                then.advance(change, accepted)
         query = query_of(draw, now, positions)
         try:
             expected = then.read(query, as_of)

@@ -80,7 +80,8 @@ def test_items_that_memory_has_dropped_are_known_as_of_an_instant(rt: st.Connect
     assert now.past is not None
     assert now.past.next_change is not None
     assert instants[50] < now.past.next_change <= instants[51]
-    assert channel.get(st.NOW, st.NOW, as_of=instants[99]).past == (None, None)
+    assert now.past.next_items == (52, began + 51 * MS, began + 51 * MS)
+    assert channel.get(st.NOW, st.NOW, as_of=instants[99]).past == (None, None, None)
 
 
 def test_before_the_first_item_there_was_none(rt: st.Connection) -> None:
@@ -118,3 +119,21 @@ def test_the_asyncio_client_reads_as_of_an_instant(cluster: LocalCluster) -> Non
             return known.payload, latest.payload
 
     assert asyncio.run(read()) == (b"one", b"two")
+
+
+def test_an_advance_completes_an_interval_from_its_acceptance_on(rt: st.Connection) -> None:
+    channel, began = rt.channel("past/advance", max_age="60s", archive="7d"), time.time_ns() - SECOND
+    channel.put(b"one", time=began)
+    interval = (began, began + 5 * MS)
+    before = host_now(channel)
+    assert channel.advance(began + 10 * MS) == began + 10 * MS
+    after = host_now(channel)
+    first, second = channel.get(*interval, as_of=before), channel.get(*interval, as_of=after)
+    assert (first.complete, second.complete) == (False, True)
+    assert first.past is not None
+    assert second.past is not None
+    assert (first.past.advance, second.past.advance) == (None, began + 10 * MS)
+    assert (first.past.next_items, second.past.next_change) == (None, None)
+    assert channel.get(*interval, as_of=first.past.next_change).complete
+    channel.put(b"two", time=began + 20 * MS)
+    assert channel.get(*interval, as_of=host_now(channel)).complete

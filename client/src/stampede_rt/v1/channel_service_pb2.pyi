@@ -189,12 +189,18 @@ class GetSummary(_message.Message):
     def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., continues: bool = ..., past: _Optional[_Union[PastSummary, _Mapping]] = ...) -> None: ...
 
 class PastSummary(_message.Message):
-    __slots__ = ("advance_unix_nano", "next_change_unix_nano")
+    __slots__ = ("advance_unix_nano", "next_change_unix_nano", "next_seq", "next_start_unix_nano", "next_end_unix_nano")
     ADVANCE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     NEXT_CHANGE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    NEXT_START_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    NEXT_END_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     advance_unix_nano: int
     next_change_unix_nano: int
-    def __init__(self, advance_unix_nano: _Optional[int] = ..., next_change_unix_nano: _Optional[int] = ...) -> None: ...
+    next_seq: int
+    next_start_unix_nano: int
+    next_end_unix_nano: int
+    def __init__(self, advance_unix_nano: _Optional[int] = ..., next_change_unix_nano: _Optional[int] = ..., next_seq: _Optional[int] = ..., next_start_unix_nano: _Optional[int] = ..., next_end_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
     __slots__ = ("open", "credit_bytes")

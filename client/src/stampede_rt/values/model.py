@@ -120,11 +120,13 @@ class PastState(NamedTuple):
     """Facts about a channel as it was at an earlier instant.
 
     `advance`: the highest instant that its producers had promised to pass by then; None: none. `next_change`: when its
-    host next accepted an item or an advance; None: it has not done so yet.
+    host next accepted items or an advance; None: it has not done so yet. `next_items`: the first seq of the items that
+    it accepted at that instant, and their earliest and latest time; None: it accepted an advance.
     """
 
     advance: int | None
     next_change: int | None
+    next_items: tuple[int, int, int] | None
 
 
 class Items(Sequence[Item]):

@@ -61,6 +61,9 @@ def past_from_message(message: channel_service_pb2.PastSummary) -> PastState:
     return PastState(
         message.advance_unix_nano if message.HasField("advance_unix_nano") else None,
         message.next_change_unix_nano if message.HasField("next_change_unix_nano") else None,
+        (message.next_seq, message.next_start_unix_nano, message.next_end_unix_nano)
+        if message.HasField("next_seq")
+        else None,
     )
 
 

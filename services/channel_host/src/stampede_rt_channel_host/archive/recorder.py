@@ -7,14 +7,15 @@ from bisect import bisect_right
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
-from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
-from stampede_rt_channel_host.core.archive import ArchivedRun, ArchiveSpan, Segment
+from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
+from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
 GAPS_KEPT = 64
-Part = list[ArchivedRun] | SeqGap
+ADVANCES_MAX = 4096  # that wait for the archive; of more, only the latest is kept
+Part = list[ArchivedRun] | SeqGap | Advances
 
 
 class WriteJob(NamedTuple):
@@ -61,22 +62,37 @@ class ChannelRecorder:
         # For each put that is not archived: the seq after its items, and the instant of their acceptance.
         self._ends: list[int] = []
         self._instants: list[int] = []
+        self._advances: list[ArchivedAdvance] = []  # that are not archived
+        self._advances_taken = 0  # the first of them, which a write has taken
+        self._advance: int | None = None  # the latest one
         channel.record(self.archived_to)
 
+    def _note_advance(self, now: int) -> bool:
+        """Note the highest advance of the channel, if it has risen. Returns whether it has."""
+        instant = self._channel.advanced_to
+        if instant is None or instant == self._advance:
+            return False
+        self._advance = instant
+        if len(self._advances) - self._advances_taken >= ADVANCES_MAX:
+            self._advances.pop()
+        self._advances.append(ArchivedAdvance(now, instant))
+        return True
+
     def note(self, now: int) -> bool:
-        """Note that the channel has accepted items at `now`. Returns whether there is something to write."""
+        """Note that the channel has accepted items or an advance at `now`. Returns whether to write something."""
+        has_advance = self._note_advance(now)
         end_seq = self._channel.next_seq
         if self._ends and self._instants[-1] == now:
             self._ends[-1] = end_seq
         elif end_seq > (self._ends[-1] if self._ends else self.archived_to):
             self._ends.append(end_seq)
             self._instants.append(now)
-        return end_seq > self.archived_to
+        return has_advance or end_seq > self.archived_to
 
     @property
     def waiting_since(self) -> int | None:
-        """The acceptance instant of the first item that is not archived, or None."""
-        return self._instants[0] if self._instants else None
+        """The acceptance instant of the first item or advance that is not archived, or None."""
+        return min((*self._instants[:1], *(one.accepted for one in self._advances[:1])), default=None)
 
     @property
     def backlog_items(self) -> int:
@@ -86,6 +102,9 @@ class ChannelRecorder:
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""
         parts: list[Part] = []
+        if self._advances:  # before the items that the host accepted after them
+            parts.append(Advances(self.archived_to, tuple(self._advances)))
+            self._advances_taken = len(self._advances)
         expected, size, last = self.archived_to, 0, None
         for slice_ in self._channel.accepted_from(self.archived_to):
             run = slice_.run
@@ -107,7 +126,7 @@ class ChannelRecorder:
     def _add(self, parts: list[Part], run: Run) -> int:
         at = bisect_right(self._ends, run.first_seq)
         accepted = self._instants[min(at, len(self._instants) - 1)] if self._instants else 0
-        if not parts or isinstance(parts[-1], SeqGap):
+        if not parts or not isinstance(parts[-1], list):
             parts.append([])
         runs = parts[-1]
         assert isinstance(runs, list), "the last part is a list of runs"
@@ -132,6 +151,8 @@ class ChannelRecorder:
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
             self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
         self.archived_to = job.end_seq
+        del self._advances[: sum(len(one.rows) for one in job.parts if isinstance(one, Advances))]
+        self._advances_taken = 0
         done = bisect_right(self._ends, job.end_seq)
         del self._ends[:done]
         del self._instants[:done]

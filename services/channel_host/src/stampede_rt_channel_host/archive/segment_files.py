@@ -4,48 +4,30 @@ from __future__ import annotations
 
 import json
 import os
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
-from threading import Lock
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.segment_reads import SUFFIX, SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
-    HEAD_BYTES,
-    ArchivedPart,
+    ArchivedAdvance,
     ArchivedRun,
-    ArchiveWindow,
     BlockHead,
-    Hole,
-    Past,
-    PlacedBlock,
     Segment,
-    WantedWindow,
-    choose,
-    choose_part,
-    decode_items,
+    encode_advances,
     encode_gap,
     encode_items,
     encode_opening,
     grown,
-    holes,
-    is_whole,
-    part_of,
-    past_of,
     scan,
     summary,
-    window_of,
 )
-from stampede_rt_channel_host.core.channel import Run
 
 BLOCK_BYTES = 2**18
 SEGMENT_BYTES = 64 * 2**20
-SEGMENTS_KEPT = 64  # the most segments whose block lists stay in memory
 SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
-_SUFFIX = ".segment"
 _CLEAN_FILE = "stopped-cleanly"
 
 
@@ -54,6 +36,16 @@ class SeqGap(NamedTuple):
 
     first_seq: int
     end_seq: int
+
+
+class Advances(NamedTuple):
+    """Advances of the channel, in the order of their acceptance. `seq`: of the next item to write."""
+
+    seq: int
+    rows: tuple[ArchivedAdvance, ...]
+
+
+WrittenPart = Sequence[ArchivedRun] | SeqGap | Advances
 
 
 class ArchiveLimits(NamedTuple):
@@ -75,22 +67,19 @@ class OpenedArchive(NamedTuple):
     damaged_blocks: int
 
 
-class SegmentFiles:
+class SegmentFiles(SegmentReads):
     """Reads and writes the segments of one channel. One thread writes; any threads read at the same time."""
 
     def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
         """`facts` go into each new segment, for people who look into the file."""
-        self._folder = folder
+        super().__init__(folder)
         self._facts = facts
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._begun_at = 0  # the acceptance instant of its first block
-        self._lock = Lock()
-        self._kept: OrderedDict[int, Sequence[PlacedBlock]] = OrderedDict()
         self._near = (0, 0)
+        self._advance: ArchivedAdvance | None = None  # the latest one
         self._epoch = 0
-        self.damaged_blocks = 0
-        """The blocks that reads found damaged."""
 
     def open(self, epoch: int) -> OpenedArchive:
         """Find the segments, and cut the torn tail off the last one. `epoch`: of the channel now."""
@@ -99,7 +88,7 @@ class SegmentFiles:
         clean = self._folder / _CLEAN_FILE
         # The directory has raised the epoch once since then: no other host has had the channel.
         stopped_cleanly = clean.exists() and clean.read_bytes().strip() in (b"%d" % (epoch - 1), b"%d" % epoch)
-        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{_SUFFIX}") if path.stem.isdecimal())
+        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
         found, torn_bytes, damaged = [], 0, 0
         following: int | None = None
         for number in reversed(numbers):
@@ -133,7 +122,9 @@ class SegmentFiles:
             path.unlink()
         return segment, torn, len(scanned.damaged)
 
-    def write(self, parts: Sequence[Sequence[ArchivedRun] | SeqGap], limits: ArchiveLimits) -> tuple[Segment, ...]:
+    def write(
+        self, parts: Sequence[Sequence[ArchivedRun] | SeqGap | Advances], limits: ArchiveLimits
+    ) -> tuple[Segment, ...]:
         """Append runs and gaps, in seq order, and bring them to stable storage. Returns all segments.
 
         Drops whole segments that the limits do not keep. Raises OSError if nothing was written: the caller tries the
@@ -156,7 +147,11 @@ class SegmentFiles:
         self._drop_old(limits, now)
         return self._segments
 
-    def _append(self, part: Sequence[ArchivedRun] | SeqGap, limits: ArchiveLimits) -> None:
+    def _append(self, part: WrittenPart, limits: ArchiveLimits) -> None:
+        if isinstance(part, Advances):
+            self._append_block(*encode_advances(part.rows, part.seq, self._near), limits)
+            self._advance = part.rows[-1]
+            return
         if isinstance(part, SeqGap):
             self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, self._begun_at), limits)
             return
@@ -196,6 +191,10 @@ class SegmentFiles:
         sync_folder(self._folder)
         opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
         write_all(self._file, opening)
+        if self._advance is not None:  # a segment begins with the latest advance, for reads as of an instant
+            advance = encode_advances([self._advance], head.first_seq, self._near)[1]
+            write_all(self._file, advance)
+            opening += advance
         length = sum(map(len, opening))
         self._begun_at = head.first_accepted
         fresh = Segment(number, length, 0, head.first_seq, head.first_seq, None, None, 0)
@@ -263,80 +262,3 @@ class SegmentFiles:
                 file.flush()
                 os.fsync(file.fileno())
             sync_folder(self._folder)
-
-    def load(
-        self,
-        segments: Sequence[Segment],
-        wanted: WantedWindow,
-        decode: Callable[[bytes], Run],
-        rest: Callable[[], None],
-        past: Past | None = None,
-    ) -> ArchiveWindow:
-        """Load a window of `segments`, perhaps those of `past`. Calls `rest` after each block, for other threads."""
-        blocks_of = self._blocks_of if past is None else past.blocks_of(self._blocks_of)
-        chosen = choose(segments, blocks_of, wanted.wanted)
-        runs: list[Run] = []
-        missing: list[Hole] = []
-        taken: dict[Segment, set[int]] = {}
-        for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
-            found = self._runs_of(segment, block, decode)
-            runs += found
-            taken.setdefault(segment, set()).add(block.offset)
-            if not found:
-                missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
-            rest()
-        for segment, offsets in taken.items():
-            missing += holes(blocks_of(segment), offsets)
-        window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
-        return window._replace(holes=missing)
-
-    def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> Past:
-        """The segments as they were at an earlier instant."""
-        return past_of(segments, self._blocks_of, partial(self._archived_runs_of, decode), as_of)
-
-    def load_part(
-        self,
-        segments: Sequence[Segment],
-        missing: tuple[int, int],
-        bytes_max: int,
-        decode: Callable[[bytes], Run],
-        rest: Callable[[], None],
-    ) -> ArchivedPart:
-        """Load items in the order of their seqs. See `choose_part` and `load`."""
-        chosen = choose_part(segments, self._blocks_of, missing, bytes_max)
-        runs: list[Run] = []
-        for segment, block in (*chosen.blocks, *chosen.among):
-            runs += self._runs_of(segment, block, decode)
-            rest()
-        return part_of(runs, chosen)
-
-    def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
-        return [one.run for one in self._archived_runs_of(decode, segment, block)]
-
-    def _archived_runs_of(
-        self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock
-    ) -> list[ArchivedRun]:
-        with self._path(segment.number).open("rb", buffering=0) as file:
-            content = os.pread(file.fileno(), block.head.content_bytes, block.offset + HEAD_BYTES)
-        if not is_whole(block.head, content):
-            self.damaged_blocks += 1
-            return []
-        return decode_items(block.head, content, decode)
-
-    def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
-        """The blocks of a segment, as far as it had grown when the read began."""
-        with self._lock:
-            blocks = self._kept.get(segment.number)
-            if blocks is not None and blocks and blocks[-1].end >= segment.length:
-                self._kept.move_to_end(segment.number)
-                return blocks if blocks[-1].end == segment.length else [b for b in blocks if b.end <= segment.length]
-        with self._path(segment.number).open("rb", buffering=0) as file:
-            found = scan(lambda at, size: os.pread(file.fileno(), size, at), segment.length, check_contents=False)
-        with self._lock:
-            self._kept[segment.number] = found.blocks
-            if len(self._kept) > SEGMENTS_KEPT:
-                self._kept.popitem(last=False)
-        return found.blocks
-
-    def _path(self, number: int) -> Path:
-        return self._folder / f"{number:012}{_SUFFIX}"

@@ -11,6 +11,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
+    NextItems,
     Past,
     PastFacts,
     nothing_left,
@@ -26,10 +27,14 @@ ARCHIVED_WITHIN_SECONDS = 5.0  # the longest wait until the archive has the item
 
 
 class PastSummary(NamedTuple):
-    """The highest advance at an earlier instant, and when the channel next changed; None: never yet."""
+    """The highest advance at an earlier instant, when the channel next changed, and the items that came then.
+
+    `next_items` is None if only the advance changed then. Each may be None: there was none, or none yet.
+    """
 
     advance: int | None
     next_change: int | None
+    next_items: NextItems | None
 
 
 class PastAnswer(NamedTuple):
@@ -78,24 +83,38 @@ class PastReader:
             await asyncio.sleep(_RETRY_SECONDS)
 
     async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
-        segments, recorder = self._recorder.segments, self._recorder
-        past = await self._archive.past(recorder.files, segments, as_of)
-        later = [one for one in (past.next_accepted, recorder.waiting_since) if one is not None and one > as_of]
-        summary = PastSummary(None, min(later, default=None))
+        past, is_cut = await self._past(as_of)
+        summary = _summary(past)
         channel, span = self._channel, span_of(past.segments)
-        facts = PastFacts(channel.policy, channel.incarnation, None, channel.lost_before, channel.lost_from)
+        facts = PastFacts(channel.policy, channel.incarnation, past.advance, channel.lost_before, channel.lost_from)
         moment = past_moment(facts, past, span, as_of)
         within = resolved(moment, span, query)
-        if not past.segments and segments and segments[0].first_seq > 1:
+        if span.newest is None and is_cut:
             return PastAnswer(nothing_left(within, as_of, channel.incarnation), False, summary)
-        if within is None or not past.segments:
+        if within is None or span.newest is None:
             return PastAnswer(await scheduler.do(read_nothing(moment, query, within)), False, summary)
         read = ArchivedRead(moment, span, query, within)
         await scheduler.do(read.begin())
         await self._load(read, past, scheduler)
         return PastAnswer(read.answer(), read.continues, summary)
 
+    async def _past(self, as_of: int) -> tuple[Past, bool]:
+        """The archive as of an instant, and whether it has dropped items since. It also has the next change."""
+        while True:
+            segments, since = self._recorder.segments, self._recorder.waiting_since
+            past = await self._archive.past(self._recorder.files, segments, as_of)
+            if since is None or past.next_items is not None or past.next_advance is not None:
+                return past, bool(segments) and segments[0].first_seq > 1
+            await self._archived(since)
+
     async def _load(self, read: ArchivedRead, past: Past, scheduler: PieceScheduler) -> None:
         while (wanted := read.next_window()) is not None:
             window = await self._archive.load(self._recorder.files, past.segments, wanted, past)
             await scheduler.do(read.take(window))
+
+
+def _summary(past: Past) -> PastSummary:
+    items, advance = past.next_items, past.next_advance
+    if items is not None and (advance is None or items.accepted <= advance):
+        return PastSummary(past.advance, items.accepted, items)
+    return PastSummary(past.advance, advance, None)

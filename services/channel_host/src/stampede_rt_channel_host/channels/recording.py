@@ -105,7 +105,7 @@ class Recording:
         self.recorder.limits = ArchiveLimits(age, policy.archive_bytes)
 
     def accepted(self, now: int) -> None:
-        """The channel has accepted items at `now`."""
+        """The channel has accepted items or an advance at `now`."""
         if self.recorder.note(now):
             self._archive.touch(self.recorder, self._on_archived)
 

@@ -32,7 +32,11 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
 
 def past_to_message(past: PastSummary) -> pb.PastSummary:
     """The facts about the channel at the instant as of which a get was answered."""
-    return pb.PastSummary(advance_unix_nano=past.advance, next_change_unix_nano=past.next_change)
+    message = pb.PastSummary(advance_unix_nano=past.advance, next_change_unix_nano=past.next_change)
+    if past.next_items is not None:
+        message.next_seq = past.next_items.first_seq
+        message.next_start_unix_nano, message.next_end_unix_nano = past.next_items.start, past.next_items.end
+    return message
 
 
 def kept_bytes_of(answer: ReadAnswer) -> int:

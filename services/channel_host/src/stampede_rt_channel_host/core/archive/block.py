@@ -15,12 +15,14 @@ from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
 
 MAGIC = b"SRTA"
-ITEMS, GAP, OPENING = 1, 2, 3
-"""The kinds of blocks: item runs; seqs whose items were never archived; the facts about a segment and its channel."""
+ITEMS, GAP, OPENING, ADVANCES = 1, 2, 3, 4
+"""The kinds of blocks: item runs; seqs whose items were never archived; the facts about a segment and its channel; the
+advances of the channel."""
 
 _SUM = struct.Struct("<4sI")  # the magic, and the checksum of the rest of the head
 _HEAD = struct.Struct("<IIIIIQQqQqQqq")
 _ROW = struct.Struct("<qI")  # for each run: when its items were accepted, and the length of its body
+_ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
 HEAD_BYTES = _SUM.size + _HEAD.size
 
 
@@ -81,6 +83,26 @@ def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tu
     """A block that says that the items of these seqs were never archived. `near`: the key of the item before them."""
     head = BlockHead(GAP, 0, 0, 0, end_seq - first_seq, first_seq, end_seq, near, near, accepted, accepted)
     return head, [encode_head(head)]
+
+
+class ArchivedAdvance(NamedTuple):
+    """The highest advance of a channel from an instant of the host's clock on."""
+
+    accepted: int
+    instant: int
+
+
+def encode_advances(advances: Sequence[ArchivedAdvance], seq: int, near: ItemKey) -> tuple[BlockHead, list[bytes]]:
+    """A block of advances, in the order of their acceptance. `seq`: of the next item. `near`: see `BlockHead`."""
+    content = b"".join(_ADVANCE.pack(*one) for one in advances)
+    first, last = advances[0].accepted, advances[-1].accepted
+    head = BlockHead(ADVANCES, crc32(content), len(content), 0, 0, seq, seq, near, near, first, last)
+    return head, [encode_head(head), content]
+
+
+def decode_advances(content: bytes) -> list[ArchivedAdvance]:
+    """The advances of a block whose content is whole."""
+    return [ArchivedAdvance._make(one) for one in _ADVANCE.iter_unpack(content)]
 
 
 def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:

@@ -10,7 +10,15 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.timeline import ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.archive.block import ITEMS, ArchivedRun, BlockHead, highest, lowest
+from stampede_rt_channel_host.core.archive.block import (
+    ADVANCES,
+    ITEMS,
+    ArchivedAdvance,
+    ArchivedRun,
+    BlockHead,
+    highest,
+    lowest,
+)
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, summary
 from stampede_rt_channel_host.core.archive.window import BlocksOf
@@ -24,16 +32,32 @@ RunsOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedRun]]
 """Returns the runs of a block; none if the block is damaged."""
 
 
+AdvancesOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedAdvance]]
+"""Returns the advances of a block; none if the block is damaged."""
+
+
+class NextItems(NamedTuple):
+    """The items that the host accepted next, at one instant: their first seq, and their least and greatest time."""
+
+    accepted: int
+    first_seq: int
+    start: int
+    end: int
+
+
 class Past(NamedTuple):
     """The segments of an archive as far as the host had accepted their items by an instant.
 
     `last_blocks` are the blocks of the last segment if it was cut off, else None. The head of a block that was cut off
-    tells its first items only. `next_accepted`: when the next item of the archive was accepted; None: there is none.
+    tells its first items only. `next_items`: None if the archive has no later ones. `advance` is the highest one of
+    then, and `next_advance` is when the host accepted a higher one; each may be None.
     """
 
     segments: tuple[Segment, ...]
     last_blocks: Sequence[PlacedBlock] | None
-    next_accepted: int | None
+    next_items: NextItems | None
+    advance: int | None = None
+    next_advance: int | None = None
 
     @property
     def next_seq(self) -> int:
@@ -48,40 +72,79 @@ class Past(NamedTuple):
         return lambda segment: blocks if segment.number == number else whole(segment)
 
 
-def past_of(segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, as_of: int) -> Past:
-    """The archive as it was at the instant `as_of`. Asks for the runs of one block at most."""
+def past_of(
+    segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, advances_of: AdvancesOf, as_of: int
+) -> Past:
+    """The archive as it was at the instant `as_of`. Asks for the runs of a block or two, and for one of advances."""
+    past, reached = Past(tuple(segments), None, None), segments
     for at, segment in enumerate(segments):
         blocks = blocks_of(segment) if segment.last_accepted > as_of else ()
         later = (place for place, one in enumerate(blocks) if one.head.kind == ITEMS and one.head.last_accepted > as_of)
         place = next(later, None)
-        if place is None:
-            continue
-        first, accepted = _cut(blocks[place], runs_of(segment, blocks[place]), as_of)
-        kept = [*blocks[:place], *([first] if first else [])]
-        cut = summary(segment.number, segment.length, kept)
-        if cut is None:
-            return Past(tuple(segments[:at]), None, accepted)
-        return Past((*segments[:at], cut), kept, accepted)
-    return Past(tuple(segments), None, None)
+        if place is not None:
+            past, reached = _cut(segments[:at], segment, blocks[: place + 1], runs_of, as_of), segments[: at + 1]
+            break
+    advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
+    return past._replace(advance=advance, next_advance=next_advance)
 
 
-def _cut(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, int]:
-    """The block with the items that were accepted by `as_of`, or None, and when the next ones were accepted."""
-    count = next((at for at, one in enumerate(runs) if one.accepted > as_of), 0)
+def _cut(
+    before: Sequence[Segment], segment: Segment, blocks: Sequence[PlacedBlock], runs_of: RunsOf, as_of: int
+) -> Past:
+    """The past if the last of `blocks` has the first items that the host accepted later."""
+    *kept, last = blocks
+    runs = runs_of(segment, last)
+    first, following = _part(last, runs, as_of)
+    if first is not None:
+        kept.append(first)
+    short = summary(segment.number, segment.length, kept)
+    if short is None:
+        return Past(tuple(before), None, following)
+    return Past((*before, short), kept, following)
+
+
+def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
+    """The block with the items that were accepted by `as_of`, or None, and the next ones."""
+    head: BlockHead = block.head
     if not runs:  # the block is damaged
-        whole = block.head.first_accepted <= as_of
-        return (block if whole else None), block.head.last_accepted
-    kept = [one.run for one in runs[:count]]
+        found = NextItems(head.last_accepted, head.first_seq, head.low[0], head.high[0])
+        return (block if head.first_accepted <= as_of else None), found
+    kept = [one.run for one in runs if one.accepted <= as_of]
+    accepted = runs[len(kept)].accepted
+    following = [one.run for one in runs[len(kept) :] if one.accepted == accepted]
+    found = NextItems(accepted, following[0].first_seq, min(map(lowest, following))[0], max(map(highest, following))[0])
     if not kept:
-        return None, runs[0].accepted
-    head: BlockHead = block.head._replace(
+        return None, found
+    head = head._replace(
         items=sum(map(len, kept)),
         end_seq=kept[-1].first_seq + len(kept[-1]),
         low=min(map(lowest, kept)),
         high=max(map(highest, kept)),
-        last_accepted=runs[count - 1].accepted,
+        last_accepted=runs[len(kept) - 1].accepted,
     )
-    return PlacedBlock(block.offset, head), runs[count].accepted
+    return PlacedBlock(block.offset, head), found
+
+
+def _advances(
+    segments: Sequence[Segment], blocks_of: BlocksOf, advances_of: AdvancesOf, as_of: int
+) -> tuple[int | None, int | None]:
+    """The highest advance of then, and when the host accepted the next one.
+
+    A segment begins with the latest advance. So the last segment has none only if there was none since the host began.
+    """
+    following: int | None = None
+    for segment in reversed(segments):
+        blocks = [one for one in blocks_of(segment) if one.head.kind == ADVANCES]
+        count = sum(one.head.first_accepted <= as_of for one in blocks)
+        if count < len(blocks):
+            following = blocks[count].head.first_accepted
+        if count:
+            rows = advances_of(segment, blocks[count - 1])
+            known = max((one.instant for one in rows if one.accepted <= as_of), default=None)
+            return known, next((one.accepted for one in rows if one.accepted > as_of), following)
+        if not blocks:
+            break
+    return None, following
 
 
 class PastFacts(NamedTuple):

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive.block import (
+    ADVANCES,
     GAP,
     HEAD_BYTES,
     ITEMS,
@@ -142,7 +143,7 @@ def grown(segment: Segment, head: BlockHead) -> Segment:
     """The segment with one block more at its end."""
     length, end_seq = segment.length + head.length, head.end_seq
     accepted = max(segment.last_accepted, head.last_accepted)
-    if head.kind == GAP:
+    if head.kind in (GAP, ADVANCES):
         return segment._replace(length=length, end_seq=end_seq, last_accepted=accepted)
     return segment._replace(
         length=length,
