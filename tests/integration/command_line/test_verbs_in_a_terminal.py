@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,8 +37,8 @@ def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal
     monkeypatch.delenv("COLUMNS", raising=False)
     monkeypatch.delenv("LINES", raising=False)
 
-    def run(*words: str, status: int = 0, columns: int = 100, typed: bytes = b"", progress: bool = False) -> Screen:
-        screen = run_in_terminal(words, columns=columns, typed=typed)
+    def run(*words: str, status: int = 0, progress: bool = False, **terminal: Any) -> Screen:
+        screen = run_in_terminal(words, **terminal)
         assert screen.status == status, screen
         moves = {"\r"} if progress else set()
         assert screen.controls(screen=progress or words[0] == "top") <= moves, screen
@@ -194,3 +195,36 @@ def test_long_work_shows_its_progress_on_a_terminal_and_erases_it_at_the_end(
     assert json.loads(screen.lines[-1].rpartition("\r")[2])["items"] == {"played/long/a": 3}
     facts = json.loads(terminal("file", "info", path, "--output", "jsonl").text)
     assert facts["messages"] >= 3
+
+
+def test_hz_prints_the_rates_of_many_channels_with_jitter_and_lag(rt: st.Connection, terminal: Terminal) -> None:
+    left, right = rt.channel("rig/left", max_age="1h"), rt.channel("rig/right", max_age="1h")
+
+    def put(_: int) -> bool:
+        left.put(b"x")
+        right.put(b"x")
+        return True
+
+    screen = while_something_happens(put, lambda: terminal("hz", "rig/*", "--every", "0.5", "--count", "2"))
+    assert screen.lines[0].split() == ["CHANNEL", "ITEMS/S", "REFUSED/S", "JITTER", "LAG", "HELD"]
+    assert len([line for line in screen.lines if line.startswith("rig/")]) == 4
+    look = lambda: terminal("hz", "rig/left", "--every", "0.5", "--count", "2", "-o", "jsonl")  # noqa: E731
+    rows = [json.loads(line) for line in while_something_happens(put, look).lines]
+    assert {row["channel"] for row in rows} == {"rig/left"}
+    assert all(row["items_per_second"] > 0 and row["jitter_nanos"] > 0 and row["lag_nanos"] > 0 for row in rows)
+
+
+def test_top_is_sorted_paused_filtered_and_ended_by_keys(rt: st.Connection, terminal: Terminal) -> None:
+    rt.channel("top/one").put(b"x")
+    rt.channel("top/two").put(b"x")
+    text = terminal("top", "top/*", "--every", "0.2", answered=b"sp/two\nq", columns=120).text
+    assert "sorted by items, paused" in text
+    assert "filter: two" in text
+    assert "top/one" in text
+
+
+def test_top_fits_a_narrow_terminal(rt: st.Connection, terminal: Terminal) -> None:
+    rt.channel("top/one").put(b"x")
+    screen = terminal("top", "top/*", "--every", "0.1", "--count", "1", columns=50)
+    assert "top/one" in screen.text
+    assert max(map(len, screen.lines)) <= 50 * 2  # erased lines may leave spaces

@@ -48,10 +48,15 @@ class Screen:
         return {one for one in rest if not one.isprintable()}
 
 
-def run_in_terminal(words: Sequence[str], *, columns: int = 100, rows: int = 40, typed: bytes = b"") -> Screen:
-    """Run one command in this process on a terminal of that size. `typed`: what the user types."""
+def run_in_terminal(
+    words: Sequence[str], *, columns: int = 100, rows: int = 40, typed: bytes = b"", answered: bytes = b""
+) -> Screen:
+    """Run one command in this process on a terminal of that size.
+
+    `typed`: what the user types before the command begins. `answered`: what the user types at the first output.
+    """
     pieces: list[bytes] = []
-    with pytest.MonkeyPatch.context() as patch, _terminal(columns, rows, pieces) as (master, slave):
+    with pytest.MonkeyPatch.context() as patch, _terminal(columns, rows, pieces, answered) as (master, slave):
         os.write(master, typed)
         for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
             file = open(os.dup(slave), mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
@@ -67,7 +72,7 @@ def run_in_terminal(words: Sequence[str], *, columns: int = 100, rows: int = 40,
 
 
 @contextmanager
-def _terminal(columns: int, rows: int, pieces: list[bytes]) -> Iterator[tuple[int, int]]:
+def _terminal(columns: int, rows: int, pieces: list[bytes], answered: bytes) -> Iterator[tuple[int, int]]:
     """A pseudo-terminal without echo. A thread appends to `pieces` what is written, up to the end of the block."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
@@ -83,6 +88,8 @@ def _terminal(columns: int, rows: int, pieces: list[bytes]) -> Iterator[tuple[in
                 return
             if not piece:
                 return
+            if not pieces:
+                os.write(master, answered)
             pieces.append(piece)
 
     reader = threading.Thread(target=read, daemon=True)

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from statistics import pstdev
 
 from stampede_rt.values.statistics import ChannelStats
 
 Look = Mapping[str, tuple[str, ChannelStats]]
 """By the name of each channel: its host, and its counters."""
-SORTS = ("bytes", "items", "age", "held", "refused", "name")
+SORTS = ("bytes", "items", "age", "lag", "held", "refused", "name")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelRates:
-    """One channel between two looks. Rates are per second. `age_nanos`: of the newest item; None without an item."""
+    """One channel between two looks. Rates are per second.
+
+    `age_nanos`: of the newest item; None without an item. `lag_items`: the items that the slowest consumer or copy
+    still has to get. `refused`: items of refused puts.
+    """
 
     channel: str
     host: str
@@ -22,6 +28,7 @@ class ChannelRates:
     bytes_in: float
     bytes_out: float
     refused: float
+    lag_items: int
     age_nanos: int | None
     held: int
     subscriptions: int
@@ -36,6 +43,7 @@ def _rates(name: str, host: str, former: tuple[str, ChannelStats] | None, now: C
     then = now if former is None or former[1].incarnation != now.incarnation else former[1]
     seconds = max((now.host_time - then.host_time) / 1e9, 1e-9)
     refused = sum(now.rejected.values()) - sum(then.rejected.values())
+    waiting = [one.waiting for one in now.consumers] + [one.waiting for one in now.copies]
     return ChannelRates(
         channel=name,
         host=host,
@@ -43,6 +51,7 @@ def _rates(name: str, host: str, former: tuple[str, ChannelStats] | None, now: C
         bytes_in=max(0, now.accepted_bytes - then.accepted_bytes) / seconds,
         bytes_out=max(0, now.delivered_bytes - then.delivered_bytes) / seconds,
         refused=max(0, refused) / seconds,
+        lag_items=max(waiting, default=0),
         age_nanos=None if now.newest is None else now.host_time - now.newest,
         held=now.held,
         subscriptions=now.subscriptions,
@@ -63,6 +72,14 @@ def _value(row: ChannelRates, sort: str) -> float:
         "items": row.items,
         "age": -1.0 if row.age_nanos is None else float(row.age_nanos),
         "held": float(row.held),
+        "lag": float(row.lag_items),
         "refused": row.refused,
     }
     return values[sort]
+
+
+def jitter_of(times: Iterable[int]) -> int | None:
+    """Return the standard deviation of the times between items, in nanoseconds; None with fewer than three items."""
+    ordered = sorted(times)
+    gaps = [later - earlier for earlier, later in pairwise(ordered)]
+    return round(pstdev(gaps)) if len(gaps) > 1 else None

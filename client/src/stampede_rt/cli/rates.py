@@ -1,29 +1,36 @@
-"""`stampede hz` and `stampede bw`: rates, computed from the host's counters. The host sends no payloads for this."""
+"""`stampede hz` and `stampede bw`: rates, computed from the counters of the hosts, which send no payloads for this."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing, parse_count
-from stampede_rt.cli.output import bytes_text
+from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob, parse_count
+from stampede_rt.cli.channel_rates import ChannelRates, Look, arranged, jitter_of, rates_of
+from stampede_rt.cli.looking import look_at
+from stampede_rt.cli.output import bytes_text, print_rows, roughly
+from stampede_rt.errors import StampedeError
 from stampede_rt.values.statistics import ChannelStats
+from stampede_rt.values.timeline import NEWEST
 
 if TYPE_CHECKING:
-    from stampede_rt import Channel
+    from stampede_rt import Channel, Connection
+
+JITTER_ITEMS_MAX = 1000  # the items whose times one look compares
 
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
-    for name, text, run in (
-        ("hz", "print a channel's items per second", run_hz),
-        ("bw", "print a channel's bytes per second, in and out", run_bw),
+    for name, text, run, help_ in (
+        ("hz", "print items per second, jitter and lag of channels", run_hz, "a name, or a glob such as 'rig/*'"),
+        ("bw", "print a channel's bytes per second, in and out", run_bw, "the channel's name"),
     ):
         verb = add_verb(subparsers, name, f"{text}, until Ctrl-C", run)
-        verb.add_argument("channel", help="the channel's name")
+        verb.add_argument("channel", help=help_)
         verb.add_argument(
             "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="print a line this often; default 1"
         )
@@ -51,19 +58,79 @@ def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tu
 
 
 def run_hz(arguments: argparse.Namespace) -> int:
-    """Print items per second."""
+    """Print the rates of one channel in lines, or those of all channels that match a glob in tables."""
+    name = arguments.channel
     with connected(arguments) as rt:
-        for before, after in _samples(existing(rt, arguments.channel), arguments.every, arguments.count):
-            seconds = (after.host_time - before.host_time) / 1e9
-            accepted = after.accepted - before.accepted
-            rejected = sum(after.rejected.values()) - sum(before.rejected.values())
-            if arguments.output == "table":
-                refused = f", {rejected / seconds:.1f} refused/s" if rejected else ""
-                print(f"{accepted / seconds:8.1f} items/s{refused}   held {after.held}", flush=True)
+        if not is_glob(name):
+            existing(rt, name)
+        for before, after in _looks(rt, name, arguments):
+            rows = [_hz_row(rt, one, arguments) for one in arranged(rates_of(before, after), "name")]
+            if arguments.output != "table":
+                sys.stdout.writelines(json.dumps(row) + "\n" for row in rows)
+            elif not is_glob(name):
+                sys.stdout.writelines(_hz_line(row) + "\n" for row in rows)
             else:
-                row = {"items_per_second": accepted / seconds, "rejected_per_second": rejected / seconds}
-                print(json.dumps(row | {"held": after.held}), flush=True)
+                print_rows([_hz_cells(row) for row in rows], "table", none=f"no channel matches {name!r}")
+                print()
+            sys.stdout.flush()
     return 0
+
+
+def _looks(rt: Connection, glob: str, arguments: argparse.Namespace) -> Iterator[tuple[Look, Look]]:
+    """Yield pairs of looks at the counters of the hosts, `--every` apart."""
+    before = look_at(rt, glob)
+    made = 0
+    while arguments.count is None or made < arguments.count:
+        time.sleep(arguments.every)
+        after = look_at(rt, glob)
+        yield before, after
+        before, made = after, made + 1
+
+
+def _hz_row(rt: Connection, rates: ChannelRates, arguments: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "channel": rates.channel,
+        "items_per_second": rates.items,
+        "rejected_per_second": rates.refused,
+        "jitter_nanos": _jitter_nanos(rt, rates, arguments.every) if rates.items else None,
+        "lag_nanos": rates.age_nanos,
+        "held": rates.held,
+    }
+
+
+def _jitter_nanos(rt: Connection, rates: ChannelRates, every_s: float) -> int | None:
+    """Return the standard deviation of the times between the newest items. The host sends their times alone."""
+    try:
+        items = rt.channel(rates.channel, create=False).get(
+            NEWEST - f"{max(every_s, 3 / rates.items):f}s",
+            NEWEST,
+            match="start",
+            limit=JITTER_ITEMS_MAX,
+            newest_first=True,
+            payloads=False,
+        )
+    except StampedeError:  # the channel has gone, or only its counters may be read
+        return None
+    return jitter_of([item.time for item in items])
+
+
+def _hz_line(row: dict[str, Any]) -> str:
+    cells = _hz_cells(row)
+    refused = f", {cells['refused/s']} refused/s" if row["rejected_per_second"] else ""
+    measured = f"jitter {cells['jitter'] or '-'}   lag {cells['lag'] or '-'}   held {row['held']}"
+    return f"{cells['items/s']:>8} items/s{refused}   {measured}"
+
+
+def _hz_cells(row: dict[str, Any]) -> dict[str, Any]:
+    jitter, lag = row["jitter_nanos"], row["lag_nanos"]
+    return {
+        "channel": row["channel"],
+        "items/s": f"{row['items_per_second']:.1f}",
+        "refused/s": f"{row['rejected_per_second']:.1f}" if row["rejected_per_second"] else None,
+        "jitter": None if jitter is None else roughly(jitter),
+        "lag": None if lag is None else roughly(lag),
+        "held": row["held"],
+    }
 
 
 def run_bw(arguments: argparse.Namespace) -> int:

@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
 from stampede_rt.cli.channel_rates import SORTS, ChannelRates, Look, arranged, rates_of
+from stampede_rt.cli.looking import look_at
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.cli.rates import period_seconds
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
 
+HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S")
 KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
 _ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
 
@@ -46,23 +48,12 @@ def run_top(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _look(rt: Connection, glob: str) -> Look:
-    """The counters of all matching channels. Leaves out hosts that do not answer."""
-    found: dict[str, tuple[str, Any]] = {}
-    for host in rt.hosts():
-        try:
-            found |= {name: (host.name, stats) for name, stats in rt.hosted_channels(host.name, glob).items()}
-        except StampedeError:
-            continue
-    return found
-
-
 def _print_lines(rt: Connection, arguments: argparse.Namespace) -> None:
-    before = _look(rt, arguments.glob)
+    before = look_at(rt, arguments.glob)
     looks = 0
     while arguments.count is None or looks < arguments.count:
         time.sleep(arguments.every)
-        after = _look(rt, arguments.glob)
+        after = look_at(rt, arguments.glob)
         for row in arranged(rates_of(before, after), arguments.sort):
             print(json.dumps(asdict(row)))
         sys.stdout.flush()
@@ -105,7 +96,7 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
             "the live view needs rich: pip install 'stampede-rt[top]'; without it use stampede top --output jsonl"
         ) from None
     view, console = View(arguments.sort), Console(highlight=False)
-    looks = [_look(rt, arguments.glob)] * 2
+    looks = [look_at(rt, arguments.glob)] * 2
     with _keys() as read_key, Live(console=console, screen=True, auto_refresh=False) as live:
 
         def redraw() -> None:
@@ -115,7 +106,7 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
         while not view.is_over and (arguments.count is None or made < arguments.count):
             _wait(read_key, view, arguments.every, redraw)
             if not view.is_paused:
-                looks[:] = looks[1], _look(rt, arguments.glob)
+                looks[:] = looks[1], look_at(rt, arguments.glob)
             made += 1
             redraw()
 
@@ -161,8 +152,8 @@ def _table(before: Look, after: Look, view: View, console: Any) -> Any:
     table = Table(
         title=Text(f"{len(rows)} channels, {state}{escaped(filtered)}"), caption=Text(KEYS), expand=True, box=None
     )
-    table.add_column("CHANNEL", ratio=1, no_wrap=True)
-    for name in ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "HELD", "READERS", "REFUSED/S"):
+    table.add_column("CHANNEL", ratio=1, no_wrap=True, min_width=12)
+    for name in HEADS:
         table.add_column(name, justify="right", no_wrap=True)
     for row in shown:
         table.add_row(*map(Text, _cells(row)))
@@ -173,6 +164,6 @@ def _cells(row: ChannelRates) -> tuple[str, ...]:
     age = "-" if row.age_nanos is None else format_duration(round(row.age_nanos, -6))
     return (
         escaped(row.channel), escaped(row.host), f"{row.items:.1f}", bytes_text(row.bytes_in),
-        bytes_text(row.bytes_out), age, str(row.held), str(row.subscriptions),
-        f"{row.refused:.1f}" if row.refused else "-",
+        bytes_text(row.bytes_out), age, str(row.lag_items) if row.lag_items else "-", str(row.held),
+        str(row.subscriptions), f"{row.refused:.1f}" if row.refused else "-",
     )  # fmt: skip

@@ -20,7 +20,7 @@ VERBS = {
     "peers": ("mailbox", "list peers: connections with a name"),
     "mailbox": ("mailbox", "messages to peers, by their names"),
     "proxy": ("proxy", "proxies: read-only copies of channels at other hosts, which serve readers"),
-    "hz": ("rates", "print a channel's items per second, until Ctrl-C"),
+    "hz": ("rates", "print items per second, jitter and lag of channels, until Ctrl-C"),
     "bw": ("rates", "print a channel's bytes per second, in and out, until Ctrl-C"),
     "top": ("top", "show the busiest channels, live, until q or Ctrl-C"),
     "lag": ("lag", "print how far channels, groups and queues are behind, the worst first"),

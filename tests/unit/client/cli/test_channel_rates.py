@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.cli.channel_rates import arranged, rates_of
-from stampede_rt.values.statistics import ChannelStats
+from stampede_rt.cli.channel_rates import arranged, jitter_of, rates_of
+from stampede_rt.values.statistics import ChannelStats, ConsumerStats
 
 S = 10**9
 STATS = ChannelStats(
@@ -37,3 +37,15 @@ def test_rows_are_sorted_by_what_the_user_chooses_and_then_by_name() -> None:
     assert [row.channel for row in arranged(rows, "held")] == ["cam", "a", "b"]
     assert [row.channel for row in arranged(rows, "name")] == ["a", "b", "cam"]
     assert [row.channel for row in arranged(rows, "bytes", "a")] == ["a", "cam"]
+
+
+def test_the_lag_is_that_of_the_slowest_consumer() -> None:
+    places = tuple(ConsumerStats(consumer_id=number, lease_nanos=1, waiting=number * 10) for number in range(3))
+    (row,) = rates_of({}, {"a": ("h1", replace(STATS, consumers=places))})
+    assert row.lag_items == 20
+
+
+def test_jitter_is_the_spread_of_the_times_between_items_in_any_order() -> None:
+    assert jitter_of([0, 100, 200, 300]) == 0
+    assert jitter_of([300, 0, 200, 100, 420]) == round((3 * 25 + 15**2) ** 0.5 / 2)
+    assert jitter_of([0, 100]) is None
