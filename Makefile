@@ -78,6 +78,7 @@ check: setup  ## lint, types, import rules, names, sizes, signposts, protobuf ru
 	$(RUN)/ruff check $(PYTHON_DIRS)
 	$(RUN)/ruff format --check $(PYTHON_DIRS)
 	$(RUN)/python tools/generate.py --check
+	$(RUN)/python tools/command_pages.py --check
 	$(RUN)/mypy
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
@@ -94,8 +95,9 @@ format: setup  ## put the code into the project's form
 	$(RUN)/ruff check --fix $(PYTHON_DIRS)
 	$(RUN)/ruff format $(PYTHON_DIRS)
 
-stubs: setup  ## generate the protobuf stubs and the synchronous client, and draw the layers, again
+stubs: setup  ## generate the stubs, the synchronous client, the completion scripts and the man page, and draw the layers
 	$(RUN)/python tools/generate.py
+	$(RUN)/python tools/command_pages.py
 	$(RUN)/python tools/signposts.py
 
 robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob
+from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.output import policy_text, print_facts, print_rows
 from stampede_rt.cli.policy_options import add_limits, limits_of
 from stampede_rt.errors import InvalidArgument, StampedeError
@@ -15,8 +16,6 @@ from stampede_rt.escaping import escaped
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
-
-FAILED = 1  # the exit status if a channel could not be deleted
 
 
 def add_verbs(subparsers: Any) -> None:

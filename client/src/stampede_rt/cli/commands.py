@@ -9,7 +9,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.interrupts import INTERRUPTED, interruption
+from stampede_rt.cli.exit_statuses import FAILED, INTERRUPTED, MISUSED
+from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from stampede_rt.errors import InvalidArgument, StampedeError
@@ -19,8 +20,6 @@ from stampede_rt.version import VERSION
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-FAILED = 1  # the exit status of a command that failed
-MISUSED = 2  # the exit status of a command with wrong arguments
 
 OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk refuses the output
 
@@ -59,9 +58,10 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run_client(arguments: Sequence[str]) -> int:
     parsed = parser_of(arguments[0] if arguments else None).parse_args(arguments)
-    from stampede_rt.cli.instants import show_local  # --help ends above, and does not need it
+    if "local" in parsed:
+        from stampede_rt.cli.instants import show_local
 
-    show_local(getattr(parsed, "local", False))
+        show_local(parsed.local)
     return int(parsed.run(parsed))
 
 

@@ -18,6 +18,7 @@ from stampede_rt.cli.arguments import (
     parse_time,
     timeout_seconds,
 )
+from stampede_rt.cli.exit_statuses import NOTHING
 from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, tell_dropped
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
@@ -27,8 +28,6 @@ from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, last
 
 if TYPE_CHECKING:
     from stampede_rt import Channel
-
-NOTHING = 3  # the exit status of `get` if there are no items
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, checked, parse_time
+from stampede_rt.cli.exit_statuses import FAILED, INCOMPLETE
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, print_document, print_facts, print_rows
-from stampede_rt.cli.record import INCOMPLETE, print_summary
+from stampede_rt.cli.record import print_summary
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.escaping import escaped
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from stampede_rt.files.editing import FileReport
 
 DAMAGES_SHOWN = 20
-FAILED = 1
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -15,6 +15,7 @@ from stampede_rt.cli.arguments import (
     parse_bound_text,
     parse_count,
 )
+from stampede_rt.cli.exit_statuses import NOTHING
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.item_text import item_line, item_row
 from stampede_rt.cli.output import print_rows
@@ -27,8 +28,6 @@ from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection, Group
-
-NOTHING = 3  # the exit status if nothing is visible
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stampede_rt.cli.arguments import connected
+from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.progress import shown_progress
-from stampede_rt.cli.record import INCOMPLETE, recording_progress
+from stampede_rt.cli.record import recording_progress
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 

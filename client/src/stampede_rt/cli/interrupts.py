@@ -18,7 +18,8 @@ from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
-INTERRUPTED = 130  # the exit status after Ctrl-C
+from stampede_rt.cli.exit_statuses import INTERRUPTED
+
 CLOSE_S = 2.0  # how long a command may take to close its connections and end after Ctrl-C
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
+from stampede_rt.cli.exit_statuses import INTERRUPTED
+from stampede_rt.cli.interrupts import ended_at_once, run_interruptibly
 
 # These verbs install their own signal handlers, which Python allows only on the main thread.
 ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 from stampede_rt.cli.arguments import parse_count, timeout_seconds
+from stampede_rt.cli.exit_statuses import NOTHING
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, print_rows
 from stampede_rt.cli.payload_text import preview
@@ -21,7 +22,6 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats
 
-NOTHING = 3  # the exit status of a `take` that gets no message
 STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 

@@ -20,6 +20,7 @@ from stampede_rt.cli.arguments import (
     parse_time,
     timeout_seconds,
 )
+from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.messages import STDIN_BYTES_MAX, add_payload, payload_of
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
 FLUSH_S = 30.0  # how long the command waits for the last acknowledgements
-FAILED = 1
 RATE_MAX = 1_000_000.0
 
 

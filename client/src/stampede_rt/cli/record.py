@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, add_verb, connected, existing
+from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import bytes_text, joined, print_document, print_rows
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from stampede_rt import Connection
     from stampede_rt._sync.recorder import Recorder
 
-INCOMPLETE = 3  # the exit status if anything is missing
 AT_ONCE_MAX = 4  # recordings of `--on` at the same time
 STOP_DRAIN_S = 1.0  # after Ctrl-C, for items that the hosts have accepted before
 STOP_S = 15.0  # after Ctrl-C, until the file is finished

@@ -8,11 +8,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, add_verb, checked, connected, parse_time
+from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.held_items import file_of
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import joined, print_document, print_rows
 from stampede_rt.cli.progress import shown_progress
-from stampede_rt.cli.record import GAPS_SHOWN, INCOMPLETE, gap_text
+from stampede_rt.cli.record import GAPS_SHOWN, gap_text
 from stampede_rt.escaping import escaped
 from stampede_rt.values.recording import ReplaySummary
 

@@ -14,6 +14,7 @@ from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.arguments import FORMS
 from stampede_rt.cli.backup_file import write_backup
+from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.supernode_findings import IN_DOUBT, WAITS_FOR_DISK, gathered, level_finding, refusal
@@ -23,7 +24,6 @@ from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.values.timeline import format_duration
 
-FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24  # the longest validity of a token for a joining supernode
 IN_MEMORY_ADVICE = (
