@@ -100,10 +100,22 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
 ) -> None:
     channel, began = rt.channel("rig/stopped", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began, count=ITEMS - 1)
-    cluster.hosts[0].stop()
-    cluster.hosts[0].restart()
-    channel = rt.channel("rig/stopped")
-    channel.put(b"%d" % (ITEMS - 1), time=began + (ITEMS - 1) * MS)
+    channel.advance(began + (ITEMS - 2) * MS)
+    with channel.subscribe(start=began) as items:
+        seen = [next(items) for _ in range(5)]
+        for times in (1, 2):  # the second process does not even open the channel
+            cluster.hosts[0].stop()
+            cluster.hosts[0].restart()
+            assert rt.channel("rig/stopped").info.epoch == times + 1
+        channel.put(b"%d" % (ITEMS - 1), time=began + (ITEMS - 1) * MS)
+        seen += [next(items) for _ in range(ITEMS - 5)]
+    assert [int(item.payload) for item in seen] == list(range(ITEMS))
+    assert [item.seq for item in seen] == list(range(1, ITEMS + 1))
+    assert {item.incarnation for item in seen} == {channel.info.incarnation}
+    with channel.subscribe(after=seen[2]) as again:
+        assert next(again).payload == b"3"
+    with pytest.raises(st.TooOld, match="an advance has promised"):
+        channel.put(b"late", time=began)
     check_reads(channel, began)
 
 

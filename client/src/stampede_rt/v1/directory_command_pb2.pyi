@@ -178,7 +178,7 @@ class DeleteChannelCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterHostCommand(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -186,6 +186,8 @@ class RegisterHostCommand(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HAS_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
+    CONTINUES_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
@@ -193,7 +195,9 @@ class RegisterHostCommand(_message.Message):
     version: str
     new_incarnation: int
     registration_epoch: int
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
+    has_archive: bool
+    continues_boot_incarnation: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class DeregisterHostCommand(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")

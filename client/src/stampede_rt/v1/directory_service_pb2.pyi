@@ -148,7 +148,7 @@ class DeleteChannelResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class RegisterHostRequest(_message.Message):
-    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "registration_epoch")
+    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "registration_epoch", "has_archive", "continues_boot_incarnation")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -157,6 +157,8 @@ class RegisterHostRequest(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HAS_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
+    CONTINUES_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     host_id: bytes
     name: str
@@ -165,7 +167,9 @@ class RegisterHostRequest(_message.Message):
     version: str
     protocol_version: int
     registration_epoch: int
-    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
+    has_archive: bool
+    continues_boot_incarnation: int
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
     __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids")

@@ -40,6 +40,7 @@ from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.owner_messages import retries_of, retries_to
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
@@ -125,7 +126,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
-        self.store.recordings.archive = None if archive is None else _archive(archive, access.accounts, self.store.now)
+        self._set_up_archive(archive, access.accounts)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
@@ -138,6 +139,12 @@ class ChannelHost:
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
         self._entering: asyncio.Future[None] | None = None
+
+    def _set_up_archive(self, folder: ArchiveFolder | None, accounts: Accounts) -> None:
+        recordings, now = self.store.recordings, self.store.now
+        recordings.archive = None if folder is None else _archive(folder, accounts, now)
+        recordings.write_retries = lambda window: retries_to(window, now())
+        recordings.read_retries = lambda encoded: retries_of(encoded, now())
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
         """Make the registration. It passes changes of the lease to the serving loop, which handles them in order."""
@@ -153,7 +160,11 @@ class ChannelHost:
             on_lease=lambda held: serving.run_soon(lambda: self._lease_changed(held)),
             has_hung=serving.has_hung,
             home=self._home,
-            measure_load=LoadMeter(lambda: self.store.memory.used_bytes, self.store.memory.bytes_max).measure,
+            measure_load=LoadMeter(
+                lambda: self.store.memory.used_bytes,
+                self.store.memory.bytes_max,
+                has_archive=self.store.recordings.archive is not None,
+            ).measure,
         )
 
     def _make_moves(self, bytes_per_second: int) -> None:
@@ -248,7 +259,7 @@ class ChannelHost:
         for part in (self.groups, self.replicas, self.copies, self.moves_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
-        await self.store.recordings.close()
+        await self.store.recordings.close(self.identity.boot_incarnation if self._tasks else 0)
         await self._supernodes.aclose()
 
     def _start(self, work: Coroutine[Any, Any, None], name: str) -> None:

@@ -86,15 +86,18 @@ class ServedHost:
 
     def _make_host(self) -> ChannelHost:
         settings = self._settings
+        host_id = load_host_id(settings.data_dir or settings.archive)
+        archive = None if settings.archive is None else ArchiveFolder(settings.archive, settings.archive_bytes_max)
+        if archive is not None:
+            archive.open(host_id)
         identity = HostIdentity(
-            host_id=load_host_id(settings.data_dir or settings.archive),
+            host_id=host_id,
             name=self._name(),
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
+            has_archive=archive is not None,
+            continues=0 if archive is None else archive.continued(),
         )
-        archive = None if settings.archive is None else ArchiveFolder(settings.archive, settings.archive_bytes_max)
-        if archive is not None:
-            archive.open(identity.host_id)
         return ChannelHost(
             identity,
             frontends=settings.frontend,

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ArchivedRun, Segment, Wanted, WantedWindow
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
@@ -50,7 +51,7 @@ def opened(folder: Path) -> tuple[SegmentFiles, tuple[Segment, ...]]:
 def test_a_file_cut_at_any_byte_opens_with_the_blocks_before_the_cut_and_is_written_on(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "a")
     write(files, 1, 3)
-    files.close(stopped_cleanly=False)
+    files.close(None)
     [path] = (tmp_path / "a").glob("*.segment")
     raw = path.read_bytes()
     for cut in range(0, len(raw), 7):
@@ -61,9 +62,9 @@ def test_a_file_cut_at_any_byte_opens_with_the_blocks_before_the_cut_and_is_writ
         found = files.open(2)
         kept = [seq for one in found.segments for seq in range(one.first_seq, one.end_seq)]
         assert kept == list(range(1, len(kept) + 1))
-        assert not found.stopped_cleanly
+        assert found.stop is None
         assert seqs(files, write(files, len(kept) + 1, 1)) == list(range(1, len(kept) + 3))
-        files.close(stopped_cleanly=False)
+        files.close(None)
 
 
 def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,7 +81,7 @@ def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monke
             write(files, 5, 1)
     assert seqs(files, before) == [1, 2, 3, 4]
     assert seqs(files, write(files, 5, 1)) == [1, 2, 3, 4, 5, 6]
-    files.close(stopped_cleanly=True)
+    files.close(CleanStop(7))
     files, segments = opened(tmp_path)
     assert seqs(files, segments) == [1, 2, 3, 4, 5, 6]
 
@@ -94,18 +95,43 @@ def test_a_flipped_bit_costs_its_block_only(tmp_path: Path) -> None:
     path.write_bytes(raw)
     assert seqs(files, segments) == [1, 2, 5, 6]
     assert files.damaged_blocks == 1
-    files.close(stopped_cleanly=False)
+    files.close(None)
     assert SegmentFiles(tmp_path, {}).open(2).damaged_blocks == 1
 
 
-def test_only_a_clean_stop_without_another_owner_since_counts_as_one(tmp_path: Path) -> None:
-    for epoch, expected in ((2, True), (3, False)):
-        files = SegmentFiles(tmp_path / str(epoch), {})
-        files.open(1)
-        write(files, 1, 1)
-        files.close(stopped_cleanly=True)
-        assert SegmentFiles(tmp_path / str(epoch), {}).open(epoch).stopped_cleanly is expected
-        assert SegmentFiles(tmp_path / str(epoch), {}).open(epoch).stopped_cleanly is False, "once only"
+@pytest.mark.parametrize(
+    ("epoch", "incarnation", "expected"), [(2, 8, True), (3, 8, False), (3, 7, True), (9, 7, True)]
+)
+def test_only_a_clean_stop_without_another_owner_since_counts_as_one(
+    tmp_path: Path, epoch: int, incarnation: int, expected: bool
+) -> None:
+    stop = CleanStop(incarnation=7, advance=5, lost_from=None, lost_before=3, retries=b"\xff\0")
+    files = SegmentFiles(tmp_path, {})
+    files.open(1)
+    write(files, 1, 1)
+    files.close(stop)
+    found = SegmentFiles(tmp_path, {}).open(epoch, incarnation)
+    assert found.stop == (stop._replace(epoch=1) if expected else None)
+    assert SegmentFiles(tmp_path, {}).open(epoch, incarnation).stop is None, "once only"
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"{}", b"7", b"[1]", b'{"incarnation": 7}', b'{"incarnation": "7", "retries": ""}']
+)
+def test_a_note_of_a_stop_that_cannot_be_read_is_none(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "stopped-cleanly").write_bytes(text)
+    assert SegmentFiles(tmp_path, {}).open(0, 7).stop is None
+
+
+def test_a_folder_tells_which_process_stopped_last_with_everything_in_it(tmp_path: Path) -> None:
+    folder = ArchiveFolder(tmp_path)
+    folder.open(HOST)
+    assert folder.continued() == 0
+    folder.note_stop(2**64 - 1)
+    assert folder.continued() == 2**64 - 1
+    (tmp_path / "stopped").write_bytes(b"\xff nonsense")
+    assert folder.continued() == 0
+    folder.close()
 
 
 def test_whole_segments_leave_an_archive_beyond_its_bytes_and_its_age(tmp_path: Path) -> None:
@@ -125,7 +151,7 @@ def test_whole_segments_leave_an_archive_beyond_its_bytes_and_its_age(tmp_path: 
 def test_seqs_that_were_never_archived_stand_in_the_file(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 9), [ArchivedRun(2, run_at(9))]], NO_LIMITS)
-    files.close(stopped_cleanly=False)
+    files.close(None)
     files, segments = opened(tmp_path)
     assert (segments[0].items, segments[0].end_seq) == (4, 11)
     assert seqs(files, segments) == [1, 2, 9, 10]

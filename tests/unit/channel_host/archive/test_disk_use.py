@@ -13,6 +13,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.archive import host_archive
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
@@ -38,7 +39,7 @@ def recorded(folder: ArchiveFolder, channel_id: bytes, created_by: str) -> Segme
     files = SegmentFiles(folder.of_channel(channel_id), {"created_by": created_by})
     files.open(1)
     write(files, 1, 2)
-    files.close(stopped_cleanly=True)
+    files.close(CleanStop(7))
     return files
 
 
@@ -82,7 +83,7 @@ def test_a_start_finds_the_folders_of_all_channels_and_who_made_them(folder: Arc
 
 def test_the_folder_of_a_channel_without_items_goes_with_its_channel(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "empty")
-    files.close(stopped_cleanly=True)
+    files.close(CleanStop(7))
     assert [*tmp_path.iterdir()] == []
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
@@ -48,7 +49,7 @@ def test_a_read_only_folder_costs_no_item_and_doubles_none_once_it_can_be_writte
                 write(files, 5, 1)
     assert seqs(files, before) == [1, 2, 3, 4]
     assert seqs(files, write(files, 5, 2)) == [1, 2, 3, 4, 5, 6, 7, 8]
-    files.close(stopped_cleanly=True)
+    files.close(CleanStop(7))
     files, segments = opened(tmp_path)
     assert seqs(files, segments) == [1, 2, 3, 4, 5, 6, 7, 8]
     assert [one.end_seq for one in segments[:-1]] == [one.first_seq for one in segments[1:]]
@@ -73,7 +74,7 @@ def test_an_old_segment_that_cannot_be_deleted_does_not_fail_the_write(
 def test_files_that_are_no_segments_do_not_disturb_an_archive(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     write(files, 1, 1)
-    files.close(stopped_cleanly=False)
+    files.close(None)
     (tmp_path / "000000000001 (copy).segment").write_bytes(b"")
     (tmp_path / "stopped-cleanly").write_bytes(b"\xff")
     files, segments = opened(tmp_path)
@@ -147,7 +148,7 @@ def test_a_stop_in_the_middle_of_a_write_doubles_no_item(tmp_path: Path, monkeyp
     segments = asyncio.run(scenario())
     assert sum(one.items for one in segments) == 2
     found = SegmentFiles(tmp_path / "c", {}).open(1)
-    assert (sum(one.items for one in found.segments), found.stopped_cleanly) == (2, True)
+    assert (sum(one.items for one in found.segments), found.stop is not None) == (2, True)
 
 
 def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_written_no_more(

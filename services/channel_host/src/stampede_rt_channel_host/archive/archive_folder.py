@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import IO
 
 from stampede_rt_channel_host.archive.disk_use import FoundFolder, folders_of_channels
+from stampede_rt_channel_host.archive.stable_writes import sync_folder
 from stampede_rt_runtime.settings import SettingsError
 
-_LOCK_FILE, _OWNER_FILE, _CHANNELS = "lock", "owner", "channels"
+_LOCK_FILE, _OWNER_FILE, _CHANNELS, _STOPPED_FILE = "lock", "owner", "channels", "stopped"
 
 
 class ArchiveFolder:
@@ -62,17 +63,25 @@ class ArchiveFolder:
         path = self.path / _OWNER_FILE
         owner = path.read_text(errors="replace").strip() if path.exists() else ""
         if not owner:
-            draft = path.with_suffix(".draft")
-            with draft.open("w") as file:
-                file.write(host_id + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            draft.rename(path)
+            _write(path, host_id)
         elif owner != host_id:
             raise SettingsError(
                 f"--archive: the folder {self.path} is the archive of host {owner}, and this is host {host_id}; give "
                 "this host a folder of its own, or start it with the --data-dir of that host"
             )
+
+    def continued(self) -> int:
+        """The boot incarnation of the last process that left everything here when it stopped; 0: none is known.
+
+        Only the directory knows whether another process of the host has registered since. Raises OSError.
+        """
+        path = self.path / _STOPPED_FILE
+        text = path.read_text(errors="replace").strip() if path.exists() else ""
+        return int(text) if text.isdecimal() and int(text) < 2**64 else 0
+
+    def note_stop(self, boot_incarnation: int) -> None:
+        """This process has archived all items of all recorded channels, and stops. Raises OSError."""
+        _write(self.path / _STOPPED_FILE, str(boot_incarnation))
 
     def of_channel(self, channel_id: bytes) -> Path:
         """The folder of one channel's segments."""
@@ -91,3 +100,14 @@ class ArchiveFolder:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all. Raises OSError."""
+    draft = path.with_suffix(".draft")
+    with draft.open("w") as file:
+        file.write(text + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    draft.rename(path)
+    sync_folder(path.parent)

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
+from stampede_rt_channel_host.core.records import RecordedChannel
 
 logger = logging.getLogger(__name__)
 
@@ -60,13 +61,13 @@ class HostArchive:
         """Why the last write of a channel failed; empty: none did."""
         return next(iter(self._failing.values()), "")
 
-    async def open(
-        self, channel_id: bytes, name: str, epoch: int, created_by: str = ""
-    ) -> tuple[SegmentFiles, OpenedArchive]:
+    async def open(self, record: RecordedChannel) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, after a look at them. Raises OSError."""
-        facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": created_by}
+        channel_id, name = record.channel_id, record.name
+        facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
         files = SegmentFiles(self.folder.of_channel(channel_id), facts)
-        found = await asyncio.get_running_loop().run_in_executor(self._writer, files.open, epoch)
+        loop = asyncio.get_running_loop()
+        found = await loop.run_in_executor(self._writer, files.open, record.epoch, record.incarnation)
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
                 "the archive of a channel was damaged",
@@ -101,7 +102,7 @@ class HostArchive:
         self._due.pop(recorder, None)
         self._failing.pop(recorder, None)
         self._recorders.discard(recorder)
-        self._writer.submit(_close, recorder.files, False)
+        self._writer.submit(recorder.files.close, None)
 
     async def _write_on(self) -> None:
         """Write while there is something to write, until the archive closes."""
@@ -210,9 +211,10 @@ class HostArchive:
         arguments = (segments, missing, bytes_max, self._decode, _rest)
         return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
-    async def close(self, recorders: list[ChannelRecorder]) -> None:
+    async def close(self, recorders: list[ChannelRecorder], boot_incarnation: int = 0) -> None:
         """Write the rest, and note in the folder of each channel that nothing is missing.
 
+        If nothing is missing in any channel, notes that, too, with the host's `boot_incarnation`; 0: notes nothing.
         A write that is under way ends first, so that its items are not written twice. Waits CLOSE_SECONDS_MAX for the
         writes, and once more for the notes.
         """
@@ -227,7 +229,7 @@ class HostArchive:
         if self._task is not None:
             _, late = await asyncio.wait([self._task], timeout=CLOSE_SECONDS_MAX)
         if not late:
-            closing = asyncio.create_task(self._close_files(recorders), name="archive-close")
+            closing = asyncio.create_task(self._close_files(recorders, boot_incarnation), name="archive-close")
             _, late = await asyncio.wait([closing], timeout=CLOSE_SECONDS_MAX)
         for task in late:
             task.cancel()
@@ -236,18 +238,15 @@ class HostArchive:
         self._readers.shutdown(wait=False)
         self.folder.close()
 
-    async def _close_files(self, recorders: list[ChannelRecorder]) -> None:
+    async def _close_files(self, recorders: list[ChannelRecorder], boot_incarnation: int) -> None:
         loop = asyncio.get_running_loop()
         for recorder in recorders:
-            whole = not recorder.backlog_items and not recorder.failure
             try:
-                await loop.run_in_executor(self._writer, _close, recorder.files, whole)
+                await loop.run_in_executor(self._writer, recorder.files.close, recorder.clean_stop())
             except OSError as error:
                 self._note_failure(recorder, error)
-
-
-def _close(files: SegmentFiles, whole: bool) -> None:
-    files.close(stopped_cleanly=whole)
+        if boot_incarnation and all(one.clean_stop() is not None for one in recorders):
+            await loop.run_in_executor(self._writer, self.folder.note_stop, boot_incarnation)
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from bisect import bisect_right
+from collections.abc import Callable
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
@@ -56,6 +58,8 @@ class ChannelRecorder:
         self._gaps: list[SeqGap] = []  # the last seqs that the archive will never have
         self._moved = asyncio.Event()  # is set, and replaced, when a write has ended
         self.limits = ArchiveLimits(None, None)
+        self.encoded_retries: Callable[[], bytes] = bytes
+        """Returns the encoded retry window of the producers."""
         self._channel = channel
         self.archived_to = channel.next_seq
         """All seqs below this one are on stable storage, or lost to the archive."""
@@ -98,6 +102,18 @@ class ChannelRecorder:
     def backlog_items(self) -> int:
         """The accepted items that are not archived."""
         return self._channel.next_seq - self.archived_to
+
+    def clean_stop(self) -> CleanStop | None:
+        """The note for the folder if the archive has all items that the channel holds and will accept, else None."""
+        channel = self._channel
+        first = next(iter(channel.accepted_from(0)), None)
+        archived_from = self.segments[0].first_seq if self.segments else channel.next_seq
+        is_whole = first is None or first.run.first_seq >= archived_from
+        if self.backlog_items or self.failure or not is_whole:
+            return None
+        return CleanStop(
+            channel.incarnation, channel.advanced_to, channel.lost_from, channel.lost_before, self.encoded_retries()
+        )
 
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""

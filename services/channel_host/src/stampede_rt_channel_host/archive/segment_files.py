@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, remove_stop, write_stop
 from stampede_rt_channel_host.archive.segment_reads import SUFFIX, SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
@@ -28,7 +29,6 @@ from stampede_rt_channel_host.core.archive import (
 BLOCK_BYTES = 2**18
 SEGMENT_BYTES = 64 * 2**20
 SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
-_CLEAN_FILE = "stopped-cleanly"
 
 
 class SeqGap(NamedTuple):
@@ -58,11 +58,11 @@ class ArchiveLimits(NamedTuple):
 class OpenedArchive(NamedTuple):
     """The archive that a host finds in the folder of a channel.
 
-    `stopped_cleanly`: the last host process archived all that it had accepted. `torn_bytes` were cut off the end.
+    `stop`: the last host process archived all that it had accepted. `torn_bytes` were cut off the end.
     """
 
     segments: tuple[Segment, ...]
-    stopped_cleanly: bool
+    stop: CleanStop | None
     torn_bytes: int
     damaged_blocks: int
 
@@ -81,13 +81,13 @@ class SegmentFiles(SegmentReads):
         self._advance: ArchivedAdvance | None = None  # the latest one
         self._epoch = 0
 
-    def open(self, epoch: int) -> OpenedArchive:
-        """Find the segments, and cut the torn tail off the last one. `epoch`: of the channel now."""
+    def open(self, epoch: int, incarnation: int = 0) -> OpenedArchive:
+        """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now."""
         self._epoch = epoch
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        clean = self._folder / _CLEAN_FILE
-        # The directory has raised the epoch once since then: no other host has had the channel.
-        stopped_cleanly = clean.exists() and clean.read_bytes().strip() in (b"%d" % (epoch - 1), b"%d" % epoch)
+        stop = read_stop(self._folder)
+        if stop is not None and not stop.is_of(incarnation, epoch):
+            stop = None
         numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
         found, torn_bytes, damaged = [], 0, 0
         following: int | None = None
@@ -97,9 +97,9 @@ class SegmentFiles(SegmentReads):
             if segment is not None:
                 found.append(segment)
                 following = segment.first_seq
-        clean.unlink(missing_ok=True)
+        remove_stop(self._folder)
         self._segments = tuple(reversed(found))
-        return OpenedArchive(self._segments, stopped_cleanly and not torn_bytes, torn_bytes, damaged)
+        return OpenedArchive(self._segments, None if torn_bytes else stop, torn_bytes, damaged)
 
     def _open_one(self, number: int, following: int | None) -> tuple[Segment | None, int, int]:
         """Open a segment. `following`: the first seq of the next segment. Blocks from this seq on do not count: a write
@@ -250,15 +250,11 @@ class SegmentFiles(SegmentReads):
         """The channel has a higher epoch now, at the same host."""
         self._epoch = max(self._epoch, epoch)
 
-    def close(self, *, stopped_cleanly: bool) -> None:
-        """End the present segment. `stopped_cleanly`: all accepted items are in it. Deletes a folder without files."""
+    def close(self, stop: CleanStop | None) -> None:
+        """End the present segment. `stop`: all accepted items are in the archive. Deletes a folder without files."""
         self._end_segment()
         if not self._segments:
             with suppress(OSError):
                 self._folder.rmdir()
-        if stopped_cleanly and self._folder.is_dir():
-            with (self._folder / _CLEAN_FILE).open("w") as file:
-                file.write(str(self._epoch))
-                file.flush()
-                os.fsync(file.fileno())
-            sync_folder(self._folder)
+        if stop is not None and self._folder.is_dir():
+            write_stop(self._folder, stop._replace(epoch=self._epoch))

@@ -65,7 +65,7 @@ class OpenedChannelArchive:
 async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedChannelArchive:
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written."""
     try:
-        files, found = await archive.open(record.channel_id, record.name, record.epoch, record.created_by)
+        files, found = await archive.open(record)
         newest = None
         if found.segments:
             wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True)
@@ -220,9 +220,14 @@ def _restore(channel: ChannelCore, opened: OpenedChannelArchive, cut: Callable[[
     first = segments[0].first_seq
     if after is None and first > 1 and runs:
         after = min(min(run.times) for run in runs) - 1
-    span = span_of(segments)
-    lost_from = None if opened.found.stopped_cleanly else span.newest
-    channel.restore(runs, after=after, next_seq=max(one.end_seq for one in segments), lost_from=lost_from)
+    stop, loss = opened.found.stop, (span_of(segments).newest, channel.lost_before)
+    channel.restore(
+        runs,
+        after=after,
+        next_seq=max(one.end_seq for one in segments),
+        loss=loss if stop is None else (stop.lost_from, stop.lost_before),
+        advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
+    )
 
 
 def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
@@ -12,6 +12,7 @@ from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
+from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 
@@ -31,6 +32,8 @@ class Recordings:
 
     def __init__(self) -> None:
         self.archive: HostArchive | None = None
+        self.write_retries: Callable[[RetryWindow], bytes] = _nothing
+        self.read_retries: Callable[[bytes], Iterable[KeptRun]] = lambda encoded: ()
         self._opened: dict[bytes, OpenedChannelArchive] = {}
         self._recorded: dict[bytes, Recording] = {}
         self._departed = ArchiveCounts(0, 0, 0)
@@ -92,10 +95,19 @@ class Recordings:
         opened = self._opened.pop(hosted.record.channel_id, None)
         if opened is not None and self.archive is not None:
             recording = Recording(self.archive, opened, hosted.channel, slice_run, hosted.archived)
+            self._keep_retries(hosted, opened, recording)
             hosted.record_with(recording)
             self._drop_stopped()
             self._recorded[hosted.record.channel_id] = recording
         return hosted
+
+    def _keep_retries(self, hosted: HostedChannel, opened: OpenedChannelArchive, recording: Recording) -> None:
+        """Go on with the retry window of the former process, and note the present one when this process stops."""
+        stop, retries = opened.found.stop, hosted.puts.retries
+        recording.recorder.encoded_retries = lambda: self.write_retries(retries)
+        if stop is not None and stop.incarnation == hosted.record.incarnation:
+            for run in self.read_retries(stop.retries):
+                retries.adopt(run)
 
     def counts(self) -> ArchiveCounts:
         """The sums over all channels that were recorded since the host started."""
@@ -110,10 +122,15 @@ class Recordings:
                 counts = _counts(self._recorded.pop(channel_id))._replace(backlog_items=0)
                 self._departed = ArchiveCounts(*map(sum, zip(self._departed, counts, strict=True)))
 
-    async def close(self) -> None:
-        """Write the rest of all channels, because the host stops."""
+    async def close(self, boot_incarnation: int = 0) -> None:
+        """Write the rest of all channels, because the host stops. `boot_incarnation`: see `HostArchive.close`."""
         if self.archive is not None:
-            await self.archive.close([one.recorder for one in self._recorded.values() if not one.is_stopped])
+            recorders = [one.recorder for one in self._recorded.values() if not one.is_stopped]
+            await self.archive.close(recorders, boot_incarnation)
+
+
+def _nothing(_: RetryWindow) -> bytes:
+    return b""
 
 
 def _counts(recording: Recording) -> ArchiveCounts:

@@ -24,12 +24,16 @@ class HostIdentity:
     """The identity of the host, as the host sends it to the directory.
 
     `boot_incarnation` is new at each start of the process, because a start loses the host's earlier items.
+    `has_archive`: the host can record channels. `continues`: the boot incarnation of the former process that left all
+    items of its recorded channels in that archive, or 0.
     """
 
     host_id: bytes
     name: str
     boot_incarnation: int
     zone: str = ""
+    has_archive: bool = False
+    continues: int = 0
 
 
 def load_host_id(folder: Path | None) -> bytes:

@@ -23,7 +23,10 @@ class LoadMeter:
         *,
         cpu_nanos: Callable[[], int] = time.process_time_ns,
         steady_nanos: Callable[[], int] = time.monotonic_ns,
+        has_archive: bool = False,
     ) -> None:
+        """`has_archive`: the host can record channels, which is a part of its reports."""
+        self._has_archive = has_archive
         self._held_bytes = held_bytes
         self._bytes_max = bytes_max
         self._cpu_nanos = cpu_nanos
@@ -39,4 +42,5 @@ class LoadMeter:
             busy_permille=min(max(0, used) * 1000 // max(1, passed), PERMILLE_MAX),
             held_bytes=max(0, self._held_bytes()),
             bytes_max=self._bytes_max,
+            has_archive=self._has_archive,
         )

@@ -255,6 +255,8 @@ class Registration:
             version=software_version(),
             protocol_version=PROTOCOL_VERSION,
             registration_epoch=self._epoch.value,
+            has_archive=one.has_archive,
+            continues_boot_incarnation=one.continues,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)

@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import groupby
 
+from google.protobuf.message import DecodeError
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.status import from_error_message, to_error_message
 from stampede_rt.v1 import channel_pb2, channel_service_pb2, subject_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import counters_to
 from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, OwnerPart
-from stampede_rt_channel_host.core.dedup import KeptRun
+from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
 
 _COLLECTED = {"age": "age", "count": "count", "bytes": "bytes", "consumption": "consumption"}
@@ -47,6 +49,21 @@ def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
         _counters_of(message.counters, message.late),
         message.until_unix_nano if message.HasField("until_unix_nano") else None,
     )
+
+
+def retries_to(window: RetryWindow, now: int) -> bytes:
+    """The retry window of a channel, encoded for `retries_of`."""
+    runs = groupby(window.kept(now), lambda run: run.producer_id)
+    return pb.OwnerFacts(producers=[_producer_to([*of_one], now) for _, of_one in runs]).SerializeToString()
+
+
+def retries_of(encoded: bytes, now: int) -> list[KeptRun]:
+    """The runs of a window that `retries_to` has encoded; none if these bytes are damaged."""
+    try:
+        message = pb.OwnerFacts.FromString(encoded)
+        return [run for producer in message.producers for run in _runs_of(producer, now)]
+    except (DecodeError, InvalidArgument):
+        return []
 
 
 def _producer_to(runs: list[KeptRun], now: int) -> pb.FedProducer:

@@ -37,7 +37,11 @@ def host_record(host: HostRecord) -> directory_pb2.HostRecord:
 def load_message(load: HostLoad) -> directory_pb2.HostLoad:
     """The message of a load."""
     return directory_pb2.HostLoad(
-        busy_permille=load.busy_permille, held_bytes=load.held_bytes, bytes_max=load.bytes_max, owned=load.owned
+        busy_permille=load.busy_permille,
+        held_bytes=load.held_bytes,
+        bytes_max=load.bytes_max,
+        owned=load.owned,
+        has_archive=load.has_archive,
     )
 
 
@@ -48,6 +52,7 @@ def load_from(message: directory_pb2.HostLoad) -> HostLoad:
         held_bytes=message.held_bytes,
         bytes_max=message.bytes_max,
         owned=message.owned,
+        has_archive=message.has_archive,
     )
 
 

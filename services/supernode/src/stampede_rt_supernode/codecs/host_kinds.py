@@ -36,6 +36,8 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         version=operation.version,
         new_incarnation=operation.new_incarnation,
         registration_epoch=operation.registration_epoch,
+        has_archive=operation.has_archive,
+        continues_boot_incarnation=operation.continues_boot_incarnation,
     )
 
 
@@ -48,6 +50,8 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         version=message.version,
         new_incarnation=message.new_incarnation,
         registration_epoch=message.registration_epoch,
+        has_archive=message.has_archive,
+        continues_boot_incarnation=message.continues_boot_incarnation,
     )
 
 

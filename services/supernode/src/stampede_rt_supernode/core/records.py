@@ -26,13 +26,15 @@ class Endpoint:
 class HostLoad:
     """How busy a host is, see HostLoad in directory.proto.
 
-    `owned`: the number of channels and queues that the host owned when the measurement began.
+    `owned`: the number of channels and queues that the host owned when the measurement began. `has_archive`: the host
+    can record channels.
     """
 
     busy_permille: int = 0
     held_bytes: int = 0
     bytes_max: int = 0
     owned: int = 0
+    has_archive: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +91,7 @@ class ChannelRecord:
     proxy_host_ids: tuple[bytes, ...] = ()
     created_by: str = ""
 
-    def with_new_incarnation(self, incarnation: int) -> ChannelRecord:
+    def after_restart(self, incarnation: int) -> ChannelRecord:
         """The record with the next epoch and with this incarnation. The host stays the same.
 
         The method calls the constructor, because a host may own very many channels, and `replace` takes three times as

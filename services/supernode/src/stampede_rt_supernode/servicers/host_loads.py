@@ -84,7 +84,7 @@ def differs(host: HostRecord, load: HostLoad) -> bool:
     return (
         abs(load.busy_permille - known.busy_permille) >= CHANGE_PERMILLE
         or memory_change >= CHANGE_PERMILLE * max(load.bytes_max, 1)
-        or (load.owned, load.bytes_max) != (known.owned, known.bytes_max)
+        or (load.owned, load.bytes_max, load.has_archive) != (known.owned, known.bytes_max, known.has_archive)
     )
 
 

@@ -163,7 +163,7 @@ class PastFacts(NamedTuple):
 def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
     """The channel as it was at `clock`, with no item in memory, because the archive has all. `span`: of `past`."""
     channel = ChannelCore(facts.policy, incarnation=facts.incarnation)
-    channel.restore((), after=span.newest, next_seq=past.next_seq, lost_from=None)
+    channel.restore((), after=span.newest, next_seq=past.next_seq, loss=(None, None))
     moment = channel.snapshot(clock)
     moment.advanced_to = facts.advance
     if facts.lost_before is not None and facts.lost_before <= clock:

@@ -156,18 +156,20 @@ class BaseChannel:
         if self._clock is not None:
             self._retention.drop_excess(self._clock)
 
-    def restore(self, runs: Iterable[Run], *, after: int | None, next_seq: int, lost_from: int | None) -> None:
+    def restore(
+        self, runs: Iterable[Run], *, after: int | None, next_seq: int,
+        loss: tuple[int | None, int | None], advance: int | None = None,
+    ) -> None:  # fmt: skip
         """Take the newest items of an archive into an empty channel.
 
         `runs` have all items later than `after`, in the order of their seqs.
-        `next_seq`: the seq of the next accepted item. `lost_from`: items from this instant on may be lost, see
-        `Reading`; None: none was lost.
+        `next_seq`: the seq of the next accepted item. `loss`: from which instant on, and before which, items may be
+        lost, see `Reading`; None: without a bound, or none was lost. `advance`: the latest one.
         """
         restore(self._held, runs, after=after, next_seq=next_seq)
-        self._reading.lost_from = lost_from
-        if lost_from is None:
-            self.lost_before = None
-            self._reading.forget_loss()
+        self._reading.lost_from, self.lost_before = loss
+        self._reading.note_loss(self.lost_before)
+        self._acceptance.advance = self._reading.advance = advance
 
     @property
     def footprint_bytes(self) -> int:

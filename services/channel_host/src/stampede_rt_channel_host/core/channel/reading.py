@@ -42,9 +42,9 @@ class Reading:
         self.advance: int | None = None  # the highest instant of an advance
         self.consumed_up_to: int | None = None  # the latest time of a consumed item: the channel has passed this time
 
-    def forget_loss(self) -> None:
-        """No item was lost: an archive has all items of the earlier incarnation."""
-        self._lost_before = None
+    def note_loss(self, lost_before: int | None) -> None:
+        """Items before this instant may be lost; None: an archive has all items of the earlier incarnation."""
+        self._lost_before = lost_before
 
     def now(self, clock: int) -> int:
         """The instant of the meta-time NOW: the later of the clock and the newest item's time."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, Unavailable
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
     ChannelOpened,
@@ -136,7 +136,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
             "delete some",
             metadata={"channel": operation.name},
         )
-    host = _choose_host(tables, operation)
+    host = _choose_host(tables, operation, recorded=operation.policy.is_recorded)
     check_has_place(host, operation.name)
     channel = ChannelRecord(
         channel_id=operation.new_channel_id,
@@ -154,7 +154,8 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 
 def _with_new_owner(tables: Tables, channel: ChannelRecord, operation: OpenChannel) -> ChannelRecord:
     former = tables.hosts[channel.host_id].name
-    host = _choose_host(tables, operation, former=former, channel_id=channel.channel_id)
+    recorded = channel.policy.is_recorded
+    host = _choose_host(tables, operation, former=former, channel_id=channel.channel_id, recorded=recorded)
     check_has_place(host, channel.name)
     return replace(
         channel,
@@ -170,27 +171,62 @@ def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
 
 
 def _choose_host(
-    tables: Tables, operation: OpenChannel, former: str | None = None, channel_id: bytes = b""
+    tables: Tables,
+    operation: OpenChannel,
+    former: str | None = None,
+    channel_id: bytes = b"",
+    *,
+    recorded: bool,
 ) -> HostRecord:
     """The host for a new channel, or for the channel `channel_id`, whose owner is not alive.
 
     It is the live host that the caller names, if any. Else it is the live host with the name of the `former` owner,
     which is that owner, restarted without its data folder. Else it is the host of the channel `operation.beside`, if it
     is alive and has room. Else it is the host of the other members of the channel's groups, if it has room. Else it is
-    the least loaded live host, see `placement`.
+    the least loaded live host, see `placement`. A channel that is `recorded` gets only a host with an archive.
     """
     if operation.host_name:
-        return host_by_name(tables, operation.host_name)
+        return _named_host(tables, operation, recorded=recorded)
     successor = tables.live_host_named(former) if former is not None else None
-    near = successor or _host_beside(tables, operation, channel_id) or beside_its_group(tables, channel_id)
-    least = near or least_loaded(tables, tables.live_hosts(), lambda host: host.channels)
+    near = (successor, _host_beside(tables, operation, channel_id), beside_its_group(tables, channel_id))
+    for host in near:
+        if host is not None and (not recorded or can_record(host)):
+            return host
+    hosts = (host for host in tables.live_hosts() if not recorded or can_record(host))
+    least = least_loaded(tables, hosts, lambda host: host.channels)
     if least is None:
-        raise Unavailable(
-            f"there is no live host for channel {operation.name}; start one with `stampede host`, or wait for one",
-            reason="NO_HOST",
-            metadata={"channel": operation.name},
-        )
+        has_hosts = next(iter(tables.live_hosts()), None) is not None
+        raise _no_host(operation.name, is_new=not channel_id and has_hosts, recorded=recorded)
     return least
+
+
+def can_record(host: HostRecord) -> bool:
+    """Whether the host has an archive, as far as the directory knows."""
+    return host.load is not None and host.load.has_archive
+
+
+def _named_host(tables: Tables, operation: OpenChannel, *, recorded: bool) -> HostRecord:
+    host = host_by_name(tables, operation.host_name)
+    if recorded and not can_record(host):
+        raise InvalidArgument(
+            f"channel {operation.name} is to be recorded, and host {host.name} has no archive; leave `host` out, or "
+            "start that host with --archive FOLDER",
+            metadata={"channel": operation.name, "host": host.name, "field": "host"},
+        )
+    return host
+
+
+def _no_host(channel: str, *, is_new: bool, recorded: bool) -> StampedeError:
+    """The error for a channel that gets no host. One that exists, and is recorded, may wait until its host is back."""
+    metadata = {"channel": channel}
+    if not recorded:
+        text = f"there is no live host for channel {channel}; start one with `stampede host`, or wait for one"
+        return Unavailable(text, reason="NO_HOST", metadata=metadata)
+    how = "start one with `stampede host --archive FOLDER`"
+    text = f"channel {channel} is to be recorded (archive), and no live host has an archive; {how}"
+    if is_new:
+        return InvalidArgument(text, metadata=metadata)
+    return Unavailable(f"{text}, or wait for one", reason="NO_HOST", metadata=metadata)
 
 
 def _host_beside(tables: Tables, operation: OpenChannel, channel_id: bytes) -> HostRecord | None:

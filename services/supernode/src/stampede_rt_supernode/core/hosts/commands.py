@@ -12,7 +12,8 @@ from stampede_rt_supernode.core.records import Endpoint, HostLoad, HostRecord
 class RegisterHost(Operation):
     """A host registers. If its boot incarnation is new, its channels and queues get `new_incarnation`.
 
-    `registration_epoch`: see `registration_epochs`.
+    `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
+    former process, if its archive has all items of its recorded channels; else 0.
     """
 
     host_id: bytes
@@ -22,6 +23,8 @@ class RegisterHost(Operation):
     version: str = ""
     new_incarnation: int
     registration_epoch: int = 0
+    has_archive: bool = False
+    continues_boot_incarnation: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

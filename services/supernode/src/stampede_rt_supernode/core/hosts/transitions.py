@@ -28,12 +28,13 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, operation: RegisterHost, *, keeps_load: bool = False) -> HostRecord:
+def register_host(tables: Tables, operation: RegisterHost, *, knows_loads_and_archives: bool = False) -> HostRecord:
     """Register a host, perhaps again.
 
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
-    channels and all queues stay at the host. `keeps_load`: the feature level allows loads; this one begins idle.
+    channels and all queues stay at the host. Recorded channels keep their incarnation if the host's archive has all of
+    their items. `knows_loads_and_archives`: the feature level allows these; the load begins idle.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)
@@ -53,22 +54,24 @@ def register_host(tables: Tables, operation: RegisterHost, *, keeps_load: bool =
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
             registration_epoch=epoch,
-            load=_idle_load(tables, before) if keeps_load else None,
+            load=_idle_load(tables, before, operation) if knows_loads_and_archives else None,
         )
     )
     tables.forget_lost_hosts(operation.name)
     if before is not None and before.boot_incarnation != operation.boot_incarnation:
         end_registration(tables, operation.host_id)
-        _reset_channels(tables, operation)
+        continues = knows_loads_and_archives and before.boot_incarnation == operation.continues_boot_incarnation
+        _reset_channels(tables, operation, continues=continues)
         reset_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
     if len(tables.host_ids) == 1:
         move_waiting_mailboxes(tables)
     return tables.hosts[operation.host_id]
 
 
-def _idle_load(tables: Tables, before: HostRecord | None) -> HostLoad:
+def _idle_load(tables: Tables, before: HostRecord | None, operation: RegisterHost) -> HostLoad:
     """The load of a host until its first report: idle, with all things that it owns already."""
-    return HostLoad(owned=0 if before is None else before.channels + tables.queues.count_at(before.host_id))
+    owned = 0 if before is None else before.channels + tables.queues.count_at(before.host_id)
+    return HostLoad(owned=owned, has_archive=operation.has_archive)
 
 
 def check_register(operation: RegisterHost) -> None:
@@ -92,10 +95,12 @@ def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:
         )
 
 
-def _reset_channels(tables: Tables, operation: RegisterHost) -> None:
+def _reset_channels(tables: Tables, operation: RegisterHost, *, continues: bool) -> None:
     left = tables.channels_at(operation.host_id)
     for channel in left:
-        give_owner(tables, channel, channel.with_new_incarnation(fresh_incarnation(channel, operation.new_incarnation)))
+        is_whole = continues and channel.policy.is_recorded
+        incarnation = channel.incarnation if is_whole else fresh_incarnation(channel, operation.new_incarnation)
+        give_owner(tables, channel, channel.after_restart(incarnation))
     note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=operation.host_id)
 
 

@@ -1,0 +1,61 @@
+"""The note of a host that stopped: the archive of a channel has everything. For threads, because it blocks."""
+
+from __future__ import annotations
+
+import json
+import os
+from base64 import b64decode, b64encode
+from pathlib import Path
+from typing import NamedTuple
+
+from stampede_rt_channel_host.archive.stable_writes import sync_folder
+
+_FILE = "stopped-cleanly"
+
+
+class CleanStop(NamedTuple):
+    """The facts of a channel that are not in its items, as of the moment in which its host stopped.
+
+    `epoch` and `incarnation` are those of the channel then. `lost_from` and `lost_before` are the bounds of an earlier
+    loss, or None. `retries` is the encoded retry window of the producers.
+    """
+
+    incarnation: int
+    advance: int | None = None
+    lost_from: int | None = None
+    lost_before: int | None = None
+    retries: bytes = b""
+    epoch: int = 0
+
+    def is_of(self, incarnation: int, epoch: int) -> bool:
+        """Whether no other host has had the channel since, nor a process that did not stop cleanly.
+
+        The directory keeps the incarnation over clean stops. With another incarnation it may have raised the epoch
+        once.
+        """
+        return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
+
+
+def write_stop(folder: Path, stop: CleanStop) -> None:
+    """Write the note, and bring it to stable storage. Raises OSError."""
+    facts = {**stop._asdict(), "retries": b64encode(stop.retries).decode()}
+    with (folder / _FILE).open("w") as file:
+        json.dump(facts, file)
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(folder)
+
+
+def read_stop(folder: Path) -> CleanStop | None:
+    """The note, or None if there is none that can be read. Raises OSError."""
+    try:
+        facts = json.loads((folder / _FILE).read_bytes())
+        stop = CleanStop(**{**facts, "retries": b64decode(facts["retries"])})
+    except (FileNotFoundError, ValueError, TypeError, KeyError):
+        return None
+    return stop if isinstance(stop.incarnation, int) and isinstance(stop.epoch, int) else None
+
+
+def remove_stop(folder: Path) -> None:
+    """Remove the note: from now on the channel takes items. Raises OSError."""
+    (folder / _FILE).unlink(missing_ok=True)
