@@ -33,10 +33,12 @@ from stampede_rt.v1 import (
     directory_service_pb2_grpc,
     item_pb2,
     raft_service_pb2_grpc,
+    replica_service_pb2_grpc,
 )
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.v1 import raft_service_pb2 as raft_pb
+from stampede_rt.v1 import replica_service_pb2 as replica_pb
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
@@ -222,6 +224,31 @@ def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster
 
         told = ask(cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST), call)
         assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1"), name
+
+
+@pytest.mark.parametrize("is_move", [False, True])
+def test_a_host_is_not_fed_as_another_whose_reports_would_acknowledge_puts(
+    cluster: LocalCluster, is_move: bool
+) -> None:
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        (h1,) = [one for one in rt.hosts() if one.name == "h1"]
+        channel_id = rt.channel("fed/claimed").info.channel_id
+    opening = replica_pb.FeedOpen(
+        channel_id=channel_id, epoch=1, host_id=h1.host_id, target="localhost:1", owner_facts=True,
+        move_id=b"m" * 16 if is_move else b"",
+    )  # fmt: skip
+
+    async def feed(channel: grpc.aio.Channel) -> None:
+        call: Any = replica_service_pb2_grpc.ReplicaServiceStub(channel).Feed(timeout=5)
+        await call.write(replica_pb.FeedRequest(open=opening, credit_bytes=1000))
+        await call.read()
+        raise AssertionError(f"the feed was not refused: {await call.code()}")
+
+    told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
+    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate must")
+    opening.host_id = b"n" * 16
+    told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
+    assert told.startswith("NOT_FOUND: ")
 
 
 def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:

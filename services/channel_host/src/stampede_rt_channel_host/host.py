@@ -34,6 +34,7 @@ from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.copies.draining import Draining
+from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.messages import run_of
@@ -207,7 +208,8 @@ class ChannelHost:
         ).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
-        ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away).add_to(server)
+        callers = FeedCallers(DirectoryQueries(self._supernodes))
+        ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away, callers).add_to(server)
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(
             MigrationServicer(self.moves_here, self._move_directory, self.draining), server
         )

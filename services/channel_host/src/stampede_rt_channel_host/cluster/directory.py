@@ -28,6 +28,12 @@ class DirectoryQueries:
         response: pb.ResolveChannelResponse = await self._supernodes.call("ResolveChannel", request, CALL_SECONDS_MAX)
         return recorded_channel(response.channel)
 
+    async def name_of_host(self, host_id: bytes) -> str:
+        """The name of a host. Raises HostNotFound."""
+        request = pb.ResolveHostRequest(host_id=host_id)
+        response: pb.ResolveHostResponse = await self._supernodes.call("ResolveHost", request, CALL_SECONDS_MAX)
+        return response.host.name
+
     async def update(
         self,
         channel_id: bytes,

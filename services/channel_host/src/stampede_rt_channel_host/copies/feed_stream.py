@@ -38,6 +38,12 @@ SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a s
 WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
 
 
+def check_named_host(opening: pb.FeedOpen) -> None:
+    """Raises InvalidArgument if the first request of a feed does not name the host of the copy."""
+    if len(opening.host_id) != ID_BYTES or not opening.target:
+        raise InvalidArgument("the feed's open has no host_id of 16 bytes, or no target; state both")
+
+
 class FeedStream:
     """Feeds one copy. Observes its channel, on the event loop."""
 
@@ -77,14 +83,12 @@ class FeedStream:
             self._stream.end(error)
 
     async def run(self, request: pb.FeedRequest) -> None:
-        """Feed the copy until the stream ends. `request` is the first request of the stream.
+        """Feed the copy until the stream ends. `request` is the first request of the stream, and names the copy's host.
 
         Raises InvalidArgument, StaleBinding, Unavailable if this host is itself a copy that is behind, and Overloaded
         if the channel has too many feeds or the copy takes nothing.
         """
         opening = request.open
-        if len(opening.host_id) != ID_BYTES or not opening.target:
-            raise InvalidArgument("the feed's open has no host_id of 16 bytes, or no target; state both")
         hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps nobody has used it yet
         if hosted.fed is None:
             hosted.fed = FedCopies()

@@ -11,7 +11,8 @@ from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
-from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_channel_host.copies.feed_callers import FeedCallers
+from stampede_rt_channel_host.copies.feed_stream import FeedStream, check_named_host
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.rpc import Context
@@ -24,9 +25,10 @@ class ReplicaServicer:
 
     def __init__(
         self, store: ChannelStore, streams: OpenStreams, floors_of: Callable[[bytes], list[CutFloor]],
-        moves: OutgoingMoves,
+        moves: OutgoingMoves, callers: FeedCallers,
     ) -> None:  # fmt: skip
         """`floors_of`: see `FeedStream`."""
+        self._callers = callers
         self._store = store
         self._floors_of = floors_of
         self._streams = streams
@@ -44,4 +46,6 @@ class ReplicaServicer:
         """ReplicaService.Feed: between hosts only."""
         async with self._streams.serve(context) as stream:
             request: pb.FeedRequest = opening_of(await context.read(), pb.FeedRequest, "FeedRequest")
+            check_named_host(request.open)
+            await self._callers.check(context, request.open.host_id)
             await FeedStream(self._store, context, stream, self._floors_of, self._moves).run(request)

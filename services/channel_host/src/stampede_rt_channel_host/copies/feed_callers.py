@@ -1,0 +1,36 @@
+"""The check that the caller of a feed is the host for which it speaks."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_channel_host.cluster.directory import DirectoryQueries
+from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.rpc import Context
+
+NAMES_MAX = 4096
+
+
+class FeedCallers:
+    """Compares the names in certificates with those of the hosts in the directory, which never change."""
+
+    def __init__(self, directory: DirectoryQueries) -> None:
+        self._directory = directory
+        self._names: dict[bytes, str] = {}
+
+    async def check(self, context: Context, host_id: bytes) -> None:
+        """Raises PermissionDenied if the caller has the certificate of another host than `host_id`.
+
+        The reports of a replica decide which puts are acknowledged. In a cluster without certificates every caller
+        passes. Raises HostNotFound for a host that never registered.
+        """
+        caller = caller_identity(context)
+        if caller is None:
+            return
+        name = self._names.get(host_id) or await self._directory.name_of_host(host_id)
+        if len(self._names) < NAMES_MAX:
+            self._names[host_id] = name
+        if caller.name != name:
+            raise PermissionDenied(
+                f"{caller} cannot be fed as host {name}: its certificate must bear that name; a host speaks for itself "
+                "alone"
+            )
