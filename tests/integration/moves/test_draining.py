@@ -24,6 +24,7 @@ def hosts_of(rt: Any, names: list[str]) -> set[str]:
     return {one.host for one in rt.channels() if one.name in names}
 
 
+@pytest.mark.without_rules("it acts as an operator")
 def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         names = [f"cam/{next(numbers)}" for _ in range(12)]
@@ -39,6 +40,7 @@ def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluste
         assert [channel.newest().payload for channel in channels] == [b"x"] * len(names)
 
 
+@pytest.mark.without_rules("it acts as an operator")
 def test_the_commands_drain_and_move(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel(f"cam/{next(numbers)}", host="h1")

@@ -32,6 +32,10 @@ except ImportError as missing:
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_BYTES_MAX = 256 * 1024 * 1024
 """The largest record that is read, and the largest chunk after decompression. A larger one counts as damage."""
+CHUNK_RECORDS_MAX = 2**20
+"""The most records of one chunk. A chunk with more counts as damage: a few kilobytes may unpack to millions of records,
+each of which takes hundreds of bytes of memory.
+"""
 _FRAME = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _KNOWN_OPCODES = range(0x01, 0x10)
@@ -190,6 +194,7 @@ class RecordFile:
             data = _decompressed(chunk)
             if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
                 raise ValueError("its checksum does not match its content")
+            _check_count(data)
             plain = Chunk("", data, chunk.message_end_time, chunk.message_start_time, 0, len(data))
             return breakup_chunk(plain)
         except (*DECODE_ERRORS, TypeError) as error:
@@ -200,6 +205,16 @@ class RecordFile:
             f"the record at byte {frame.offset} of {self.path!r} is damaged: {error or type(error).__name__}; "
             "`stampede file recover` saves the rest"
         )
+
+
+def _check_count(data: bytes) -> None:
+    """Raises ValueError if the content of a chunk has more than CHUNK_RECORDS_MAX records."""
+    offset = found = 0
+    while len(data) - offset >= _FRAME.size:
+        if found == CHUNK_RECORDS_MAX:
+            raise ValueError(f"it has more than {CHUNK_RECORDS_MAX} records, the most that are read")
+        offset += _FRAME.size + _FRAME.unpack_from(data, offset)[1]
+        found += 1
 
 
 def _decompressed(chunk: Chunk) -> bytes:

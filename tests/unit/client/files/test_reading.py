@@ -187,3 +187,12 @@ def test_a_record_is_not_read_beyond_the_end_of_its_file(tmp_path: Path) -> None
 def test_the_classes_of_the_mcap_library_are_those_that_this_code_expects() -> None:
     assert {"compression", "data", "uncompressed_crc", "uncompressed_size"} <= set(Chunk.__dataclass_fields__)
     assert {"id", "topic", "message_encoding", "metadata", "schema_id"} <= set(Channel.__dataclass_fields__)
+
+
+def test_a_chunk_that_unpacks_to_very_many_records_is_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 26)), *entries("imu", range(1, 400))], chunk_items=25)
+    assert len(read(path)[0]) == 424
+    monkeypatch.setattr(framing, "CHUNK_RECORDS_MAX", 10)
+    found, damages = read(path)
+    assert not found
+    assert "it has more than 10 records, the most that are read" in str(damages[0])
