@@ -62,6 +62,7 @@ CASES: dict[str, Case] = {
     "busy-puts": Case(quotas.busy_puts, "9.6 x without turns"),
     "single-calls": Case(quotas.single_calls),
     "held-bytes": Case(quotas.held_bytes),
+    "archived-bytes": Case(quotas.archived_bytes, "the disk full"),
     "many-cuts": Case(readers.many_cuts),
     "many-matches": Case(readers.many_matches),
     "busy-takes": Case(readers.busy_takes),

@@ -119,7 +119,9 @@ class Field:
         self.found = Found(name)
         self.setup = setup
         self.cluster = LocalCluster(hosts=1, supernodes=1, on_line=self._hear)
-        self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
+        assert self.cluster.folder is not None, "a cluster that keeps its state has a folder"
+        archive = ["--archive", str(self.cluster.folder / "archive"), "--archive-bytes-max", MEMORY_BUDGET]
+        self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET, *archive]
 
     def _hear(self, _: ServiceProcess, line: str) -> None:
         self.found.log_bytes += len(line) + 1

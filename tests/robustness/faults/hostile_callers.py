@@ -48,6 +48,7 @@ QUOTAS: dict[Quota, tuple[str, int]] = {
     Quota.PEERS: ("new-peers", 5),
     Quota.CHANGES_PER_SECOND: ("new-channels", 5),
     Quota.BYTES_HELD: ("held-bytes", 4 * MIB),
+    Quota.BYTES_ARCHIVED: ("archived-bytes", 4 * MIB),
     Quota.CPU_PERCENT: ("busy-puts", 10),
 }
 _numbers = itertools.count(1)

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.channels import moving
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, outgoing_moves
+from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, move_slots, outgoing_moves
 from stampede_rt_channel_host.core.channel import run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
@@ -300,7 +300,7 @@ async def test_a_second_move_is_refused_while_one_is_under_way() -> None:
 async def test_a_host_gives_at_most_eight_channels_away_at_once() -> None:
     story = Story()
     hosted = await story.source.store.bind(story.world.channel_id, 1)
-    for _ in range(outgoing_moves.MOVES_MAX):
+    for _ in range(move_slots.MOVES_MAX):
         story.source.outgoing.begin(hosted, b"other", "other:1")
         hosted.moving = None
     with pytest.raises(StampedeError, match="8 channels move away"):

@@ -45,6 +45,9 @@ class Frontend(PlacedProcess):
         return ["--supernodes", self._seeds, *self.listen_flags()]
 
 
+ARCHIVE = "64MiB"
+
+
 class Host(PlacedProcess):
     """One channel host."""
 
@@ -59,7 +62,8 @@ class Host(PlacedProcess):
     def flags(self) -> Sequence[str]:
         """A name that stays over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
-        return [*words, *self.listen_flags()]
+        archive = ["--archive", str(self.data_dir / "archive"), "--archive-bytes-max", ARCHIVE]
+        return [*words, *archive, *self.listen_flags()]
 
 
 class Cluster:

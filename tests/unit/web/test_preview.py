@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 import zlib
 from typing import Any
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as some
 
 from stampede_rt.values.codecs import NumpyCodec
 from stampede_rt_web.png import SIDE_MAX, png_of
-from stampede_rt_web.preview import hex_lines, numbers_in, picture_of, preview_of
+from stampede_rt_web.preview import TEXT_CHARACTERS_MAX, hex_lines, numbers_in, picture_of, preview_of
 
 TYPES = ["", "image/png", "image/jpeg", "image/svg+xml", "text/html", "application/json", "application/x-npy"]
 AUDIO = "audio/pcm;format=s16le;rate=16000;channels=1"
@@ -98,3 +99,16 @@ def test_any_payload_of_any_type_has_a_small_preview_in_json(content_type: str, 
     shown = preview_of(content_type, payload)
     assert shown["kind"] in ("picture", "plot", "wave", "json", "text", "hex")
     assert len(json.dumps(shown, allow_nan=False)) < 64_000
+
+
+def test_deep_and_long_json_is_indented_only_as_far_as_it_is_shown() -> None:
+    payload = b"[" * 200 + b"1," * 50_000 + b"1" + b"]" * 200
+    tracemalloc.start()
+    try:
+        shown = preview_of("application/json", payload)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert shown["kind"] == "json"
+    assert len(shown["text"]) == TEXT_CHARACTERS_MAX + 1
+    assert most < 5_000_000

@@ -125,10 +125,20 @@ def _wave(content_type: str, payload: bytes) -> dict[str, Any]:
 def _json(payload: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(payload)
-        text = json.dumps(value, indent=1, ensure_ascii=False)
+        text = _indented(value)
     except (ValueError, RecursionError):
         return None
     return {"kind": "json", "text": _cut(text), "numbers": numbers_in(value)}
+
+
+def _indented(value: Any) -> str:
+    """Return the beginning of a JSON text with indents, which may be hundreds of times as long as the payload."""
+    text = ""
+    for piece in json.JSONEncoder(indent=1, ensure_ascii=False).iterencode(value):
+        text += piece
+        if len(text) > TEXT_CHARACTERS_MAX:
+            break
+    return text
 
 
 def _text(kind: str, payload: bytes) -> dict[str, Any] | None:

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 
 import grpc
 
-from stampede_rt.errors import Overloaded, StaleBinding, StampedeError, Unavailable
+from stampede_rt.errors import StaleBinding, StampedeError, Unavailable
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -20,13 +20,13 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
+from stampede_rt_channel_host.copies.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
-MOVES_MAX = 8  # to one host at a time
 RELEASED_SECONDS_MAX = 1.0
 HANDOFF_SECONDS_MAX = 4.0  # shorter than the source holds puts
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
@@ -54,6 +54,7 @@ class IncomingMoves:
         self._dial = dial
         self._bytes_per_second = bytes_per_second
         self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
+        self._slots = MoveSlots(f"to host {identity.name}")
         self._is_closing = False
 
     async def move_here(self, record: RecordedChannel) -> Moved:
@@ -68,11 +69,10 @@ class IncomingMoves:
             if self._is_closing:
                 raise refusals.SHUTTING_DOWN
             self._check(record)
-            if len(self._moves) >= MOVES_MAX:
-                raise Overloaded(f"{MOVES_MAX} channels move to host {self._identity.name} already; wait for one")
+            self._slots.take(record)
             move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
             self._moves[record.channel_id] = move
-            move.add_done_callback(lambda done: self._over(record.channel_id, done))
+            move.add_done_callback(lambda done: self._over(record, done))
         return await asyncio.shield(move)
 
     def _check(self, record: RecordedChannel) -> None:
@@ -84,8 +84,9 @@ class IncomingMoves:
         for one in (record,) if held is None else (record, held.record):
             refusals.check_movable(one)
 
-    def _over(self, channel_id: bytes, move: asyncio.Task[Moved]) -> None:
-        self._moves.pop(channel_id, None)
+    def _over(self, record: RecordedChannel, move: asyncio.Task[Moved]) -> None:
+        self._moves.pop(record.channel_id, None)
+        self._slots.give_back(record)
         failure = None if move.cancelled() else move.exception()
         if failure is not None:
             logger.info("a move has failed", extra={"event": "move_failed", "why": str(failure)})

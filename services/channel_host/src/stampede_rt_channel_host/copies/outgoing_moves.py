@@ -8,17 +8,17 @@ import secrets
 from collections.abc import Coroutine
 from typing import Any
 
-from stampede_rt.errors import ChannelNotFound, Overloaded, StaleBinding, StampedeError
+from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.move_slots import MoveSlots
 
 logger = logging.getLogger(__name__)
 
-MOVES_MAX = 8  # away from one host at a time
 RETRY_SECONDS = 0.2
 HEIR_SECONDS = 2.0  # the time between two questions of a former owner whether the directory still needs its items
 
@@ -30,26 +30,25 @@ class OutgoingMoves:
         self.identity = identity
         self.store = store
         self.directory = directory
-        self._under_way = 0
+        self._slots = MoveSlots(f"away from host {identity.name}")
         self._tasks: set[asyncio.Task[None]] = set()
 
     def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
         """Begin a move to the host with that gatekeeper. Raises the errors of `check`."""
         self.check(hosted)
-        self._under_way += 1
+        self._slots.take(hosted.record)
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def check(self, hosted: HostedChannel) -> None:
-        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, and Overloaded at MOVES_MAX moves."""
+        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, and Overloaded if too many move."""
         if hosted.moving is not None:
             raise refusals.move_conflict(hosted.record.name)
         refusals.check_movable(hosted.record)
-        if self._under_way >= MOVES_MAX:
-            raise Overloaded(f"{MOVES_MAX} channels move away from host {self.identity.name} already; wait for one")
+        self._slots.check(hosted.record)
 
-    def over(self) -> None:
+    def over(self, hosted: HostedChannel) -> None:
         """Note that the feed of a move has ended."""
-        self._under_way -= 1
+        self._slots.give_back(hosted.record)
 
     def start(self, work: Coroutine[Any, Any, None], name: str) -> None:
         """Do `work` in the background. It continues if the stream of the move ends."""
@@ -130,7 +129,7 @@ class OutgoingMove:
 
     def feed_ended(self) -> None:
         """Note that the stream to the destination has ended. Unless the move is over, learn its outcome."""
-        self._moves.over()
+        self._moves.over(self._hosted)
         if self._timer is not None:
             self._timer.cancel()
         if not self._is_under_way or self._is_released:

@@ -1,0 +1,45 @@
+"""The moves that a host may have under way, and each maker's share of them. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+MOVES_MAX = 8
+MOVES_OF_ONE_MAX = 6  # a client that moves its channels without end leaves some for others
+
+
+class MoveSlots:
+    """Moves in one direction. `direction` describes it, such as "to host h1"."""
+
+    def __init__(self, direction: str) -> None:
+        self._direction = direction
+        self._makers: Counter[str] = Counter()
+
+    def check(self, record: RecordedChannel) -> None:
+        """Raises Overloaded if this channel cannot move now: too many move, or too many that its maker has made."""
+        if self._makers.total() >= MOVES_MAX:
+            raise Overloaded(f"{MOVES_MAX} channels move {self._direction} already; wait for one")
+        maker = record.created_by
+        if _has_name(maker) and self._makers[maker] >= MOVES_OF_ONE_MAX:
+            raise Overloaded(
+                f"{MOVES_OF_ONE_MAX} channels that {maker} has made move {self._direction} already; wait for one"
+            )
+
+    def take(self, record: RecordedChannel) -> None:
+        """Note that a channel moves. Raises the errors of `check`."""
+        self.check(record)
+        self._makers[record.created_by] += 1
+
+    def give_back(self, record: RecordedChannel) -> None:
+        """Note that the move of a channel is over."""
+        self._makers[record.created_by] -= 1
+        if not self._makers[record.created_by]:
+            del self._makers[record.created_by]
+
+
+def _has_name(maker: str) -> bool:
+    """Whether one caller alone has this name. Callers that share a secret are `@clients` or `@cluster`."""
+    return bool(maker) and not maker.startswith("@")

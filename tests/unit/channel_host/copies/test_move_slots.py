@@ -1,0 +1,47 @@
+"""The bound on moves under way, and the share of each maker."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.copies.move_slots import MOVES_MAX, MOVES_OF_ONE_MAX, MoveSlots
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+MADE = RecordedChannel(
+    channel_id=b"c" * 16,
+    name="c",
+    host_id=b"h" * 16,
+    epoch=1,
+    incarnation=1,
+    spec_version=1,
+    policy=Policy(),
+    message=b"",
+)
+
+
+def test_one_maker_leaves_moves_for_others() -> None:
+    slots = MoveSlots("to host h1")
+    mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
+    for _ in range(MOVES_OF_ONE_MAX):
+        slots.take(mine)
+    with pytest.raises(Overloaded, match="6 channels that cam has made move to host h1 already"):
+        slots.take(mine)
+    for _ in range(MOVES_MAX - MOVES_OF_ONE_MAX):
+        slots.take(others)
+    with pytest.raises(Overloaded, match="8 channels move to host h1 already"):
+        slots.check(others)
+    slots.give_back(mine)
+    slots.take(mine)
+
+
+@pytest.mark.parametrize("maker", ["", "@cluster"])
+def test_channels_whose_maker_has_no_name_of_its_own_may_use_all_moves(maker: str) -> None:
+    slots, one = MoveSlots("to host h1"), replace(MADE, created_by=maker)
+    for _ in range(MOVES_MAX):
+        slots.take(one)
+    with pytest.raises(Overloaded, match="8 channels move"):
+        slots.take(one)
