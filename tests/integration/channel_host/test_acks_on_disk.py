@@ -6,7 +6,8 @@ import os
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 
 import stampede_rt as st
 import stampede_rt.aio
+from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import running_cluster
 
@@ -128,7 +130,10 @@ async def test_a_put_on_asyncio_waits_for_the_disk(cluster: LocalCluster) -> Non
         assert (await plain.put(b"x", ack="disk")).seq == 1
 
 
-def test_a_full_disk_refuses_puts_that_wait_for_it_and_no_others(rt: st.Connection, disk: Path) -> None:
+@pytest.mark.without_rules("doctor tells an operator more")
+def test_a_full_disk_refuses_puts_that_wait_for_it_and_no_others_and_the_doctor_says_so(
+    cluster: LocalCluster, rt: st.Connection, disk: Path
+) -> None:
     channel = rt.channel("ack/full", max_items=50, archive="forever", ack="disk")
     channel.put(b"before")
     with (disk / "ballast").open("wb", buffering=0) as ballast:
@@ -143,6 +148,10 @@ def test_a_full_disk_refuses_puts_that_wait_for_it_and_no_others(rt: st.Connecti
                 refusals.append(error)
         assert "No space left" in str(refusals[0])
         assert ("seq" in refusals[0].metadata, "seq" in refusals[-1].metadata) == (True, False)
+        doctor = StringIO()
+        with redirect_stdout(doctor):
+            stampede(["doctor", "--url", cluster.address])
+        assert "its archive takes no items of 1 channels: No space left on device. Free its disk" in doctor.getvalue()
         seq = channel.put(b"live", ack="host").seq
         assert channel.newest().payload == b"live"
         with channel.producer() as producer:

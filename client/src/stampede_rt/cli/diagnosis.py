@@ -62,7 +62,17 @@ def _state(one: Observation) -> tuple[str, str]:
         return "no leader", "it runs, but knows no leader; see the line on the quorum"
     if not one.lease_held:
         return "fenced", "it cannot renew its lease; check the network between it and the supernodes"
-    return _load(one)
+    return _archive(one) if one.archive_failure else _load(one)
+
+
+def _archive(one: Observation) -> tuple[str, str]:
+    """Return the state of a host whose archive cannot be written, and advice."""
+    advice = (
+        f"its archive takes no items of {one.archive_failing_channels} channels: {one.archive_failure}. Free its disk, "
+        "or let the host write its folder again (--archive); the host tries again every second. Until then the items "
+        'stay in memory up to max_bytes, puts with ack="disk" are refused, and readers go on'
+    )
+    return "archive fails", advice
 
 
 def _lost(one: Observation) -> tuple[str, str]:

@@ -247,13 +247,15 @@ def _levels(response: Any) -> dict[str, Any]:
 
 
 def _load(response: Any) -> dict[str, Any]:
-    """Return the fields of an observation for the memory of a host, and for the items and calls that it refused."""
+    """Return the fields of an observation for the memory and archive of a host, and for what it refused."""
     return {
         "refused_items": response.refused_items,
         "refused_ago_nanos": _optional(response, "refused_ago_nanos"),
         "held_bytes": response.held_bytes,
         "memory_bytes_max": response.memory_bytes_max,
         "refused_calls": response.refused_calls,
+        "archive_failure": response.archive_failure,
+        "archive_failing_channels": response.archive_failing_channels,
         "refused_call_ago_nanos": _optional(response, "refused_call_ago_nanos"),
     }
 

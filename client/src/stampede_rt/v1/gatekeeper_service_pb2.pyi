@@ -25,7 +25,7 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access", "archive_failure", "archive_failing_channels")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -38,6 +38,8 @@ class GatekeeperServicePingResponse(_message.Message):
     REFUSED_CALLS_FIELD_NUMBER: _ClassVar[int]
     REFUSED_CALL_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     ACCESS_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_FAILURE_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_FAILING_CHANNELS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
@@ -50,7 +52,9 @@ class GatekeeperServicePingResponse(_message.Message):
     refused_calls: int
     refused_call_ago_nanos: int
     access: _access_pb2.AccessStatus
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...
+    archive_failure: str
+    archive_failing_channels: int
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ..., archive_failure: _Optional[str] = ..., archive_failing_channels: _Optional[int] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target", "ticket")

@@ -61,6 +61,11 @@ class HostArchive:
         """Why the last write of a channel failed; empty: none did."""
         return next(iter(self._failing.values()), "")
 
+    @property
+    def failing_channels(self) -> int:
+        """The number of channels whose last write failed."""
+        return len(self._failing)
+
     async def open(self, record: RecordedChannel) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, after a look at them. Raises OSError."""
         channel_id, name = record.channel_id, record.name

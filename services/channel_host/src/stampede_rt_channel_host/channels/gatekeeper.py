@@ -48,7 +48,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self, request: pb.GatekeeperServicePingRequest, context: Context
     ) -> pb.GatekeeperServicePingResponse:
         """The host's name, id and version, the clock that stamps items, its memory, and its counts of refusals."""
-        memory = self._store.memory
+        memory, archive = self._store.memory, self._store.recordings.archive
         return pb.GatekeeperServicePingResponse(
             time_unix_nano=self._store.now(),
             host_id=self._identity.host_id,
@@ -62,6 +62,8 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             refused_calls=self._store.refused_calls.count,
             refused_call_ago_nanos=self._store.refused_calls.ago_nanos(),
             access=status_message(self._access),
+            archive_failure="" if archive is None else archive.failure,
+            archive_failing_channels=0 if archive is None else archive.failing_channels,
         )
 
     @errors_as_status
