@@ -27,6 +27,7 @@ WIDTH = "100"  # of usages in the man page
 COMPLETED = {"FILE": shtab.FILE, "OUT": shtab.FILE, "PATH": shtab.FILE, "FOLDER": shtab.DIRECTORY}
 ENVIRONMENT = {
     "STAMPEDE_URL": "HOST:PORT of the front-ends, comma-separated, unless --url names them. Default: localhost:7580.",
+    "STAMPEDE_CONTEXT": "The saved context for this command; see stampede context.",
     "STAMPEDE_SECRET_FILE": "The file of the secret or token. Default: ~/.config/stampede/secret.",
     "STAMPEDE_TLS_CA, STAMPEDE_TLS_CERTIFICATE, STAMPEDE_TLS_KEY": "The files of the certificates.",
     "NO_COLOR": "If it is set and not empty, no output has colours.",

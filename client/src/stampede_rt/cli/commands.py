@@ -6,9 +6,10 @@ import argparse
 import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from stampede_rt.cli.colours import styled
 from stampede_rt.cli.exit_statuses import FAILED, INTERRUPTED, MISUSED
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.verb_parser import VerbParser
@@ -36,7 +37,7 @@ def run(arguments: Sequence[str]) -> int:
     except StampedeError as error:
         if interruption.asked:  # Ctrl-C has closed the connection of the command
             return INTERRUPTED
-        print(f"stampede: {escaped(error.message)}", file=sys.stderr)
+        print(f"{styled('stampede:', 'red', sys.stderr)} {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
     except BrokenPipeError:  # the program that reads the output has ended
         _drop_output()
@@ -62,7 +63,16 @@ def _run_client(arguments: Sequence[str]) -> int:
         from stampede_rt.cli.instants import show_local
 
         show_local(parsed.local)
-    return int(parsed.run(parsed))
+    if "url" not in parsed:
+        return int(parsed.run(parsed))
+    return _run_in_context(lambda: parsed.run(parsed), has_url=bool(parsed.url))
+
+
+def _run_in_context(work: Callable[[], int], *, has_url: bool) -> int:
+    from stampede_rt.cli.contexts import context_applied
+
+    with context_applied(os.environ, has_url=has_url):
+        return int(work())
 
 
 def _drop_output() -> None:
@@ -80,11 +90,11 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
     if verb == "supernode" and arguments and arguments[0] in ADMINISTRATIVE_VERBS:
         from stampede_rt.cli.supernode import administer
 
-        return administer(arguments)
+        return _run_in_context(lambda: administer(arguments), has_url=_names_a_cluster(arguments))
     if verb == "host" and arguments and arguments[0] == "drain":
         from stampede_rt.cli.draining import drain
 
-        return drain(arguments)
+        return _run_in_context(lambda: drain(arguments), has_url=_names_a_cluster(arguments))
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
         extra = verb if verb in ("demo", "bench", "web") else "server"
@@ -95,6 +105,10 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
         )
         return FAILED
     return _load_and_run(found[0], arguments)
+
+
+def _names_a_cluster(arguments: Sequence[str]) -> bool:
+    return any(word.partition("=")[0] in ("--url", "--frontend", "--member") for word in arguments)
 
 
 def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:

@@ -10,6 +10,7 @@ from string import Formatter
 from typing import Any
 
 from stampede_rt.cli.arguments import checked
+from stampede_rt.cli.colours import styled
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import attributes_text, payload_fields
 from stampede_rt.cli.payload_text import preview, text_of
@@ -131,5 +132,5 @@ def item_line(item: Item, channel: str = "", late: bool | None = None) -> str:
     named = f"{channel} " if channel else ""
     duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
     shown = preview(item.payload, item.payload_length_bytes, item.content_type)
-    after = "  (late)" if late else ""
+    after = "  " + styled("(late)", "yellow", sys.stdout) if late else ""
     return f"{instant_text(item.time)}{duration}  {named}#{item.seq}{attributes_text(item.attributes)}  {shown}{after}"

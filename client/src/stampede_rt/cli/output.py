@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from stampede_rt.cli.colours import styled
 from stampede_rt.cli.payload_text import text_of
 from stampede_rt.cli.terminal import columns_max, table_lines
 from stampede_rt.escaping import escaped
@@ -42,7 +43,9 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print aligned columns, within the width of the terminal. Numbers are aligned to the right."""
     cells = [[head.replace("_", " ").upper() for head in heads], *rows]
     right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
-    for line in table_lines(cells, right, columns_max()):
+    lines = table_lines(cells, right, columns_max())
+    print(styled(lines[0], "bold", sys.stdout))
+    for line in lines[1:]:
         print(line)
 
 

@@ -35,6 +35,7 @@ VERBS = {
         "quota",
         "quotas: how much one caller may use of a host or supernode; for operators and holders of the cluster's secret",
     ),
+    "context": ("context", "saved addresses of clusters, with the files of their credentials"),
     "completion": ("completion", "print the script with which a shell completes commands"),
     "token": ("token", "tokens that prove a client's name and roles for a while"),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ from queue import Queue
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
+from stampede_rt.cli.colours import Style, styled
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import policy_text
 from stampede_rt.errors import StampedeError
@@ -19,6 +21,7 @@ from stampede_rt.values.model import Change, ChannelInfo, HostInfo
 from stampede_rt.values.peering import PeerChange
 
 AHEAD_MAX = 1000  # changes that have come and are not printed yet; each is less than 64 KiB
+COLOURS: dict[str, Style] = {"added": "green", "updated": "yellow", "removed": "red"}
 SIGNS = {"added": "+", "updated": "~", "removed": "-"}
 
 
@@ -92,4 +95,4 @@ def _row(change: Change | PeerChange) -> dict[str, Any]:
 def _line(row: dict[str, Any]) -> str:
     lost = "" if row["alive"] or row["change"] == "removed" else "  (lost)"
     told = f"{SIGNS[row['change']]} {row['kind']:<7} {escaped(row['name'])}{lost}  {escaped(row['detail'])}"
-    return f"{instant_text(row['time'])}  {told}".rstrip()
+    return f"{instant_text(row['time'])}  {styled(told.rstrip(), COLOURS[row['change']], sys.stdout)}"

@@ -16,6 +16,7 @@ _shtab_stampede_commands() {
     certs:'`stampede certs`: makes the authority of a cluster and the certificates of its parts, and shows their contents.'
     completion:'print the script with which a shell completes commands'
     configure:'change a channel'"'"'s policy, while it is in use'
+    context:'saved addresses of clusters, with the files of their credentials'
     demo:'Demonstrations on real media, through a real cluster on this machine:'
     dev:'Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost. If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.'
     doctor:'check every part of the cluster, and say what to fix'
@@ -83,6 +84,17 @@ _shtab_stampede_certs_commands() {
     show:'print the owners of certificates, and when they end'
   )
   _describe 'stampede certs commands' _commands
+}
+
+_shtab_stampede_context_commands() {
+  local _commands=(
+    add:'save a context, or replace it'
+    ls:'list the saved contexts'
+    none:'choose no context: commands use $STAMPEDE_URL, or localhost:7580'
+    rm:'forget a context'
+    use:'choose the context for all commands that follow'
+  )
+  _describe 'stampede context commands' _commands
 }
 
 _shtab_stampede_file_commands() {
@@ -419,6 +431,57 @@ _shtab_stampede_configure_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_stampede_configure_defaults_added=0
+
+_shtab_stampede_context_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_defaults_added=0
+
+_shtab_stampede_context_add_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--url[front-ends, comma-separated]:HOST:PORT:"
+  "--secret-file[the file of the secret or token\; - keeps standard input]:FILE:_files"
+  "--tls-ca[the file of the certificate authority]:FILE:_files"
+  "--tls-certificate[the file of the own certificate]:FILE:_files"
+  "--tls-key[the file of the own key]:FILE:_files"
+  ":the context\'s name:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_add_defaults_added=0
+
+_shtab_stampede_context_ls_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_ls_defaults_added=0
+
+_shtab_stampede_context_none_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_none_defaults_added=0
+
+_shtab_stampede_context_rm_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  ":the context\'s name:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_rm_defaults_added=0
+
+_shtab_stampede_context_use_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  ":the context\'s name:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_context_use_defaults_added=0
 
 _shtab_stampede_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -1435,6 +1498,7 @@ _shtab_stampede() {
         certs) _shtab_stampede_certs ;;
         completion) _arguments -C -s $_shtab_stampede_completion_options ;;
         configure) _arguments -C -s $_shtab_stampede_configure_options ;;
+        context) _shtab_stampede_context ;;
         demo) _arguments -C -s $_shtab_stampede_demo_options ;;
         dev) _arguments -C -s $_shtab_stampede_dev_options ;;
         doctor) _arguments -C -s $_shtab_stampede_doctor_options ;;
@@ -1548,6 +1612,33 @@ _shtab_stampede_certs() {
         renew) _arguments -C -s $_shtab_stampede_certs_renew_options ;;
         revoke) _arguments -C -s $_shtab_stampede_certs_revoke_options ;;
         show) _arguments -C -s $_shtab_stampede_certs_show_options ;;
+      esac
+  esac
+}
+
+_shtab_stampede_context() {
+  local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->context'
+
+  # Add default positional/remainder specs only if none exist, and only once per session
+  if (( ! _shtab_stampede_context_defaults_added )); then
+    if (( ${_shtab_stampede_context_options[(I)${(q)one_or_more}*]} +          ${_shtab_stampede_context_options[(I)${(q)remainder}*]} +          ${_shtab_stampede_context_options[(I)${(q)default}]} == 0 )); then
+      _shtab_stampede_context_options+=(': :_shtab_stampede_context_commands' '*::: :->context')
+    fi
+    _shtab_stampede_context_defaults_added=1
+  fi
+  _arguments -C -s $_shtab_stampede_context_options
+
+  case $state in
+    context)
+      words=($line[1] "${words[@]}")
+      (( CURRENT += 1 ))
+      curcontext="${curcontext%:*:*}:_shtab_stampede_context-$line[1]:"
+      case $line[1] in
+        add) _arguments -C -s $_shtab_stampede_context_add_options ;;
+        ls) _arguments -C -s $_shtab_stampede_context_ls_options ;;
+        none) _arguments -C -s $_shtab_stampede_context_none_options ;;
+        rm) _arguments -C -s $_shtab_stampede_context_rm_options ;;
+        use) _arguments -C -s $_shtab_stampede_context_use_options ;;
       esac
   esac
 }

@@ -1,0 +1,137 @@
+"""`stampede context ...`: saves the addresses of clusters and the files of their credentials, and chooses one."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from stampede_rt.cli.arguments import FORMS
+from stampede_rt.cli.contexts import CHOICE, NAME, VARIABLES, Contexts, write_private
+from stampede_rt.cli.output import print_rows
+from stampede_rt.cli.verb_parser import VerbParser
+from stampede_rt.cli.verbs import VERBS
+from stampede_rt.errors import InvalidArgument
+
+SECRET_BYTES_MAX = 4096
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs."""
+    text = VERBS["context"][1]
+    noun = subparsers.add_parser("context", help=text, description=text)
+    verbs = noun.add_subparsers(dest="context_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    add = _verb(verbs, "add", "save a context, or replace it", run_add)
+    add.add_argument("--url", required=True, metavar="HOST:PORT", help="front-ends, comma-separated")
+    add.add_argument("--secret-file", metavar="FILE", help="the file of the secret or token; - keeps standard input")
+    for name, what in (("ca", "certificate authority"), ("certificate", "own certificate"), ("key", "own key")):
+        add.add_argument(f"--tls-{name}", metavar="FILE", help=f"the file of the {what}")
+    _verb(verbs, "use", "choose the context for all commands that follow", run_use)
+    _verb(verbs, "rm", "forget a context", run_rm)
+    for name, text, run in (
+        ("ls", "list the saved contexts", run_ls),
+        ("none", "choose no context: commands use $STAMPEDE_URL, or localhost:7580", run_none),
+    ):
+        verbs.add_parser(name, help=text, description=text).set_defaults(run=run)
+    verbs.choices["ls"].add_argument(
+        "-o", "--output", choices=FORMS, default="table", help="how to print; default table"
+    )
+
+
+def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+    parser.set_defaults(run=run)
+    parser.add_argument("name", metavar="NAME", help="the context's name")
+    return parser
+
+
+def run_add(arguments: argparse.Namespace) -> int:
+    """Save a context. The first one is also chosen."""
+    from stampede_rt.cluster.addresses import parse_addresses
+
+    if not NAME.fullmatch(arguments.name):
+        raise InvalidArgument(f"the context name {arguments.name!r} is not allowed; use letters, digits, '.', '_', '-'")
+    parse_addresses(arguments.url)
+    contexts = Contexts.load(os.environ)
+    fields = {"url": arguments.url}
+    if arguments.secret_file == "-":
+        path = contexts.secret_path(arguments.name)
+        write_private(path, _secret_of_stdin())
+        arguments.secret_file = str(path)
+    for field in ("secret_file", "tls_ca", "tls_certificate", "tls_key"):
+        if getattr(arguments, field) is not None:
+            fields[field] = _existing_file(getattr(arguments, field))
+    contexts.by_name[arguments.name] = fields
+    contexts.current = contexts.current or arguments.name
+    contexts.save()
+    chosen = "is chosen" if contexts.current == arguments.name else f"is saved; `stampede context use {arguments.name}`"
+    print(f"context {arguments.name} {chosen}")
+    return 0
+
+
+def _secret_of_stdin() -> bytes:
+    secret = sys.stdin.buffer.read(SECRET_BYTES_MAX + 1)
+    if not secret.strip() or len(secret) > SECRET_BYTES_MAX:
+        raise InvalidArgument(f"standard input has no secret, or more than {SECRET_BYTES_MAX} bytes")
+    return secret
+
+
+def _existing_file(name: str) -> str:
+    path = Path(name).absolute()
+    if not path.is_file():
+        raise InvalidArgument(f"there is no file {name!r}; a context names files that exist")
+    return str(path)
+
+
+def run_use(arguments: argparse.Namespace) -> int:
+    """Choose a context."""
+    contexts = Contexts.load(os.environ)
+    url = contexts.named(arguments.name)["url"]
+    contexts.current = arguments.name
+    contexts.save()
+    print(f"commands now use {arguments.name} at {url}")
+    for variable in (CHOICE, "STAMPEDE_URL"):
+        if os.environ.get(variable):
+            print(f"stampede: ${variable} is set, and counts more; unset it", file=sys.stderr)
+    return 0
+
+
+def run_none(arguments: argparse.Namespace) -> int:
+    """Choose no context."""
+    contexts = Contexts.load(os.environ)
+    contexts.current = None
+    contexts.save()
+    print("commands now use no context")
+    return 0
+
+
+def run_rm(arguments: argparse.Namespace) -> int:
+    """Forget a context, with the secret that it keeps itself. Files that the user named stay."""
+    contexts = Contexts.load(os.environ)
+    contexts.named(arguments.name)
+    del contexts.by_name[arguments.name]
+    contexts.current = None if contexts.current == arguments.name else contexts.current
+    contexts.save()
+    contexts.secret_path(arguments.name).unlink(missing_ok=True)
+    print(f"context {arguments.name} is forgotten")
+    return 0
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List the contexts: addresses and paths, and no secrets."""
+    contexts = Contexts.load(os.environ)
+    current = os.environ.get(CHOICE) or contexts.current
+    rows = []
+    for name, fields in sorted(contexts.by_name.items()):
+        mark: Any = name == current if arguments.output != "table" else "*" if name == current else None
+        rows.append({"current": mark, "context": name} | {field: fields.get(field) for field in VARIABLES})
+    if arguments.output == "table":
+        kept = [field for field in VARIABLES if any(row[field] for row in rows)]
+        rows = [{name: row[name] for name in ("current", "context", *kept)} for row in rows]
+    print_rows(
+        rows, arguments.output, none="no context is saved; `stampede context add NAME --url HOST:PORT` saves one"
+    )
+    return 0

@@ -1,0 +1,142 @@
+"""Saved contexts: the address of a cluster and the files of its credentials, by a name.
+
+The file `stampede/contexts.json` below `$XDG_CONFIG_HOME` (default `~/.config`) has them, and only its owner may read
+it. A context names the files of secrets and keys. A secret that `stampede context add` reads from standard input goes
+into a file of its own beside it. Nothing here prints a secret.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument, PermissionDenied
+
+VARIABLES = {
+    "url": "STAMPEDE_URL",
+    "secret_file": "STAMPEDE_SECRET_FILE",
+    "tls_ca": "STAMPEDE_TLS_CA",
+    "tls_certificate": "STAMPEDE_TLS_CERTIFICATE",
+    "tls_key": "STAMPEDE_TLS_KEY",
+}
+"""The fields of a context, and the variable of the environment that each of them stands for."""
+CHOICE = "STAMPEDE_CONTEXT"  # names the context for one command
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+FILE_BYTES_MAX = 1024 * 1024
+
+
+class Contexts:
+    """All saved contexts. `current`: the one that commands use; None: none."""
+
+    def __init__(self, folder: Path, saved: Mapping[str, Any]) -> None:
+        self.folder = folder
+        self.current: str | None = saved.get("current")
+        self.by_name: dict[str, dict[str, str]] = dict(saved.get("contexts", {}))
+
+    @classmethod
+    def load(cls, environ: Mapping[str, str]) -> Contexts:
+        """Read the file of this user. Raises PermissionDenied if others may read it, InvalidArgument if it is wrong."""
+        base = environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
+        path = Path(base) / "stampede" / "contexts.json"
+        try:
+            with path.open("rb") as file:
+                mode = os.fstat(file.fileno()).st_mode
+                text = file.read(FILE_BYTES_MAX + 1)
+        except FileNotFoundError:
+            return cls(path.parent, {})
+        except OSError as error:
+            raise PermissionDenied(f"the contexts in {path} cannot be read: {error.strerror}") from error
+        if stat.S_IMODE(mode) & 0o077:
+            raise PermissionDenied(f"other users may use the contexts in {path}; run: chmod 600 {path}")
+        return cls(path.parent, _checked(path, text))
+
+    def named(self, name: str) -> dict[str, str]:
+        """Return a context. Raises InvalidArgument if there is none of that name."""
+        if name not in self.by_name:
+            known = ", ".join(sorted(self.by_name)) or "none"
+            raise InvalidArgument(
+                f"there is no context {name!r}; the saved ones: {known}; `stampede context add` adds one"
+            )
+        return self.by_name[name]
+
+    def save(self) -> None:
+        """Write the file, as a whole or not at all, so that only its owner may read it."""
+        text = json.dumps({"current": self.current, "contexts": self.by_name}, indent=2) + "\n"
+        write_private(self.folder / "contexts.json", text.encode())
+
+    def secret_path(self, name: str) -> Path:
+        """The file for a secret that a context keeps itself."""
+        return self.folder / f"context-{name}.secret"
+
+
+def _checked(path: Path, text: bytes) -> Mapping[str, Any]:
+    try:
+        saved = json.loads(text)
+        contexts, current = saved["contexts"], saved["current"]
+        is_right = len(text) <= FILE_BYTES_MAX and (current is None or current in contexts)
+        for name, fields in contexts.items():
+            is_right &= NAME.fullmatch(name) is not None and set(fields) <= set(VARIABLES)
+            is_right &= all(isinstance(value, str) for value in fields.values())
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        is_right = False
+    if not is_right:
+        raise InvalidArgument(f"the contexts in {path} are damaged; correct the file, or delete it")
+    return saved  # type: ignore[no-any-return]
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file that only its owner may read, as a whole or not at all. Raises PermissionDenied."""
+    import tempfile  # it loads many modules, and most commands write nothing
+
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=".stampede-")  # mode 0600
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+            os.replace(made, path)
+        except BaseException:
+            os.unlink(made)
+            raise
+    except OSError as error:
+        raise PermissionDenied(f"{path} cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def context_applied(environ: MutableMapping[str, str], *, has_url: bool) -> Iterator[None]:
+    """Put the fields of the chosen context into the environment of this process, for the duration of the block.
+
+    `$STAMPEDE_CONTEXT` chooses for one command, and counts more than other variables. Else `stampede context use` has
+    chosen, and variables that are set count more. A command with an address of its own (`has_url`, or `$STAMPEDE_URL`)
+    uses no context, so that no cluster gets the secret of another one. Raises InvalidArgument if there is no context of
+    that name.
+    """
+    before = {variable: environ.get(variable) for variable in VARIABLES.values()}
+    for variable, value in _chosen(environ, has_url).items():
+        environ[variable] = value
+    try:
+        yield
+    finally:
+        for variable, former in before.items():
+            environ.pop(variable, None)
+            if former is not None:
+                environ[variable] = former
+
+
+def _chosen(environ: Mapping[str, str], has_url: bool) -> dict[str, str]:
+    """Return the variables that the chosen context sets."""
+    by_variable = environ.get(CHOICE)
+    if has_url or (environ.get("STAMPEDE_URL") and not by_variable):
+        return {}
+    contexts = Contexts.load(environ)
+    name = by_variable or contexts.current
+    fields = contexts.named(name) if name else {}
+    return {
+        VARIABLES[field]: value for field, value in fields.items() if by_variable or not environ.get(VARIABLES[field])
+    }
