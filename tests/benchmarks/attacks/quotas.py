@@ -108,7 +108,6 @@ async def archived_bytes(ground: Ground, under_way: Callable[[], None]) -> None:
     """Items of 1 MiB, one after the other, into a channel of the attacker's that is recorded for ever."""
     async with ground.connect() as rt:
         channel = await rt.channel(NAME, max_items=2, archive="forever")
-        await channel.put(bytes(MIB), timeout=10.0)
         under_way()
         while True:
             with suppress(st.StampedeError):
