@@ -203,6 +203,7 @@ def test_a_caller_may_fill_the_disk_only_up_to_its_quota_and_hears_the_name_of_t
             channel.put(bytes(2**16))
     with pytest.raises(st.Overloaded, match="bytes-archived"):
         rt.channel("rig/another", archive="forever").put(b"new")
+    rt.channel("rig/another").delete()
     plain = rt.channel("rig/plain", max_items=2)
     with pytest.raises(st.Overloaded, match="bytes-archived"):
         plain.configure(archive="forever")

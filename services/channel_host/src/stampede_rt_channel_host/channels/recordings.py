@@ -42,15 +42,13 @@ class Recordings:
         """Look at the archive of a channel that the host is about to serve as `record` says.
 
         Raises InvalidArgument if the channel is to be recorded and the host has no archive. Raises Unavailable if the
-        archive cannot be used, and Overloaded if it has no room for a new channel.
+        archive cannot be used.
         """
         self.check(record.name, is_recorded=record.policy.is_recorded)
         is_same = hosted is not None and hosted.record.incarnation == record.incarnation
         if self.archive is None or not record.policy.is_recorded or (is_same and hosted and hosted.recording):
             return
-        if hosted is None:
-            self._check_room(record)
-        elif hosted.recording is not None:
+        if hosted is not None and hosted.recording is not None:
             hosted.recording.stop()
         opened = await open_archive(self.archive, record)
         self._opened[record.channel_id] = opened
