@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
+from stampede_rt.cluster.connecting import parse_target
+from stampede_rt.cluster.embedding import HostHere, HostOptions, embedder
 from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryConnection
@@ -34,11 +36,15 @@ OVER_SHARED_MEMORY = (
 """The test modules that also run over shared memory. In the others nothing is read from it."""
 
 
-@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared"], autouse=True)
+IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
+"""The test modules that also run in a program that is the host of its channels: puts and gets by reference."""
+
+
+@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared", "here"], autouse=True)
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport that each client of a test must use."""
     transport, _, streams = str(request.param).partition("-")
-    monkeypatch.setenv("STAMPEDE_TRANSPORT", transport)
+    monkeypatch.setenv("STAMPEDE_TRANSPORT", "best" if transport == "here" else transport)
     monkeypatch.setenv(STREAMS_VARIABLE, streams)
     return transport
 
@@ -54,6 +60,8 @@ def _is_wanted(item: pytest.Item) -> bool:
         return "sync" in found and module in OVER_PUBLIC_STREAMS
     if "shared" in found:
         return "memory" not in found and module in OVER_SHARED_MEMORY
+    if "here" in found:
+        return "memory" not in found and module in IN_THE_HOSTS_OWN_PROCESS
     return not {"memory", "socket"} <= found
 
 
@@ -62,12 +70,28 @@ def _parameters(item: pytest.Item) -> set[str]:
     return {one for one in parameters if isinstance(one, str)}
 
 
+@pytest.fixture(scope="session")
+def host_here(cluster: LocalCluster) -> Iterator[HostHere]:
+    """A host in the process of the tests, which all tests share."""
+    with pytest.MonkeyPatch.context() as patch:
+        find_secret_of(cluster, patch)
+        target = parse_target(cluster.address, name="here", secret=None, zone=None)
+    made = embedder()(target, HostOptions.parse(None, None, "1GiB", "0s", False))
+    made.start(60)
+    yield made
+    made.leave()
+
+
 @pytest.fixture(params=["memory", "aio", "sync"])
-async def surface(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Surface]:
+async def surface(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, transport: str
+) -> AsyncIterator[Surface]:
     if request.param == "memory":
         yield Surface(MemoryConnection())
         return
     running: LocalCluster = request.getfixturevalue("cluster")
     find_secret_of(running, monkeypatch)
     async with connected(request.param, running.address) as surface:
+        if transport == "here":
+            surface.live_in(request.getfixturevalue("host_here"))
         yield surface

@@ -11,6 +11,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.cluster.embedding import HostHere
 
 _names = itertools.count()
 
@@ -110,6 +111,10 @@ class Surface:
     def __init__(self, connection: Any, pool: ThreadPoolExecutor | None = None) -> None:
         self.connection = Blocking(connection, pool) if pool else connection
         self._pool = pool
+
+    def live_in(self, host: HostHere) -> None:
+        """Make the connection one of a program that is this host."""
+        _bare(self.connection)._session.here = host
 
     async def channel(self, name: str | None = None, **policy: Any) -> Any:
         channel = await self.connection.channel(name or f"contract/{next(_names)}-{st.now()}", **policy)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
 
+from stampede_rt._async.calls_here import put_here
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.consuming import consume
 from stampede_rt._async.producer import Producer
@@ -78,7 +79,11 @@ class Channel(Reader):
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
         may_fill = on_full in ("block", "reject") or (ack or self.info.policy.ack or "host") != "host"
         with span("put", channel=self.name):
-            accepted = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
+            wait, accepted = Wait.parse(timeout), None
+            if self._session.here is not None and not may_fill:
+                accepted = await put_here(self._session, self._state, self._numbers, item)
+            if accepted is None:
+                accepted = await self._puts.put(self._numbers, item, wait, renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, accepted)
 
     def producer(self, ack: Ack | None = None) -> Producer:

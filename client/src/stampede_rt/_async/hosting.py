@@ -22,7 +22,7 @@ class Hosting:
         """Start the host. Blocks until the directory knows it, for at most about 15 s. Raises StampedeError."""
         self._session.attach(self)
         await in_thread(lambda: self._host.start(START_TIMEOUT_S))
-        self._session.own_host = self._host.name
+        self._session.here = self._host
 
     async def end(self) -> None:
         """Move the channels to other hosts, and end the host."""
@@ -33,9 +33,9 @@ async def open_channel(
     session: Session, name: str, stated: Policy, host: str | None, create: bool, beside: str | None
 ) -> ChannelInfo:
     """Open a channel. If this process is a host, and the caller names no place, a new channel goes to this host."""
-    if session.own_host and create and host is None and beside is None:
+    if session.here is not None and create and host is None and beside is None:
         try:
-            return await session.open_channel(name, stated, session.own_host, create)
+            return await session.open_channel(name, stated, session.here.name, create)
         except ChannelExists:  # at another host, or with another policy
             pass
     return await session.open_channel(name, stated, host, create, beside=beside)
@@ -45,9 +45,9 @@ async def open_queue_near(
     session: Session, name: str, stated: QueuePolicy, host: str | None, create: bool
 ) -> QueueInfo:
     """Open a queue. If this process is a host, and the caller names none, a new queue goes to this host."""
-    if session.own_host and create and host is None:
+    if session.here is not None and create and host is None:
         try:
-            return await open_queue(session, name, stated, session.own_host, create)
+            return await open_queue(session, name, stated, session.here.name, create)
         except QueueExists:
             pass
     return await open_queue(session, name, stated, host, create)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
+from stampede_rt._async.calls_here import may_be_here, newest_here, read_here
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting
-from stampede_rt._async.ring_reads import AskHost, read_interval, read_newest
+from stampede_rt._async.ring_reads import ASK_HOST, AskHost, read_interval, read_newest
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.cluster.tracing import span
@@ -191,7 +192,11 @@ class Reader(Reference):
             if timeout != 0 or timeout is False:
                 wait_s = Wait.parse(timeout).seconds
                 deadline_s = None if wait_s is None else monotonic_s() + wait_s
-            found = await read_newest(self._session, self._state, position, deadline_s)
+            found: Item | AskHost | None = ASK_HOST
+            if not may_be_here(self._session, self._state):
+                found = await read_newest(self._session, self._state, position, deadline_s)
+            elif position is None:
+                found = newest_here(self._session, self._state) or ASK_HOST
             if not isinstance(found, AskHost):
                 return found
             if timeout and deadline_s is not None:
@@ -227,6 +232,10 @@ class Reader(Reference):
         return items[0] if items else None
 
     async def _read(self, query: ReadQuery) -> Items:
+        if self._view is None and self._session.here is not None:
+            items = await read_here(self._session, self._state, query)
+            if items is not None:
+                return items
         is_plain = query.payloads and query.after is None and query.newer_than is None and query.as_of is None
         if self._view is None and is_plain:
             found = await read_interval(self._session, self._state, query)

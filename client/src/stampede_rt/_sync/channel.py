@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
 
+from stampede_rt._sync.calls_here import put_here
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.consuming import consume
 from stampede_rt._sync.producer import Producer
@@ -79,7 +80,11 @@ class Channel(Reader):
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
         may_fill = on_full in ("block", "reject") or (ack or self.info.policy.ack or "host") != "host"
         with span("put", channel=self.name):
-            accepted = self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
+            wait, accepted = Wait.parse(timeout), None
+            if self._session.here is not None and not may_fill:
+                accepted = put_here(self._session, self._state, self._numbers, item)
+            if accepted is None:
+                accepted = self._puts.put(self._numbers, item, wait, renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, accepted)
 
     def producer(self, ack: Ack | None = None) -> Producer:

@@ -23,7 +23,7 @@ class Hosting:
         """Start the host. Blocks until the directory knows it, for at most about 15 s. Raises StampedeError."""
         self._session.attach(self)
         in_thread(lambda: self._host.start(START_TIMEOUT_S))
-        self._session.own_host = self._host.name
+        self._session.here = self._host
 
     def end(self) -> None:
         """Move the channels to other hosts, and end the host."""
@@ -34,9 +34,9 @@ def open_channel(
     session: Session, name: str, stated: Policy, host: str | None, create: bool, beside: str | None
 ) -> ChannelInfo:
     """Open a channel. If this process is a host, and the caller names no place, a new channel goes to this host."""
-    if session.own_host and create and host is None and beside is None:
+    if session.here is not None and create and host is None and beside is None:
         try:
-            return session.open_channel(name, stated, session.own_host, create)
+            return session.open_channel(name, stated, session.here.name, create)
         except ChannelExists:  # at another host, or with another policy
             pass
     return session.open_channel(name, stated, host, create, beside=beside)
@@ -44,9 +44,9 @@ def open_channel(
 
 def open_queue_near(session: Session, name: str, stated: QueuePolicy, host: str | None, create: bool) -> QueueInfo:
     """Open a queue. If this process is a host, and the caller names none, a new queue goes to this host."""
-    if session.own_host and create and host is None:
+    if session.here is not None and create and host is None:
         try:
-            return open_queue(session, name, stated, session.own_host, create)
+            return open_queue(session, name, stated, session.here.name, create)
         except QueueExists:
             pass
     return open_queue(session, name, stated, host, create)

@@ -107,7 +107,7 @@ class Puts:
                 owner, blocks_until_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
                 ack = stream.put(request, timeout_s, stays=shares)
-            return _accepted(ack)
+            return accepted(ack)
 
         return attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)
 
@@ -121,7 +121,8 @@ def enqueued(ack: channel_pb.PutAck) -> Enqueued:
     return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
 
 
-def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
+def accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
+    """Return the ack of one item. Raises the error with which the host has refused the item."""
     if ack.HasField("error"):
         raise from_error_message(ack.error)
     if ack.rejections:

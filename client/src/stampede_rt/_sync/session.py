@@ -22,6 +22,7 @@ from stampede_rt._sync.put_streams import PutStreams
 from stampede_rt._sync.shared_rings import SharedRings
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.cluster.copy_cache import CopyCache
+from stampede_rt.cluster.embedding import HostHere
 from stampede_rt.cluster.tracing import span
 from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
@@ -76,7 +77,7 @@ class Session:
         self.rings = SharedRings(self.endpoints, self.perform, transport)
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
-        self.own_host = ""  # the name of the channel host in this process, which belongs to this connection
+        self.here: HostHere | None = None  # the channel host in this process, which belongs to this connection
         self.closing = False  # from the beginning of `close` on
         self.closed = False  # once `close` has ended all tasks
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer

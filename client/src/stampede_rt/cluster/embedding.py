@@ -5,18 +5,23 @@ The client imports no service. The package of the host registers a function as a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.model import Reason
 from stampede_rt.values.policy import flag_of, memory_of
-from stampede_rt.values.timeline import DurationLike, parse_duration
+from stampede_rt.values.reading import ReadQuery
+from stampede_rt.values.timeline import DurationLike, ResolvedInterval, parse_duration
 
 ENTRY_POINTS = "stampede_rt.embedded_hosts"
 START_TIMEOUT_S = 15.0  # the lease of a predecessor with the same name ends within 6 s
 DRAIN_MAX_NANOS = 3600 * 10**9
+NO_ATTRIBUTES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,6 +59,48 @@ class HostOptions:
         )
 
 
+class PutHere(NamedTuple):
+    """One item that a program puts at the host of its own process. `time` None: the host stamps it."""
+
+    producer_id: int
+    number: int
+    payload: bytes
+    time: int | None
+    duration: int | None
+    attributes: dict[str, str]
+    content_type: str
+
+
+class RunHere(NamedTuple):
+    """One item that a program of this process put, or, if `encoded` is set, a run that came over the wire.
+
+    `duration` is -1 for none. `payload` is the object that was put. `next_time`: the time of the bucket behind the run;
+    None: it is the next run, or the run has the newest bucket.
+    """
+
+    time: int = 0
+    duration: int = -1
+    seq: int = 0
+    length: int = 0
+    payload: bytes | None = None
+    attributes: Mapping[str, str] = NO_ATTRIBUTES
+    content_type: str = ""
+    next_time: int | None = None
+    encoded: bytes | None = None
+
+
+class AnswerHere(NamedTuple):
+    """The answer to a read at the host of this process. The fields are those of `Items`."""
+
+    runs: Sequence[RunHere]
+    interval: ResolvedInterval | None
+    complete: bool
+    truncated: bool
+    more: bool
+    reason: Reason | None
+    incarnation: int
+
+
 class HostHere(Protocol):
     """A channel host in this process. Several threads may use it."""
 
@@ -69,6 +116,22 @@ class HostHere(Protocol):
 
     def start(self, timeout_s: float) -> None:
         """Start the host on a thread of its own, and wait until the directory knows it. Raises StampedeError."""
+        ...
+
+    def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[Any]:
+        """Put one item by reference. The future gets the PutAck, or None: then the put has to go over a stream."""
+        ...
+
+    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+        """Read by reference on the calling thread. None: take `read`. Raises StampedeError."""
+        ...
+
+    def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
+        """Read the newest item by reference on the calling thread. None: take `read_now`."""
+        ...
+
+    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
+        """Read by reference, with the wait of the query. None: the read has to go over a stream."""
         ...
 
     def leave(self) -> None:

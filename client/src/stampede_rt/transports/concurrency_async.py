@@ -8,6 +8,7 @@ import os
 import time
 import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Hashable, Sequence
+from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -71,6 +72,14 @@ async def sleep(delay_s: float) -> None:
 async def in_thread(operation: Callable[[], Result]) -> Result:
     """Run a blocking operation on a worker thread and return its result."""
     return await asyncio.to_thread(operation)
+
+
+async def result_of(future: Future[Result], timeout_s: float | None) -> Result:
+    """Return the result of a call that another thread performs. Raises its error, and TimeoutError.
+
+    If the wait ends early, cancels the call, unless it is being performed.
+    """
+    return await asyncio.wait_for(asyncio.wrap_future(future), timeout_s)
 
 
 async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:

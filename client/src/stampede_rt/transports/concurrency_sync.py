@@ -10,7 +10,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from math import inf
 from queue import SimpleQueue
@@ -100,6 +100,17 @@ def run_concurrently(operations: Sequence[Callable[[], Result]]) -> list[Result]
 def in_thread(operation: Callable[[], Result]) -> Result:
     """Run a blocking operation on the calling thread and return its result."""
     return operation()
+
+
+def result_of(future: Future[Result], timeout_s: float | None) -> Result:
+    """Return the result of a call that another thread performs. Raises its error, and TimeoutError.
+
+    If the wait ends early, cancels the call, unless it is being performed.
+    """
+    try:
+        return future.result(timeout_s)
+    finally:
+        future.cancel()  # does nothing if it is done
 
 
 def begin_if_blocking(operation: Callable[[], None]) -> None:

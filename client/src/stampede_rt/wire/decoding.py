@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
+from stampede_rt.cluster.embedding import RunHere
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.columns import DecodedRun, ItemColumns, span_end
@@ -49,6 +50,44 @@ class ItemDecoder:
             overlap=self._overlap,
             make=self._make,
             backwards=backwards,
+        )
+
+    def decode_here(self, runs: Sequence[RunHere], *, backwards: bool = False) -> Sequence[Item]:
+        """Return the items of an answer of the host in this process. An item put here has the payload that was put."""
+        if len(runs) == 1 and runs[0].encoded is None:
+            return [self._item_here(runs[0])]
+        columns = [self._columns_here(run) for run in runs]
+        if not columns:
+            return []
+        return ItemColumns(columns, overlap=self._overlap, make=self._make, backwards=backwards)
+
+    def _item_here(self, run: RunHere) -> Item:
+        fields = (
+            run.time,
+            span_end(run.time, run.duration, run.next_time, self._overlap),
+            None if run.duration < 0 else run.duration,
+            run.seq,
+            run.payload,
+            dict(run.attributes),
+            run.content_type or self._content_type,
+            run.length,
+            self._incarnation,
+        )
+        return self._make(fields) if self._make else Item._make(fields)
+
+    def _columns_here(self, run: RunHere) -> DecodedRun:
+        if run.encoded is not None:
+            return self._columns(item_pb2.ItemRun.FromString(run.encoded), run.next_time)
+        return DecodedRun(
+            times=(run.time,),
+            durations=None if run.duration < 0 else (run.duration,),
+            lengths=(run.length,),
+            first_seq=run.seq,
+            attributes=dict(run.attributes),
+            content_type=run.content_type or self._content_type,
+            incarnation=self._incarnation,
+            payloads=run.payload,
+            next_time=run.next_time,
         )
 
     def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:

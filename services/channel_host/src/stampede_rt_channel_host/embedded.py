@@ -14,16 +14,25 @@ import re
 import socket
 import stat
 import threading
-from concurrent.futures import Future
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
+from functools import partial
 from pathlib import Path
+from typing import Any
 from weakref import WeakSet
 
 from stampede_rt.cluster.connecting import Target
-from stampede_rt.cluster.embedding import HostOptions
-from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable
+from stampede_rt.cluster.embedding import AnswerHere, HostOptions, PutHere
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials, SecretReader
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.reading import ReadQuery
+from stampede_rt_channel_host.channels.calls_here import newest_now, put_here, read_here, read_now
+from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
+from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.served_host import ServedHost
 from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_channel_host.turns import Turns
 from stampede_rt_runtime.access.tokens import is_token
 from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
@@ -53,6 +62,7 @@ class EmbeddedHost:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._started: Future[None] = Future()
+        self._turns = Turns()
         # not a daemon: when the program ends without a close, the interpreter waits until the host has left
         self._thread = threading.Thread(target=self._run, name="stampede host", daemon=False)
 
@@ -98,6 +108,64 @@ class EmbeddedHost:
         if threading.current_thread() is not self._thread:
             self._thread.join(self._drain_s + LEAVE_SECONDS_MAX)
 
+    def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[pb.PutAck | None]:
+        """Put one item by reference. None: it may have to wait for room. The future may have the errors of a put."""
+
+        def perform(store: ChannelStore, told: Future[pb.PutAck | None]) -> None:
+            if told.set_running_or_notify_cancel():
+                told.set_result(put_here(store, channel_id, epoch, put))
+
+        return self._on_loop(perform)
+
+    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+        """Read by reference, at once. None: take `read`. Raises the errors of a get."""
+        if self._served is None or not self.is_alive:
+            return None
+        self._turns.give_way()
+        with self._turns.lock:
+            return read_now(self._served.host.store, channel_id, epoch, query)
+
+    def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
+        """Read the newest item by reference, at once. None: take `read_now`."""
+        if self._served is None or not self.is_alive:
+            return None
+        self._turns.give_way()
+        with self._turns.lock:
+            return newest_now(self._served.host.store, channel_id, epoch)
+
+    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
+        """Read by reference, with the wait of the query. None: the answer is long."""
+
+        def perform(store: ChannelStore, told: Future[AnswerHere | None]) -> None:
+            waiting = read_here(store, channel_id, epoch, query, lambda found: _tell(told, found))
+            if waiting is not None and self._loop is not None:
+                told.add_done_callback(partial(_cancel, self._loop, waiting))
+
+        return self._on_loop(perform)
+
+    def _on_loop(self, perform: Callable[[ChannelStore, Future[Any]], None]) -> Future[Any]:
+        """Have the host's thread perform a call. Its result is None if the host is not there any more."""
+        told: Future[Any] = Future()
+        served, loop = self._served, self._loop
+        if served is None or loop is None or not self.is_alive:
+            told.set_result(None)
+            return told
+        store = served.host.store
+
+        def run() -> None:
+            if told.cancelled():
+                return
+            try:
+                perform(store, told)
+            except StampedeError as error:
+                _tell(told, error)
+
+        try:
+            loop.call_soon_threadsafe(run)
+        except RuntimeError:  # the loop has closed meanwhile
+            told.set_result(None)
+        return told
+
     def ask_to_leave(self) -> None:
         """Begin to leave. Does not wait. Idempotent."""
         loop = self._loop
@@ -120,13 +188,15 @@ class EmbeddedHost:
 
     def _run(self) -> None:
         try:
-            with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+            with asyncio.Runner(loop_factory=self._turns.loop) as runner:
                 runner.run(self._serve())
         except BaseException as error:  # `start` raises it on the program's thread
             if not self._started.done():
                 self._started.set_exception(error)
             else:
                 logger.exception("the host in this process ended", extra={"event": "embedded_host_failed"})
+        finally:
+            self._turns.loop_ended()
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -150,6 +220,22 @@ class EmbeddedHost:
             raise Unavailable("the host was told to leave before the directory knew it")
         entering.result()
         self._started.set_result(None)
+
+
+def _tell(told: Future[Any], found: object) -> None:
+    """Set the result of a call. Does nothing if its caller has given up."""
+    with contextlib.suppress(InvalidStateError):
+        if isinstance(found, StampedeError):
+            told.set_exception(found)
+        else:
+            told.set_result(found)
+
+
+def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet, told: Future[Any]) -> None:
+    """End the wait of a get whose caller has given up."""
+    if told.cancelled():
+        with contextlib.suppress(RuntimeError):  # the loop has closed
+            loop.call_soon_threadsafe(waiting.cancel)
 
 
 def _settings(target: Target, options: HostOptions) -> HostSettings:

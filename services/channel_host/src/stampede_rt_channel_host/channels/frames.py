@@ -48,10 +48,10 @@ def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
     """The encoded run of a slice. A slice that covers its whole run gives the stored bytes as they are."""
     run = part.run
     if part.is_whole and not without_payloads:
-        return run.body
+        return bytes(run.body)
     slicer = run.slicer if isinstance(run, ColumnRun) else None
     if slicer is None:
-        slicer = RunSlicer(run.body)
+        slicer = RunSlicer(bytes(run.body))
         if isinstance(run, ColumnRun):
             run.slicer = slicer
     return slicer.cut(part.lo, part.hi, without_payloads=without_payloads)

@@ -234,4 +234,4 @@ def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:
     """The items of a slice as a run of their own."""
     run, lo, hi = part
     durations = None if run.durations is None else run.durations[lo:hi]
-    return make_run(part.first_seq, run.times[lo:hi], durations, run.lengths[lo:hi], cut(run.body, lo, hi))
+    return make_run(part.first_seq, run.times[lo:hi], durations, run.lengths[lo:hi], cut(bytes(run.body), lo, hi))

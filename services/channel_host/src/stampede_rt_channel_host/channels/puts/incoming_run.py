@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt.wire.runs import RunColumns, parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.limits.memory import own_bytes
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Offer, PutOutcome
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Body, Offer, PutOutcome, ReferencedBody
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 
 
@@ -23,18 +23,21 @@ class IncomingRun:
 
     def __init__(
         self,
-        encoded: bytes | memoryview,
+        encoded: bytes | memoryview | ReferencedBody,
         *,
+        columns: RunColumns | None = None,
         producer_id: int,
         first_number: int,
         wait_nanos: int | None,
         owner: str = "",
     ) -> None:
-        """`owner`: see `RetryWindow.record`.
+        """`owner`: see `RetryWindow.record`. `columns`: of a run that is not encoded yet; it has one item.
 
         Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold.
         """
-        columns = parse_run(encoded)
+        if columns is None:
+            assert not isinstance(encoded, ReferencedBody), "such a run comes with its columns"
+            columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
         self.items = len(columns.lengths)
         self.progress = RunProgress(self.items)
@@ -49,20 +52,24 @@ class IncomingRun:
 
     def keep(self) -> None:
         """Copy the run's bytes if they are a view of the request, because the run has to wait."""
-        self._encoded = own_bytes(self._encoded)
+        if not isinstance(self._encoded, ReferencedBody):
+            self._encoded = own_bytes(self._encoded)
 
     @property
     def charged_bytes(self) -> int:
         """The bytes that the host's memory budget counts for the run."""
         return len(self._encoded) + self.items * ITEM_OVERHEAD_BYTES
 
-    def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """Note that the core accepts items, and return the bytes to store for these items (see `core.Seal`)."""
+    def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> Body:
+        """Note that the core accepts items, and return the body to store for these items (see `core.Seal`)."""
         rest = range(self.progress.judged_items, self.items)
         positions = rest if kept is None else [rest[position] for position in kept]
         self.progress.accept(positions[0], first_seq, len(positions), stamped_time)
+        stamps = None if stamped_time is None else (stamped_time,) * len(positions)
+        if isinstance(self._encoded, ReferencedBody):
+            return self._encoded.followed_by(seal_run(b"", first_seq, stamps))
         encoded = self._encoded if len(positions) == self.items else select_items(self._encoded, positions)
-        return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(positions))
+        return seal_run(encoded, first_seq, stamps)
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """Note which items the core has refused, and which have to wait. Returns True if no item has to wait."""

@@ -62,7 +62,7 @@ class ArchivedRun(NamedTuple):
 def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
     """A block of runs, in seq order: its head, and its parts, which the caller writes one after the other."""
     table = b"".join(_ROW.pack(one.accepted, len(one.run.body)) for one in runs)
-    parts = [table, *(one.run.body for one in runs)]
+    parts = [table, *(bytes(one.run.body) for one in runs)]
     head = BlockHead(
         kind=ITEMS,
         content_crc=_crc(parts),

@@ -343,7 +343,7 @@ class Holdings(HeldItems):
         parts = self.index.parts_of(run, COPIED_PARTS_MAX + 1)
         if self._cut is None or len(parts) > COPIED_PARTS_MAX:
             return
-        bodies = [self._cut(run.body, part.lo, part.hi) for part in parts]
+        bodies = [self._cut(bytes(run.body), part.lo, part.hi) for part in parts]
         if 2 * sum(len(body) for body in bodies) > len(run.body):
             return
         self._kept_body_bytes -= len(run.body)

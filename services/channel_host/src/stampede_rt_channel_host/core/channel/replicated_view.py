@@ -82,7 +82,7 @@ class ReplicatedView:
         if part.is_whole:
             return ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body)
         durations = None if run.durations is None else run.durations[part.lo : part.hi]
-        body = self._cut(run.body, part.lo, part.hi)
+        body = self._cut(bytes(run.body), part.lo, part.hi)
         return make_run(part.first_seq, run.times[part.lo : part.hi], durations, run.lengths[part.lo : part.hi], body)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 ABSENT = -1
@@ -16,6 +16,43 @@ ABSENT = -1
 
 ITEM_OVERHEAD_BYTES = 64
 """The bytes that an item counts against max_bytes beside its payload."""
+
+
+class Body(Protocol):
+    """The encoded items of a run: bytes, or a `ReferencedBody`. `bytes(body)` gives the bytes."""
+
+    def __len__(self) -> int: ...
+
+    def __bytes__(self) -> bytes: ...
+
+
+class ReferencedBody:
+    """The body of a run of one item whose payload is the object that a program of this process put.
+
+    `parts` are the encoded run, and `payload` is one of them. `bytes` joins them anew, for a reader elsewhere.
+    `attributes` and `content_type` are those of the item.
+    """
+
+    __slots__ = ("_length", "attributes", "content_type", "parts", "payload")
+
+    def __init__(
+        self, parts: Sequence[bytes], payload: bytes, attributes: Mapping[str, str], content_type: str
+    ) -> None:
+        self.parts = parts
+        self.payload = payload
+        self.attributes = attributes
+        self.content_type = content_type
+        self._length = sum(map(len, parts))
+
+    def followed_by(self, part: bytes) -> ReferencedBody:
+        """This body with one more part at its end."""
+        return ReferencedBody((*self.parts, part), self.payload, self.attributes, self.content_type)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __bytes__(self) -> bytes:
+        return b"".join(self.parts)
 
 
 class Run(ABC):
@@ -29,7 +66,7 @@ class Run(ABC):
     __slots__ = ("body", "first_seq")
 
     first_seq: int
-    body: bytes
+    body: Body
 
     @property
     @abstractmethod
@@ -71,7 +108,7 @@ class ColumnRun(Run):
     __slots__ = ("durations", "kept", "lengths", "slicer", "times")
 
     def __init__(
-        self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
+        self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body
     ) -> None:
         self.first_seq = first_seq
         self.times: Sequence[int] = times
@@ -85,7 +122,7 @@ class ColumnRun(Run):
         """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
         return sum(self.lengths[lo:hi])
 
-    def part(self, lo: int, hi: int, body: bytes) -> ColumnRun:
+    def part(self, lo: int, hi: int, body: Body) -> ColumnRun:
         """The items from position `lo` up to `hi`, exclusive, as a run of their own."""
         durations = None if self.durations is None else self.durations[lo:hi]
         run = ColumnRun(self.first_seq + lo, self.times[lo:hi], durations, self.lengths[lo:hi], body)
@@ -101,7 +138,7 @@ class OneRun(Run):
     lo = 0
     hi = 1
 
-    def __init__(self, first_seq: int, time: int, duration: int, length: int, body: bytes) -> None:
+    def __init__(self, first_seq: int, time: int, duration: int, length: int, body: Body) -> None:
         self.first_seq = first_seq
         self.first_time = time
         self.duration = duration
@@ -142,7 +179,7 @@ class OneRun(Run):
 
 
 def make_run(
-    first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
+    first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body
 ) -> Run:
     """A run in its smallest layout. Copies the columns."""
     if len(lengths) == 1:

@@ -14,7 +14,7 @@ from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.run import Run, Slice
+from stampede_rt_channel_host.core.channel.run import Body, Run, Slice
 from stampede_rt_channel_host.core.channel.waiting import Needs
 
 
@@ -55,9 +55,9 @@ class Offer:
 
 
 class Seal(Protocol):
-    """Makes the stored bytes of an accepted run. A put calls the seal at most once. The seal must not raise."""
+    """Makes the stored body of an accepted run. A put calls the seal at most once. The seal must not raise."""
 
-    def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+    def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> Body:
         """The bytes to store.
 
         `kept` are the accepted positions of the offer; None stands for all positions. `stamped_time` is the time that

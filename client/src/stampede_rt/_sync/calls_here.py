@@ -1,0 +1,103 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Puts and gets at the channel host of this process: by reference, without the wire (paper, section 4.1).
+
+Each function returns None if the call has to take the usual way: the channel is elsewhere, or the call may wait for
+room, or its answer is long. The usual way also finds the reason of each failure.
+"""
+
+from __future__ import annotations
+
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.puts import ProducerNumbers, SingleItem, accepted
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
+from stampede_rt.errors import StampedeError
+from stampede_rt.transports.concurrency_sync import result_of, thread_id
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Item, Items
+from stampede_rt.values.reading import ReadQuery
+
+
+def may_be_here(session: Session, state: ChannelState) -> bool:
+    """Whether the channel may be at the host of this process."""
+    here = session.here
+    if here is None:
+        return False
+    binding = session.cache.binding(state.info.channel_id, thread_id())
+    return binding is None or binding.target == here.target
+
+
+def newest_here(session: Session, state: ChannelState) -> Item | None:
+    """Return the newest item if a program of this process has put it. Waits for nothing."""
+    here, binding = session.here, session.cache.binding(state.info.channel_id, thread_id())
+    if here is None or binding is None or binding.target != here.target:
+        return None
+    session.check()
+    found = here.newest_now(binding.subject_id, binding.epoch)
+    return None if found is None else state.decoder(found.incarnation, payloads=True).decode_here(found.runs)[0]
+
+
+def _binding_here(session: Session, state: ChannelState, here: HostHere) -> Binding | None:
+    """Return the channel's binding if the channel is at the host of this process."""
+    session.check()
+    try:
+        binding = session.bind(state)
+    except StampedeError:
+        return None
+    return binding if binding.target == here.target else None
+
+
+def put_here(
+    session: Session, state: ChannelState, numbers: ProducerNumbers, item: SingleItem
+) -> channel_pb.PutAck | None:
+    """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull."""
+    here = session.here
+    binding = None if here is None else _binding_here(session, state, here)
+    if here is None or binding is None:
+        return None
+    put = PutHere(
+        numbers.producer_id, numbers.next(), item.payload, item.time, item.duration, dict(item.attributes),
+        item.content_type,
+    )  # fmt: skip
+    try:
+        ack = result_of(here.put(binding.subject_id, binding.epoch, put), CALL_TIMEOUT_S)
+    except (StampedeError, TimeoutError):
+        return None
+    try:
+        return None if ack is None else accepted(ack)
+    except StampedeError as error:
+        error.concerning("channel", state.info.name)
+        raise
+
+
+def read_here(session: Session, state: ChannelState, query: ReadQuery) -> Items | None:
+    """Return the answer to a read, see `Reader.get`."""
+    here = session.here
+    if here is None or query.as_of is not None or query.max_staleness_nanos is not None or query.least_seq is not None:
+        return None
+    binding = _binding_here(session, state, here)
+    if binding is None:
+        return None
+    wait_s = query.wait.seconds
+    try:
+        answer = here.read_now(binding.subject_id, binding.epoch, query) if wait_s == 0 else None
+        if answer is None:
+            future = here.read(binding.subject_id, binding.epoch, query)
+            answer = result_of(future, None if wait_s is None else wait_s + CALL_TIMEOUT_S)
+    except (StampedeError, TimeoutError):
+        return None
+    return None if answer is None else _items(state, query, answer)
+
+
+def _items(state: ChannelState, query: ReadQuery, answer: AnswerHere) -> Items:
+    decoder = state.decoder(answer.incarnation, payloads=query.payloads)
+    return Items(
+        decoder.decode_here(answer.runs, backwards=query.newest_first),
+        interval=answer.interval,
+        complete=answer.complete,
+        truncated=answer.truncated,
+        more=answer.more,
+        reason=answer.reason,
+        incarnation=answer.incarnation,
+    )

@@ -1,0 +1,179 @@
+"""Puts and gets of programs in the host's own process: by reference, without the wire (paper, section 4.1).
+
+The objects that a program puts stay in the channel as they are, and gets return them. Other readers get them encoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.cluster.embedding import AnswerHere, PutHere, RunHere
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.model import ABSENT, Item
+from stampede_rt.values.reading import ReadQuery
+from stampede_rt.wire.reads import check_item
+from stampede_rt.wire.runs import RunColumns, run_parts
+from stampede_rt_channel_host.channels.frames import run_bytes
+from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.puts import check_number
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.core.channel import (
+    DeliveredSlice,
+    Position,
+    Query,
+    ReadAnswer,
+    ReferencedBody,
+    Unfinished,
+    WakeAt,
+    first_of,
+)
+
+Told = Callable[[AnswerHere | StampedeError | None], None]
+
+
+def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel | None:
+    """The channel, if this module serves it; None: it has an archive or replicas. Raises the errors of `find`."""
+    hosted = store.find(channel_id, epoch)
+    return None if hosted.recording is not None or hosted.replication is not None else hosted
+
+
+def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: PutHere) -> pb.PutAck | None:
+    """Put one item. None: it may have to wait for room, so it goes over a stream. Raises the errors of a put."""
+    hosted = find_here(store, channel_id, epoch)
+    if hosted is None or hosted.puts.may_wait:
+        return None
+    check_number(put.producer_id, put.number)
+    times = None if put.time is None else (put.time,)
+    durations = None if put.duration is None else (put.duration,)
+    parts = run_parts(
+        (put.payload,), times=times, durations=durations, content_type=put.content_type, attributes=put.attributes
+    )
+    run = IncomingRun(
+        ReferencedBody(parts, put.payload, put.attributes, put.content_type),
+        columns=RunColumns(times, durations, (len(put.payload),)),
+        producer_id=put.producer_id,
+        first_number=put.number,
+        wait_nanos=0,
+    )
+    ack = hosted.puts.put(run, store.now())
+    assert ack is not None, "the channel lets no put wait"
+    return ack
+
+
+def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+    """The answer to a read. Changes nothing: None if the read would have to free old items first, or is long.
+
+    The caller holds the turn of the loop. Raises the errors of a get.
+    """
+    hosted, now = find_here(store, channel_id, epoch), store.now()
+    if hosted is None or (hosted.due is not None and hosted.due <= now):
+        return None
+    found = first_of(hosted.channel.reading(query_of(query), now))
+    return None if isinstance(found, Unfinished) else _told(hosted, query, found)
+
+
+def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere | None:
+    """The answer to a read of the newest item, if a program of this process has put that item. Changes nothing.
+
+    None: take `read_now`, which also finds the reason of a failure. The caller holds the turn of the loop.
+    """
+    try:
+        hosted = find_here(store, channel_id, epoch)
+    except StampedeError:
+        return None
+    if hosted is None or (hosted.due is not None and hosted.due <= store.now()):
+        return None
+    part = next(iter(hosted.channel.newest_slices()), None)
+    if part is None or not isinstance(part.run.body, ReferencedBody):
+        return None
+    hosted.count_delivered(1, part.payload_bytes)
+    runs = (_run(DeliveredSlice(part, None), payloads=True),)
+    return AnswerHere(runs, None, False, False, False, None, hosted.channel.incarnation)
+
+
+def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, tell: Told) -> WaitingGet | None:
+    """Perform a get on the loop, and call `tell` with its answer. Returns the get if it waits.
+
+    `tell` gets None if the answer is long: such a get goes over a stream. Raises the errors of a get.
+    """
+    hosted, now = find_here(store, channel_id, epoch), store.now()
+    if hosted is None:
+        tell(None)
+        return None
+    asked = query_of(query)
+    if query.wait.seconds == 0:
+        found = first_of(hosted.channel.reading(asked, now))
+        tell(None if isinstance(found, Unfinished) else _told(hosted, query, found))
+        return None
+    pending = hosted.channel.begin(asked, now)
+    polled = first_of(hosted.channel.polling(pending, now))
+
+    def outcome(found: object) -> None:
+        if isinstance(found, StampedeError):
+            tell(found)
+        elif isinstance(found, ReadAnswer):
+            tell(_told(hosted, query, found))
+        else:
+            tell(None)
+
+    if isinstance(polled, WakeAt):
+        return hosted.gets.add(pending, polled, query.wait.nanos, now, outcome)
+    outcome(polled)
+    return None
+
+
+def query_of(query: ReadQuery) -> Query:
+    """The query of the core. Raises InvalidArgument for an item that is none of a channel."""
+    return Query(
+        interval=query.interval,
+        match=query.match,
+        limit=query.limit,
+        newest_first=query.newest_first,
+        after=_position(query.after),
+        newer_than=_position(query.newer_than),
+        complete=query.complete,
+    )
+
+
+def _position(after: Item | int | None) -> Position | None:
+    if after is None:
+        return None
+    if isinstance(after, Item):
+        check_item(after)
+        return Position(after.time, after.seq, after.incarnation)
+    return Position(after, None, 0)
+
+
+def _told(hosted: HostedChannel, query: ReadQuery, answer: ReadAnswer) -> AnswerHere:
+    slices = [*answer.slices]
+    ends = [answer.next_times.get((part.last_time, part.end_seq)) for part in slices[:-1]]
+    runs = [
+        _run(DeliveredSlice(part, end), payloads=query.payloads)
+        for part, end in zip(slices, [*ends, answer.next_time], strict=False)
+    ]
+    hosted.count_delivered(sum(part.items for part in slices), sum(part.payload_bytes for part in slices))
+    return AnswerHere(
+        runs=runs, interval=answer.interval, complete=answer.complete, truncated=answer.truncated, more=answer.more,
+        reason=answer.reason, incarnation=answer.incarnation,
+    )  # fmt: skip
+
+
+def _run(delivered: DeliveredSlice, *, payloads: bool) -> RunHere:
+    part, next_time = delivered.slice, delivered.next_time
+    body = part.run.body
+    if not isinstance(body, ReferencedBody):
+        return RunHere(encoded=run_bytes(part, without_payloads=not payloads), next_time=next_time)
+    durations = part.run.durations
+    return RunHere(
+        time=part.first_time,
+        duration=ABSENT if durations is None else durations[0],
+        seq=part.first_seq,
+        length=len(body.payload),
+        payload=body.payload if payloads else None,
+        attributes=body.attributes,
+        content_type=body.content_type,
+        next_time=next_time,
+    )

@@ -1,0 +1,64 @@
+"""An event loop that lets other threads look at its objects between two of its steps.
+
+The loop holds a lock, except while it waits for events. A thread that takes the lock finds the objects as they are
+between two callbacks. It may look at them, and must change nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import threading
+import time
+
+_GIVE_WAY_SECONDS = 0.0001
+
+
+class Turns:
+    """The turns of one loop. `loop` makes it, on the thread that runs it. Other threads take `lock` to look."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        """Held by the loop during its steps. Others take it by `with turns.lock`, which Ctrl-C cannot leave locked."""
+        self._is_awaited = False  # whether the loop waits for the lock
+
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """A new event loop, which holds the lock from now on."""
+        self.lock.acquire()
+        made = asyncio.SelectorEventLoop(_GivingSelector(self))
+        made.set_debug(False)
+        return made
+
+    def give_way(self) -> None:
+        """Let the loop go on if it waits. A thread calls it before it takes the lock."""
+        if self._is_awaited:
+            time.sleep(_GIVE_WAY_SECONDS)
+
+    def loop_ended(self) -> None:
+        """Let others look for ever. Call it on the loop's thread, when the loop is closed."""
+        self.lock.release()
+
+    def give(self) -> None:
+        """Let others look. The loop calls it before it waits for events."""
+        self.lock.release()
+
+    def take(self) -> None:
+        """Let nobody look any more. The loop calls it when it has waited."""
+        self._is_awaited = True
+        self.lock.acquire()
+        self._is_awaited = False
+
+
+class _GivingSelector(selectors.DefaultSelector):  # type: ignore[misc, valid-type, unused-ignore]  # one of several
+    """A selector during whose waits other threads have their turn."""
+
+    def __init__(self, turns: Turns) -> None:
+        super().__init__()
+        self._turns = turns
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        self._turns.give()
+        try:
+            return super().select(timeout)
+        finally:
+            self._turns.take()

@@ -1,0 +1,139 @@
+"""Puts and gets in the host's own process: gets return the very objects, and other programs get equal items."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+LIMIT_S = 60
+
+
+@pytest.fixture(scope="module")
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.host(cluster.address, name="rig") as rt:
+        yield rt
+
+
+def test_each_read_returns_the_object_that_was_put(rt: st.Connection) -> None:
+    channel = rt.channel("reference/reads", max_items=10)
+    first, second = bytes(1000), b"s" * 300_000
+    channel.put(first, time=100, duration=50, attributes={"lens": "wide"}, content_type="image/raw")
+    channel.put(second, time=200)
+    newest, oldest, before = channel.newest(), channel.oldest(), channel.before(200)
+    assert newest is not None
+    assert oldest is not None
+    assert before is not None
+    assert (newest.payload is second, oldest.payload is first, before.payload is first) == (True, True, True)
+    both = channel.get(st.OLDEST, st.NEWEST)
+    assert [one.payload is put for one, put in zip(both, (first, second), strict=True)] == [True, True]
+    assert channel.at(120)[0].payload is first
+    assert (oldest.end, oldest.duration, dict(oldest.attributes)) == (150, 50, {"lens": "wide"})
+    assert oldest.content_type == "image/raw"
+    assert [one.payload for one in channel.get(0, 300, payloads=False, newest_first=True)] == [None, None]
+
+
+def test_a_blocked_get_returns_the_object_that_a_later_put_brings(rt: st.Connection) -> None:
+    channel = rt.channel("reference/waits", max_items=10)
+    found: list[st.Item | None] = []
+    waiting = threading.Thread(target=lambda: found.append(channel.newest(timeout=LIMIT_S)))
+    waiting.start()
+    while channel.stats().waiting_gets == 0:
+        pass  # each question is a round trip
+    payload = b"for the one that waits"
+    channel.put(payload)
+    waiting.join(LIMIT_S)
+    assert found[0] is not None
+    assert found[0].payload is payload
+
+
+async def test_a_cancelled_get_waits_no_more(cluster: LocalCluster) -> None:
+    async with aio.host(cluster.address, name="rig-aio", drain="0s") as rt:
+        channel = await rt.channel("reference/cancelled")
+        waiting = asyncio.create_task(channel.newest(timeout=None))
+        async with asyncio.timeout(LIMIT_S):
+            while (await channel.stats()).waiting_gets == 0:
+                pass  # each question is a round trip
+            waiting.cancel()
+            while (await channel.stats()).waiting_gets:
+                pass
+        payload = b"y"
+        await channel.put(payload)
+        newest = await channel.newest()
+        assert newest is not None
+        assert newest.payload is payload
+
+
+def test_other_programs_get_and_put_equal_items(rt: st.Connection, cluster: LocalCluster) -> None:
+    here = rt.channel("reference/others", max_items=10)
+    for transport in ("grpc", "socket", "shared"):
+        with st.connect(cluster.address, transport=transport) as other:
+            there = other.channel("reference/others")
+            with there.subscribe() as items:
+                put = here.put(b"from here" * 1000, duration="5ms", attributes={"over": transport})
+                streamed, read = next(items), there.newest()
+            assert read is not None
+            for item in (streamed, read):
+                assert (item.time, item.seq, item.payload) == (put.time, put.seq, put.payload)
+                assert (item.duration, dict(item.attributes)) == (5_000_000, {"over": transport})
+            there.put(b"from there")
+            newest = here.newest()
+            assert newest is not None
+            assert newest.payload == b"from there"
+            assert [one.seq for one in here.get(put.time, st.NEWEST)] == [put.seq, put.seq + 1]
+
+
+def test_a_channel_that_moves_away_and_back_is_read_on(rt: st.Connection) -> None:
+    channel = rt.channel("reference/moved", max_items=10)
+    payload = b"moved"
+    channel.put(payload, time=7)
+    rt.move("reference/moved", "h1")
+    away = channel.newest()
+    channel.put(b"there", time=8)
+    rt.move("reference/moved", "rig")
+    back = channel.get(st.OLDEST, st.NEWEST)
+    assert away is not None
+    assert [away.payload, *[one.payload for one in back]] == [payload, payload, b"there"]
+
+
+def test_threads_that_read_at_the_same_time_see_whole_states(rt: st.Connection) -> None:
+    channel = rt.channel("reference/threads", max_items=5)
+    channel.put(b"0" * 9)
+    wrong: list[object] = []
+    ended = threading.Event()
+
+    def read() -> None:
+        while not ended.is_set():
+            items = channel.get(st.OLDEST, st.NEWEST)
+            seqs = [one.seq for one in items]
+            if seqs != [*range(seqs[0], seqs[0] + len(seqs))] or not 1 <= len(seqs) <= 5:
+                wrong.append(seqs)
+
+    readers = [threading.Thread(target=read) for _ in range(3)]
+    for reader in readers:
+        reader.start()
+    try:
+        for number in range(200):
+            channel.put(str(number).encode())
+    finally:
+        ended.set()
+        for reader in readers:
+            reader.join(LIMIT_S)
+    assert wrong == []
+
+
+def test_a_refused_put_says_why(rt: st.Connection) -> None:
+    channel = rt.channel("reference/refused", max_items=10)
+    channel.advance(1000)
+    with pytest.raises(st.TooOld, match="reference/refused"):
+        channel.put(b"late", time=500)
+    with pytest.raises(st.ItemTooLarge):
+        channel.put(bytes(17 * 2**20))

@@ -1,0 +1,48 @@
+"""Other threads look at the objects of a loop only between two of its steps, and never keep the loop from going on."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+from stampede_rt_channel_host.turns import Turns
+
+STEPS = 300
+
+
+def test_a_thread_sees_no_half_done_step_and_the_loop_goes_on_while_it_looks_again_and_again() -> None:
+    turns, ended = Turns(), threading.Event()
+    state = [0, 0]
+    seen: set[bool] = set()
+
+    async def change() -> None:
+        for number in range(STEPS):
+            state[0] = number
+            sum(range(2000))  # others have the chance to look now
+            state[1] = number
+            await asyncio.sleep(0)
+
+    def run() -> None:
+        with asyncio.Runner(loop_factory=turns.loop) as runner:
+            runner.run(change())
+        turns.loop_ended()
+        ended.set()
+
+    loop = threading.Thread(target=run)
+    loop.start()
+    while not ended.is_set():
+        turns.give_way()
+        with turns.lock:
+            seen.add(state[0] == state[1])
+    loop.join()
+    assert seen == {True}
+    assert state == [STEPS - 1, STEPS - 1]
+
+
+def test_after_the_end_of_the_loop_nobody_waits_for_it() -> None:
+    turns = Turns()
+    with asyncio.Runner(loop_factory=turns.loop) as runner:
+        runner.run(asyncio.sleep(0))
+    turns.loop_ended()
+    with turns.lock:
+        pass
