@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
-from stampede_rt_channel_host.core.archive import ArchivedRun, Segment, Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import ArchivedRun, Hole, Segment, Wanted, WantedWindow
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_runtime.settings import SettingsError
@@ -174,3 +175,30 @@ def test_a_folder_that_cannot_be_made_is_named_with_its_reason(tmp_path: Path) -
     (tmp_path / "file").write_text("")
     with pytest.raises(SettingsError, match=r"file/a cannot be written \(Not a directory\)"):
         ArchiveFolder(tmp_path / "file" / "a").open(HOST)
+
+
+def test_a_read_names_the_items_that_are_missing_between_two_segments(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 6)], NO_LIMITS)
+    files.close(None)
+    files, _ = opened(tmp_path)
+    segments = files.write([[ArchivedRun(2, run_at(6))]], NO_LIMITS)
+    assert len(segments) == 2
+    window = files.load(segments, ALL, decode, lambda: None)
+    assert window.holes == [Hole(3, 5, 3)]
+    before = WantedWindow(Wanted(FIRST_KEY[0], (3, 0), 0, 2**30), FIRST_KEY, (3, 0))
+    assert files.load(segments, before, decode, lambda: None).holes == [Hole(3, 5, 3)]
+
+
+def test_a_read_of_too_many_items_of_one_time_fails_instead_of_taking_all_memory(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    segments = write(files, 1, 40)
+    narrow = ALL.wanted._replace(bytes_max=100, bytes_limit=400)
+    assert files.load(segments, ALL._replace(wanted=narrow), decode, lambda: None).edge is not None
+    same = [make_run(seq, [5] * 2, None, [7] * 2, b"%d " % seq) for seq in range(81, 121, 2)]
+    for run in same:
+        segments = files.write([[ArchivedRun(3, run)]], NO_LIMITS)
+    for down in (False, True):
+        wanted = narrow._replace(start=5, high=(6, 0), down=down)
+        with pytest.raises(Overloaded, match="have one time"):
+            files.load(segments, WantedWindow(wanted, FIRST_KEY, (6, 0)), decode, lambda: None)

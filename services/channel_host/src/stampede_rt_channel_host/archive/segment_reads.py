@@ -20,6 +20,7 @@ from stampede_rt_channel_host.core.archive import (
     PlacedBlock,
     Segment,
     WantedWindow,
+    border_holes,
     choose,
     choose_part,
     decode_advances,
@@ -33,7 +34,7 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import Run
 
-SEGMENTS_KEPT = 64  # the most segments whose block lists stay in memory
+SEGMENTS_KEPT, BLOCKS_KEPT = 64, 2**16  # the most segments, and blocks of them, whose heads stay in memory
 SUFFIX = ".segment"
 
 
@@ -70,6 +71,7 @@ class SegmentReads:
             rest()
         for segment, offsets in taken.items():
             missing += holes(blocks_of(segment), offsets)
+        missing += border_holes(segments, blocks_of, taken)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         return window._replace(holes=missing)
 
@@ -125,7 +127,9 @@ class SegmentReads:
             found = scan(lambda at, size: os.pread(file.fileno(), size, at), segment.length, check_contents=False)
         with self._lock:
             self._kept[segment.number] = found.blocks
-            if len(self._kept) > SEGMENTS_KEPT:
+            while len(self._kept) > SEGMENTS_KEPT or (
+                len(self._kept) > 1 and sum(map(len, self._kept.values())) > BLOCKS_KEPT
+            ):
                 self._kept.popitem(last=False)
         return found.blocks
 

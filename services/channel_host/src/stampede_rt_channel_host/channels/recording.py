@@ -68,7 +68,7 @@ async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedC
         files, found = await archive.open(record)
         newest = None
         if found.segments:
-            wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True)
+            wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63)
             newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
     except OSError as error:
         raise Unavailable(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from itertools import pairwise
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive.block import (
@@ -157,11 +158,30 @@ def grown(segment: Segment, head: BlockHead) -> Segment:
 
 def holes(blocks: Iterable[PlacedBlock], taken: Set[int]) -> Iterator[Hole]:
     """The holes of a segment beside the blocks at the offsets `taken`: never archived, or in a block without a head."""
-    before: PlacedBlock | None = None
-    for one in (one for one in blocks if one.head.kind == ITEMS):
-        is_beside = before is not None and (before.offset in taken or one.offset in taken)
-        if before is not None and is_beside and one.head.first_seq > before.head.end_seq:
-            start, end = sorted((before.head.high[0], one.head.low[0]))
-            inner = (start + 1, end - 1) if end - start > 1 else (start, end)
-            yield Hole(*inner, one.head.first_seq - before.head.end_seq)
-        before = one
+    for before, after in pairwise(one for one in blocks if one.head.kind == ITEMS):
+        if before.offset in taken or after.offset in taken:
+            yield from _between(before.head, after.head)
+
+
+def border_holes(
+    segments: Sequence[Segment],
+    blocks_of: Callable[[Segment], Sequence[PlacedBlock]],
+    taken: Mapping[Segment, Set[int]],
+) -> Iterator[Hole]:
+    """The holes between two segments, beside the blocks at the offsets `taken` of each."""
+    for pair in pairwise(one for one in segments if one.items):
+        if pair[0] not in taken and pair[1] not in taken:
+            continue
+        before, after = ([one for one in blocks_of(segment) if one.head.kind == ITEMS] for segment in pair)
+        if not before or not after:
+            continue
+        last, first = before[-1], after[0]
+        if last.offset in taken.get(pair[0], ()) or first.offset in taken.get(pair[1], ()):
+            yield from _between(last.head, first.head)
+
+
+def _between(before: BlockHead, after: BlockHead) -> Iterator[Hole]:
+    if after.first_seq > before.end_seq:
+        start, end = sorted((before.high[0], after.low[0]))
+        inner = (start + 1, end - 1) if end - start > 1 else (start, end)
+        yield Hole(*inner, after.first_seq - before.end_seq)

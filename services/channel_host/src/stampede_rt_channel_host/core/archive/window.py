@@ -10,12 +10,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from typing import NamedTuple
 
+from stampede_rt.errors import Overloaded
+from stampede_rt.values.timeline import format_instant
 from stampede_rt_channel_host.core.archive.block import ITEMS, BlockHead
 from stampede_rt_channel_host.core.archive.segment import Hole, PlacedBlock, Segment
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
 
+WINDOW_BYTES_MAX = 64 * 2**20
+"""The most bytes of blocks that a read loads at once, if there is more than one block."""
 BlocksOf = Callable[[Segment], Sequence[PlacedBlock]]
 """Returns the blocks of a segment. The shell keeps the blocks of the segments that reads used last."""
 
@@ -25,6 +29,7 @@ class Wanted(NamedTuple):
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
+    Beyond `bytes_limit`, which only very many items of one time reach, the read fails.
     """
 
     start: int
@@ -33,6 +38,7 @@ class Wanted(NamedTuple):
     bytes_max: int
     from_time: int | None = None
     down: bool = False
+    bytes_limit: int = WINDOW_BYTES_MAX
 
 
 class Chosen(NamedTuple):
@@ -66,34 +72,60 @@ def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> 
     """The blocks that the read loads next."""
     low = (_low_time(segments, blocks_of, wanted), 0)
     walk = _down(segments, blocks_of, low, wanted.high) if wanted.down else _up(segments, blocks_of, low)
-    taken: list[tuple[Segment, PlacedBlock]] = []
-    size, edge = 0, None
+    growing, edge = _Growing(wanted), None
     for segment, block in walk:
         head = block.head
         if not wanted.down and head.low >= wanted.high:
-            return Chosen(taken, None, head.low[0])
-        if size >= wanted.bytes_max and _may_end(taken, head, wanted):
+            return Chosen(growing.taken, None, head.low[0])
+        if growing.size >= wanted.bytes_max and growing.may_end(head):
             edge = head.high[0] if wanted.down else head.low[0]
             break
-        taken.append((segment, block))
-        size += head.length
+        growing.take(segment, block)
     following = _next_low(segments, blocks_of, wanted.high[0]) if wanted.down else edge
-    return Chosen(taken, edge, following)
+    return Chosen(growing.taken, edge, following)
 
 
-def _may_end(taken: Sequence[tuple[Segment, PlacedBlock]], following: BlockHead, wanted: Wanted) -> bool:
-    """Whether a window of the blocks `taken` may end before the block `following`.
+class _Growing:
+    """A window while blocks come in: `taken`, of `size` bytes.
 
-    It has a whole bucket then, and it does not end among the items before `start`, whose spans only a read of all of
-    them tells.
+    A window cannot end within a bucket, or among the items before `start`. So `bytes_limit` bounds it.
     """
-    keys = [key for _, block in taken for key in (block.head.low, block.head.high)]
-    if wanted.down:
-        edge = following.high[0]
-        return edge >= wanted.start and any((edge, SEQ_END) < key < wanted.high for key in keys)
-    edge = following.low[0]
-    first = wanted.start if wanted.from_time is None else wanted.from_time
-    return edge > wanted.start and any(first <= time < edge for time, _ in keys)
+
+    def __init__(self, wanted: Wanted) -> None:
+        self.taken: list[tuple[Segment, PlacedBlock]] = []
+        self.size = 0
+        self._wanted = wanted
+        self._first = wanted.start if wanted.from_time is None else wanted.from_time
+        self._least, self._greatest = LAST_KEY[0], FIRST_KEY  # of the keys with which a window may end
+
+    def take(self, segment: Segment, block: PlacedBlock) -> None:
+        """Add a block. Raises Overloaded if the window becomes too large."""
+        self.taken.append((segment, block))
+        self.size += block.head.length
+        for key in (block.head.low, block.head.high):
+            if key[0] >= self._first:
+                self._least = min(self._least, key[0])
+            if key < self._wanted.high:
+                self._greatest = max(self._greatest, key)
+        if self.size > self._wanted.bytes_limit and len(self.taken) > 1:
+            when = format_instant(block.head.low[0])
+            raise Overloaded(
+                f"more than {self._wanted.bytes_limit} bytes of archived items around {when} have one time, or spans "
+                "that may reach there (`overlap`), so the host cannot read them at once; subscribe with start= to read "
+                "them in the order of their acceptance"
+            )
+
+    def may_end(self, following: BlockHead) -> bool:
+        """Whether the window may end before the block `following`.
+
+        It has a whole bucket then, and it does not end among the items before `start`, whose spans only a read of all
+        of them tells.
+        """
+        if self._wanted.down:
+            edge = following.high[0]
+            return edge >= self._wanted.start and self._greatest > (edge, SEQ_END)
+        edge = following.low[0]
+        return edge > self._wanted.start and self._least < edge
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> int:
