@@ -37,6 +37,18 @@ def cluster_fixture(
     return cluster
 
 
+def secured_cluster_fixture(**settings: Any) -> Callable[..., Iterator[LocalCluster]]:
+    """Return a module's fixture with a running LocalCluster, made with `settings`, whose callers need certificates."""
+
+    @pytest.fixture(scope="module")
+    def cluster() -> Iterator[LocalCluster]:
+        with pytest.MonkeyPatch.context() as patch, LocalCluster(tls=True, durable=False, **settings) as made:
+            patch.delenv(SECRET_VARIABLE, raising=False)
+            yield made
+
+    return cluster
+
+
 def judges_tests() -> bool:
     """Whether the tests run as a client whom rules judge (`make test-acl`)."""
     return bool(os.environ.get("STAMPEDE_TEST_ACL"))

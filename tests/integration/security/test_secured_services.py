@@ -1,10 +1,9 @@
-"""A whole cluster with certificates: admitted callers, refused callers, and their errors."""
+"""Services of a secured cluster: whom they believe, which hosts they admit, and random bytes at their ports."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import pickle
 import random
@@ -14,7 +13,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +21,6 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.cli.main import main as stampede
-from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.tls import TlsReader
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import (
@@ -46,24 +42,12 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from tests.support.certificates import ask
+from tests.support.cluster import secured_cluster_fixture
 from tests.support.waiting import wait_until
 
-DAY = timedelta(days=1)
-PATIENCE_SECONDS = 5.0
+PATIENCE_SECONDS = 20.0
 
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[LocalCluster]:
-    with pytest.MonkeyPatch.context() as patch, LocalCluster(tls=True, hosts=1, supernodes=3, durable=False) as made:
-        patch.delenv("STAMPEDE_SECRET_FILE", raising=False)
-        yield made
-
-
-@pytest.fixture(scope="module")
-def secret_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
-    place = tmp_path_factory.mktemp("secret") / "secret"
-    with LocalCluster(tls=True, hosts=0, supernodes=1, durable=False, secret_file=place) as made:
-        yield made
+cluster = secured_cluster_fixture(hosts=1, supernodes=2)
 
 
 @pytest.fixture
@@ -75,87 +59,6 @@ def certificates(cluster: LocalCluster) -> ClusterCertificates:
 @pytest.fixture
 def foreign(tmp_path: Path) -> ClusterCertificates:
     return ClusterCertificates(tmp_path / "foreign")
-
-
-def connect_blocking(address: str, tls: st.TlsFiles | None) -> None:
-    st.connect(address, tls=tls).close()
-
-
-def connect_awaited(address: str, tls: st.TlsFiles | None) -> None:
-    async def enter() -> None:
-        async with aio.connect(address, tls=tls):
-            pass
-
-    asyncio.run(enter())
-
-
-Connect = Callable[[str, st.TlsFiles | None], None]
-both_surfaces = pytest.mark.parametrize("connect", [connect_blocking, connect_awaited])
-
-
-def refusal(connect: Connect, address: str, tls: st.TlsFiles | None) -> str:
-    with pytest.raises(PermissionDenied) as caught:
-        connect(address, tls)
-    assert "\n" not in caught.value.message
-    return caught.value.message
-
-
-@both_surfaces
-def test_a_certificate_of_the_cluster_is_enough(connect: Connect, cluster: LocalCluster) -> None:
-    connect(cluster.address, cluster.tls_files())
-
-
-@both_surfaces
-def test_a_caller_without_a_certificate_is_told_to_bring_one(connect: Connect, cluster: LocalCluster) -> None:
-    told = refusal(connect, cluster.address, None)
-    assert told.startswith(f"{cluster.address} asks for certificates (TLS), and this caller has none; name yours with")
-
-
-@both_surfaces
-def test_an_expired_certificate_is_refused(
-    connect: Connect, cluster: LocalCluster, certificates: ClusterCertificates
-) -> None:
-    late = certificates.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
-    assert refusal(connect, cluster.address, late) == (
-        f"{cluster.address} refused this caller: the certificate {late.certificate} has expired; "
-        "issue it anew (stampede certs issue)"
-    )
-
-
-@both_surfaces
-def test_a_caller_of_another_authority_does_not_trust_the_cluster(
-    connect: Connect, cluster: LocalCluster, foreign: ClusterCertificates
-) -> None:
-    told = refusal(connect, cluster.address, foreign.issue(Role.CLIENT, "cam"))
-    assert told.startswith(f"the certificate of {cluster.address} is of an authority that {foreign.ca} does not hold")
-
-
-@both_surfaces
-def test_a_foreign_certificate_is_refused_also_with_the_right_authority_file(
-    connect: Connect, cluster: LocalCluster, certificates: ClusterCertificates, foreign: ClusterCertificates
-) -> None:
-    stranger = foreign.issue(Role.CLIENT, "cam")
-    mixed = st.TlsFiles(ca=certificates.ca, certificate=stranger.certificate, key=stranger.key)
-    told = refusal(connect, cluster.address, mixed)
-    assert f"refused this caller: the certificate {stranger.certificate} is not of an authority in" in told
-
-
-@both_surfaces
-def test_a_certificate_that_only_the_caller_trusts_is_refused(
-    connect: Connect,
-    cluster: LocalCluster,
-    certificates: ClusterCertificates,
-    foreign: ClusterCertificates,
-    tmp_path: Path,
-) -> None:
-    stranger = foreign.issue(Role.CLIENT, "cam")
-    bundle = tmp_path / "both.pem"
-    bundle.write_bytes(certificates.ca.read_bytes() + foreign.ca.read_bytes())
-    mixed = st.TlsFiles(ca=bundle, certificate=stranger.certificate, key=stranger.key)
-    assert refusal(connect, cluster.address, mixed) == (
-        f"{cluster.address} refused the certificate {stranger.certificate}: "
-        "no authority that issued it is trusted there; use a certificate of that cluster"
-    )
 
 
 def registering(name: str) -> Callable[[grpc.aio.Channel], Any]:
@@ -308,90 +211,6 @@ def test_a_host_in_a_shell_with_a_clients_certificates_uses_those_of_its_own_fil
     assert host.exit_code == 0
 
 
-def test_the_command_line_takes_certificates_from_the_environment(cluster: LocalCluster) -> None:
-    files = cluster.tls_files("shell")
-    assert files is not None
-    named = dict(zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True))
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
-    command = [sys.executable, "-m", "stampede_rt.cli", "ls", "--url", cluster.address]
-    secured = plain | {f"STAMPEDE_TLS_{name}": value for name, value in named.items()}
-    done = subprocess.run(command, env=secured, capture_output=True, text=True, timeout=20)
-    assert (done.returncode, done.stderr) == (0, "")
-    refused = subprocess.run(command, env=plain, capture_output=True, text=True, timeout=20)
-    assert refused.returncode == 1
-    assert refused.stderr.startswith(f"stampede: {cluster.address} asks for certificates (TLS)")
-    assert refused.stderr.count("\n") == 1
-
-
-def supernode_command(cluster: LocalCluster, files: st.TlsFiles | None, *words: str) -> tuple[int, str]:
-    """Run `stampede supernode ...` with that certificate. Returns its exit code and its output."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
-    if files is not None:
-        named = zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True)
-        environment |= {f"STAMPEDE_TLS_{name}": path for name, path in named}
-    command = [sys.executable, "-m", "stampede_rt.cli", "supernode", *words, "--member", cluster.supernodes[0].address]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
-    return done.returncode, done.stdout + done.stderr
-
-
-def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster: LocalCluster, tmp_path: Path) -> None:
-    newcomer = cluster.tls_files("s9", Role.SUPERNODE)
-    words = ("join", "--data-dir", str(tmp_path / "s9"), "--listen", "localhost:7599", "--id", "s9")
-    code, printed = supernode_command(cluster, newcomer, *words)
-    assert (code, "may not call MembershipService/CreateJoinToken, which is for operator" in printed) == (1, True)
-    boss = cluster.tls_files("boss", Role.OPERATOR)
-    code, printed = supernode_command(cluster, boss, "add", "localhost:7599", "--id", "s9", "-o", "json")
-    assert code == 0, printed
-    code, printed = supernode_command(cluster, newcomer, *words, "--token", json.loads(printed)["token"])
-    assert (code, "Supernode s9 is ready to join the cluster of s1, s2, s3" in printed) == (0, True), printed
-
-
-@pytest.mark.parametrize("verb", ["status", "add", "remove", "snapshot", "join"])
-def test_every_verb_of_supernode_says_what_a_caller_without_a_certificate_lacks(
-    verb: str, cluster: LocalCluster, tmp_path: Path
-) -> None:
-    joining = ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")
-    words = {"remove": ("s1",), "add": ("localhost:7599",), "join": joining}.get(verb, ())
-    code, printed = supernode_command(cluster, None, verb, *words)
-    told = f"stampede supernode: {cluster.supernodes[0].address} asks for certificates (TLS), and this caller has none"
-    assert (code, printed.count("\n")) == (1, 1)
-    assert printed.startswith(told)
-
-
-def test_doctor_finds_a_secured_cluster_well_and_says_what_a_caller_lacks(
-    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert stampede(["doctor", "--url", cluster.address]) == 1
-    assert f"{cluster.address} asks for certificates (TLS), and this caller has none" in capsys.readouterr().out
-    files = cluster.tls_files("doctor")
-    assert files is not None
-    for variable, path in zip(("CA", "CERTIFICATE", "KEY"), files.paths(), strict=True):
-        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
-    assert stampede(["doctor", "--url", cluster.address]) == 0
-    assert "Everything is well." in capsys.readouterr().out
-    monkeypatch.setattr("stampede_rt.cli.doctor.CERTIFICATE_S_MIN", 365 * 86400.0)
-    monkeypatch.setattr("stampede_rt.cli.diagnosis.SHORT_PART", 0.1)
-    assert stampede(["doctor", "--url", cluster.address]) == 1
-    told = capsys.readouterr().out
-    for process in cluster.processes():
-        assert f"{process.address}: its certificate ends in 30.0 days; issue it anew" in told
-
-
-@both_surfaces
-def test_a_cluster_that_is_told_to_ask_for_the_secret_asks_for_both(
-    connect: Connect, secret_cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret_cluster.secret_file))
-    connect(secret_cluster.address, secret_cluster.tls_files())
-    assert "asks for certificates (TLS)" in refusal(connect, secret_cluster.address, None)
-    wrong = tmp_path / "wrong"
-    wrong.write_text("another one")
-    wrong.chmod(0o600)
-    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(wrong))
-    told = refusal(connect, secret_cluster.address, secret_cluster.tls_files())
-    assert told.startswith("the call brought a secret that differs from the service's; ")
-
-
 class Bomb:
     """A pickle that makes a file when it is loaded."""
 
@@ -510,7 +329,7 @@ def test_each_of_several_host_processes_proves_its_own_name(
         wait_until(
             lambda: {"rig-0", "rig-1"} <= {host.name for host in rt.hosts()},
             "both processes have registered",
-            PATIENCE_SECONDS * 4,
+            PATIENCE_SECONDS,
         )
         for name in ("rig-0", "rig-1"):
             channel = rt.channel(f"at/{name}", host=name)
