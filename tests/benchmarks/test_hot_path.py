@@ -4,7 +4,7 @@ from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
 from tests.benchmarks import bare_server, hot_path
 
 
-def test_what_is_on_its_way_to_a_subscriber_fits_into_the_channel() -> None:
+def test_items_on_their_way_to_a_subscriber_fit_into_the_channel() -> None:
     """Else the benchmark waits for items that were collected before it began to read."""
     most = max(hot_path.RUNS * max(hot_path.RUN_ITEMS.values()), *hot_path.INTERVAL_ITEMS.values())
     assert most < hot_path.CHANNEL_ITEMS
