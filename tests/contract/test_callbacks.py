@@ -84,7 +84,7 @@ async def test_held_items_come_first_when_a_start_is_given(surface: Surface) -> 
     assert await joined(resumed)
 
 
-async def test_what_the_function_raises_is_logged_and_counted_and_ends_nothing(
+async def test_an_error_of_the_callback_is_logged_and_counted_and_ends_nothing(
     surface: Surface, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(item: st.Item) -> None:
@@ -160,7 +160,7 @@ async def test_closing_the_connection_ends_both_quietly(
     assert not caplog.records
 
 
-async def test_what_is_no_function_is_refused(surface: Surface) -> None:
+async def test_a_callback_that_is_no_function_is_refused(surface: Surface) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InvalidArgument, match="function"):
         await channel.on_item("print")

@@ -139,6 +139,6 @@ async def test_a_value_that_cannot_be_encoded_is_refused(surface: Surface, codec
 
 
 @pytest.mark.parametrize("codec", ["yaml", 7, Shout])
-async def test_what_is_no_codec_is_refused(surface: Surface, codec: Any) -> None:
+async def test_an_unknown_codec_is_refused(surface: Surface, codec: Any) -> None:
     with pytest.raises(st.InvalidArgument, match="codec"):
         await surface.channel(codec=codec)

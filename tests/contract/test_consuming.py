@@ -185,7 +185,7 @@ async def test_whichever_limit_is_reached_first_takes_the_oldest(team: Team) -> 
     assert (await refusing.put(b"4")).seq == 4
 
 
-async def test_what_consumption_took_does_not_make_a_late_item_too_old(team: Team) -> None:
+async def test_consumed_items_do_not_make_a_late_item_too_old(team: Team) -> None:
     ann, _, _ = await team.open(consumers=1)
     base = st.now() - 10**9
     await ann.put(b"later", time=base)

@@ -156,7 +156,9 @@ async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) 
         (lambda group, left: anext(aiter(group.subscribe("-1s"))), "max_wait is '-1s'"),
     ],
 )
-async def test_what_a_group_cannot_take_is_refused_and_named(other: aio.Connection, call: Any, said: str) -> None:
+async def test_a_channel_that_a_group_cannot_take_is_refused_and_named(
+    other: aio.Connection, call: Any, said: str
+) -> None:
     left = await other.channel(f"changing/{next(_names)}-{st.now()}")
     group = await other.group(group_name(), [left])
     with pytest.raises(st.InvalidArgument, match=said):
@@ -170,7 +172,7 @@ async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface)
             await surface.cross_section(left, others)
 
 
-async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_double(other: aio.Connection) -> None:
+async def test_reads_of_a_group_go_on_over_broken_streams_without_a_gap_or_a_double(other: aio.Connection) -> None:
     left, right = [
         await other.channel(f"changing/{next(_names)}-{st.now()}", host=host.name, max_age="120s")
         for host in await other.hosts()
@@ -194,7 +196,7 @@ async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_
     assert times["matches"] == [base + step * SECOND for step in (2, 3, 4)]
 
 
-async def test_what_comes_late_while_a_stream_of_matches_is_broken_is_counted(other: aio.Connection) -> None:
+async def test_late_items_are_counted_while_a_stream_of_matches_is_broken(other: aio.Connection) -> None:
     left, right = [
         await other.channel(f"changing/{next(_names)}-{st.now()}", host=host.name, max_age="120s")
         for host in await other.hosts()

@@ -69,7 +69,7 @@ async def test_a_participant_knows_its_clock_once_it_is_connected_and_the_others
         assert found.clock.supernode in [supernode.supernode_id for supernode in await named.supernodes()]
 
 
-async def test_who_has_no_name_knows_its_own_clock_too(connected: Connecting, cluster: LocalCluster) -> None:
+async def test_a_client_without_a_name_knows_its_own_clock_too(connected: Connecting, cluster: LocalCluster) -> None:
     async with connected(cluster.address) as nameless:
         assert is_right(nameless.clock)
 

@@ -259,7 +259,7 @@ async def test_a_finished_interval_without_items_was_never_filled(surface: Surfa
     assert (len(items), items.reason, items.complete) == (0, st.Reason.NEVER, True)
 
 
-async def test_what_a_policy_collected_is_explained_by_it(surface: Surface) -> None:
+async def test_an_empty_answer_names_the_policy_that_collected_the_items(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20, 30, max_items=2, max_age=None)
     items = await channel.get(base, base + 5 * MS, match="start")
     assert (len(items), items.reason) == (0, st.Reason.COLLECTED)

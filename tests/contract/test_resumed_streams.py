@@ -46,7 +46,7 @@ async def test_an_item_that_came_first_of_all_while_the_stream_was_broken_is_giv
         assert items.skipped == 1
 
 
-async def test_what_was_passed_over_is_counted_once_however_often_the_stream_breaks(surface: Surface) -> None:
+async def test_skipped_items_are_counted_once_however_often_the_stream_breaks(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 10_000 * MS
     async with channel.subscribe(mode="newest") as items:
@@ -85,7 +85,7 @@ async def test_a_start_that_hangs_on_the_newest_item_stays_where_it_was(surface:
         assert [item.payload for item in await take(items, 2)] == [b"20", b"40"]
 
 
-async def test_what_retention_takes_while_the_stream_is_broken_is_told(surface: Surface) -> None:
+async def test_items_that_retention_takes_while_the_stream_is_broken_are_reported(surface: Surface) -> None:
     channel = await surface.channel(max_items=3)
     for number in range(3):
         await channel.put(b"%d" % number)

@@ -56,7 +56,7 @@ async def test_a_slow_reader_of_all_items_has_none_under_way_that_it_did_not_ask
         assert (items.dropped, items.skipped) == (ITEMS - 4, 0)
 
 
-async def test_what_is_under_way_to_a_reader_that_stops_is_bounded(surface: Surface) -> None:
+async def test_the_items_under_way_to_a_stopped_reader_are_bounded(surface: Surface) -> None:
     channel = await surface.channel(max_items=4)
     size = 2**16
     async with channel.subscribe() as items:

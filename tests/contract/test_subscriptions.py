@@ -65,7 +65,7 @@ async def test_after_resumes_behind_an_item(surface: Surface) -> None:
         assert [item.payload for item in await take(items, 2)] == [b"2", b"3"]
 
 
-async def test_what_retention_took_from_a_slow_reader_is_reported(surface: Surface) -> None:
+async def test_items_that_retention_took_from_a_slow_reader_are_reported(surface: Surface) -> None:
     channel = await surface.channel(max_items=2)
     first = await channel.put(b"1")
     for number in range(2, 7):

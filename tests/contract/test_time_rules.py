@@ -36,7 +36,7 @@ async def test_an_instant_is_an_int_or_a_datetime_with_its_timezone(surface: Sur
 
 
 @pytest.mark.parametrize("lossy", [1.7e9, datetime(2026, 1, 1), "2026-01-01", True])
-async def test_what_would_lose_or_guess_is_no_instant(surface: Surface, lossy: Any) -> None:
+async def test_a_value_that_loses_digits_or_needs_a_guess_is_no_instant(surface: Surface, lossy: Any) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InvalidArgument):
         await channel.put(b"x", time=lossy)
@@ -95,7 +95,7 @@ async def test_now_is_never_before_the_newest_item(surface: Surface) -> None:
     assert (shown(items), items.interval.end) == (["ahead"], ahead)
 
 
-async def test_what_lies_behind_the_last_item_read_never_returns_it_again(surface: Surface) -> None:
+async def test_a_read_after_the_last_item_never_returns_that_item_again(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     last = (await channel.get(base, st.NOW, match="start"))[-1]
     assert shown(await channel.get(last.time, st.NOW, bounds="(]", match="start")) == []
@@ -176,7 +176,7 @@ async def test_an_inclusive_end_is_complete_only_strictly_behind_it(surface: Sur
     assert shown(await get) == ["0", "at"]
 
 
-async def test_what_is_collected_as_a_whole_is_answered_at_once_however_long_the_timeout(surface: Surface) -> None:
+async def test_a_get_of_a_collected_interval_is_answered_at_once_however_long_the_timeout(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20, 30, max_items=2, max_age=None)
     get = channel.get(base, base + 5 * MS, match="start", complete=True, timeout=LONG_S)
     items = await run_to_end(get)
@@ -190,7 +190,7 @@ async def test_what_is_collected_as_a_whole_is_answered_at_once_however_long_the
     ("policy", "times"),
     [({"max_items": 1, "max_age": None}, (0, 10, 20)), ({"max_bytes": 70, "max_age": None}, (0, 10, 20))],
 )
-async def test_what_was_collected_is_told_by_its_policy(
+async def test_an_empty_answer_names_the_limit_that_collected_the_items(
     surface: Surface, policy: dict[str, Any], times: tuple[int, ...]
 ) -> None:
     channel, base = await filled(surface, *times, **policy)
@@ -199,7 +199,7 @@ async def test_what_was_collected_is_told_by_its_policy(
     assert next(iter(policy)) in items.reason.detail
 
 
-async def test_what_age_collected_is_told_by_its_policy(surface: Surface) -> None:
+async def test_an_empty_answer_names_the_age_that_collected_the_items(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 1_900)
     await channel.configure(max_age="1s")
     items = await channel.get(base, base + 5 * MS)
@@ -223,7 +223,7 @@ async def test_a_span_that_ends_behind_the_end_of_time_can_be_collected(surface:
     assert (stats.accepted, stats.held, stats.frontier is None) == (1, 0, False)
 
 
-async def test_what_can_still_come_is_not_yet(surface: Surface) -> None:
+async def test_an_interval_whose_items_can_still_come_is_answered_with_not_yet(surface: Surface) -> None:
     channel, _ = await filled(surface, 0)
     items = await channel.get(st.NOW + "1h", st.NOW + "2h")
     assert (len(items), items.reason, items.complete) == (0, st.Reason.NOT_YET, False)

@@ -89,7 +89,7 @@ async def test_a_message_settled_in_its_block_is_left_alone(rig: Rig) -> None:
     assert (await queue.stats()).consumed == 0
 
 
-async def test_what_a_block_raised_is_told_even_if_its_lease_has_ended(rig: Rig) -> None:
+async def test_the_error_of_a_block_is_raised_even_if_the_lease_has_ended(rig: Rig) -> None:
     queue = await rig.queue(lease="100ms")
     await queue.put(b"x")
 

@@ -33,7 +33,7 @@ async def test_a_get_without_an_item_gives_none_when_its_time_is_over(rig: Rig) 
     assert (await until(queue, lambda stats: not stats.waiting_gets)).delivered == 0
 
 
-async def test_what_is_there_is_taken_without_waiting(rig: Rig) -> None:
+async def test_a_message_in_the_queue_is_taken_without_waiting(rig: Rig) -> None:
     queue = await rig.queue()
     await queue.put(b"x")
     message = await queue.get(timeout=0)
@@ -101,7 +101,7 @@ async def test_each_item_goes_to_as_many_takers_as_it_has_copies(rig: Rig) -> No
     assert adds_up(await queue.stats()).consumed == 1
 
 
-async def test_who_waits_longest_is_served_first_among_all_takers(rig: Rig) -> None:
+async def test_the_taker_that_waits_longest_is_served_first(rig: Rig) -> None:
     queue = await rig.queue()
     takers = [await rig.queue(queue.name) for _ in range(3)]
     gets = []
@@ -130,7 +130,7 @@ async def test_by_default_nothing_is_taken_before_somebody_waits_for_it(rig: Rig
     assert (await queue.stats()).leased == 1
 
 
-async def test_what_was_prefetched_and_not_handed_out_goes_back_when_the_handle_is_closed(rig: Rig) -> None:
+async def test_prefetched_messages_go_back_when_the_handle_is_closed(rig: Rig) -> None:
     queue = await rig.queue()
     greedy = await rig.queue(queue.name, prefetch=10)
     for number in range(5):
@@ -148,7 +148,7 @@ def _has_leased(items: int, stats: st.QueueStats) -> bool:
     return stats.leased == items
 
 
-async def test_what_nobody_was_handed_does_not_count_as_delivered(rig: Rig) -> None:
+async def test_a_message_that_no_caller_received_does_not_count_as_delivered(rig: Rig) -> None:
     """Without this rule, takers that prefetch and leave use up deliveries of messages that no caller has seen."""
     queue = await rig.queue(max_deliveries=2)
     for number in range(3):
