@@ -108,7 +108,7 @@ async def test_reads_without_payloads_keep_the_lengths(rig: Rig) -> None:
     assert (await channel.status()).counters.delivered_bytes == 0
 
 
-async def test_what_is_delivered_is_counted(rig: Rig) -> None:
+async def test_delivered_items_are_counted(rig: Rig) -> None:
     channel, _ = await filled(rig)
     await channel.get()
     assert (await channel.status()).counters.delivered_bytes == 3

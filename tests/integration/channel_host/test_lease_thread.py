@@ -108,7 +108,7 @@ async def test_an_event_loop_that_has_stopped_for_good_loses_the_lease_and_gets_
         assert one.host.store.lease_held()
 
 
-async def test_what_a_registration_changes_is_done_on_the_serving_loop_before_the_lease_counts() -> None:
+async def test_changes_by_a_registration_are_made_on_the_serving_loop_before_the_lease_counts() -> None:
     async with served() as (_, one):
         seen: list[tuple[Any, bool]] = []
         registering = one.host.store.registering

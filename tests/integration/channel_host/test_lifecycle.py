@@ -278,7 +278,7 @@ async def test_shutting_down_tells_all_streams_and_deregisters(rig: Rig) -> None
     assert not rig.directory.hosts[HOST_ID].alive
 
 
-async def test_what_went_elsewhere_while_the_host_was_late_is_dropped() -> None:
+async def test_a_late_host_drops_the_channels_that_went_elsewhere() -> None:
     async with running_host(lease_ttl_nanos=3 * S) as rig:
         kept, lost = await rig.open("kept"), await rig.open("lost")
         await kept.put(run_of(b"x"))

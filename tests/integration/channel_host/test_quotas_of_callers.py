@@ -145,7 +145,7 @@ async def test_answers_that_nobody_reads_count_as_bytes_in_flight() -> None:
             call.cancel()
 
 
-async def test_what_a_host_holds_counts_for_the_caller_that_made_the_channel(rig: Rig) -> None:
+async def test_the_bytes_of_a_channel_count_for_the_caller_that_made_the_channel(rig: Rig) -> None:
     mine, also_mine, others = [await rig.open(name, created_by=maker) for name, maker in MADE.items()]
     rig.accounts.set_default(Quota.BYTES_HELD, 10_000)
     (ack,) = await mine.put(run_of(bytes(6_000)))

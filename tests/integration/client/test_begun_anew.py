@@ -85,7 +85,7 @@ def test_a_named_connection_registers_again_and_gets_another_mailbox(cluster: Lo
         assert [message.payload for message in got if message] == [b"anew"]
 
 
-def test_what_was_deleted_stays_deleted_until_its_name_is_used_again(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_a_deleted_channel_stays_deleted_until_its_name_is_used_again(cluster: LocalCluster, rt: st.Connection) -> None:
     channel, queue = rt.channel("anew/deleted"), rt.queue("anew/deleted")
     channel.put(b"gone")
     queue.put(b"gone")

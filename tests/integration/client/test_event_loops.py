@@ -84,7 +84,7 @@ def watched(things: Things) -> list[tuple[Any, Callable[[], object]]]:
 
 
 @pytest.mark.parametrize("on_a_loop", [True, False])
-async def test_what_ends_a_handle_is_refused_on_another_thread(cluster: LocalCluster, on_a_loop: bool) -> None:
+async def test_a_call_that_ends_a_handle_is_refused_on_another_thread(cluster: LocalCluster, on_a_loop: bool) -> None:
     async with aio.connect(cluster.address) as rt:
         things = Things(rt)
         await things.prepare()

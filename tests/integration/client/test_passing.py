@@ -87,7 +87,7 @@ def test_a_copy_of_a_handle_is_the_handle(rt: st.Connection) -> None:
         assert copy.copy(handle) is handle
 
 
-def test_what_is_at_work_says_that_it_cannot_be_pickled_or_copied(cluster: LocalCluster) -> None:
+def test_an_object_at_work_says_that_it_cannot_be_pickled_or_copied(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="passing-peer") as rt:
         channel, queue = rt.channel("passing/busy"), rt.queue("passing/busy-queue")
         group = rt.group("passing/busy-group", [channel])

@@ -113,7 +113,7 @@ def test_advances_are_recorded_behind_the_items_that_they_follow(rt: st.Connecti
     assert all(one.time < base + 7 * MS or one.after_seq >= first.seq for one in advances)
 
 
-def test_what_a_slow_recording_lost_is_named_exactly(
+def test_a_slow_recording_names_exactly_the_items_that_it_lost(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel, path = rt.channel("fast", max_items=50), tmp_path / "a.mcap"

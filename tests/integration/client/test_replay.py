@@ -175,7 +175,7 @@ def test_files_of_other_programs_become_channels(rt: st.Connection, tmp_path: Pa
         assert found[1].value == ({"x": 1} if kind == "foxglove" else [2.5])
 
 
-def test_what_was_imported_is_recorded_and_comes_back_the_same(rt: st.Connection, drive: Path, tmp_path: Path) -> None:
+def test_imported_items_are_recorded_and_come_back_the_same(rt: st.Connection, drive: Path, tmp_path: Path) -> None:
     rt.import_file(drive, "again/").wait()
     channel, path = rt.channel("again/imu", create=False), tmp_path / "b.mcap"
     with rt.record("again/imu", path, since="oldest"):

@@ -115,7 +115,9 @@ def test_readers_of_a_stopped_host_hear_of_the_loss_and_never_believe_it_again(c
             assert channel.newest() == after._replace(end=None)
 
 
-def test_what_a_group_hides_is_not_read_from_memory(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_items_that_a_group_hides_are_not_read_from_memory(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls = count_calls(monkeypatch)
     with st.connect(cluster.address, transport="shared") as rt:
         fast, slow = (rt.channel(f"grouped/{one}", max_age="600s", host="h1") for one in ("fast", "slow"))

@@ -153,7 +153,7 @@ def test_a_front_end_whose_seeds_do_not_answer_is_not_taken_for_one_that_is_down
     assert "they run, but reach no supernode" in said
 
 
-def test_where_nothing_listens_at_all_it_says_what_to_start(doctor: Doctor) -> None:
+def test_doctor_says_what_to_start_where_nothing_listens(doctor: Doctor) -> None:
     code, said = doctor("--url", NOBODY)
     assert (code, f"front-end {NOBODY}" in said, "start a front-end: stampede frontend" in said) == (1, True, True)
 

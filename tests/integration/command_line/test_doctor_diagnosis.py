@@ -43,7 +43,7 @@ def test_a_cluster_that_is_well_has_no_advice() -> None:
     assert [finding for finding in findings if finding.advice] == []
 
 
-def test_who_refuses_the_caller_is_not_taken_for_one_that_is_down() -> None:
+def test_a_service_that_refuses_the_caller_is_not_reported_as_down() -> None:
     refusing = [replace(one, failure="another secret", refuses_caller=True) for one in WELL]
     assert found(refusing, "supernode s1").state == "refused"
     for part in ("quorum", "front-ends"):
@@ -51,7 +51,7 @@ def test_who_refuses_the_caller_is_not_taken_for_one_that_is_down() -> None:
         assert (finding.state, "use the cluster's secret and certificates" in finding.advice) == ("unknown", True)
 
 
-def test_who_was_removed_does_not_count_for_the_majority() -> None:
+def test_a_removed_supernode_does_not_count_for_the_majority() -> None:
     gone = seen(SUPERNODE, "s0", failure="nobody is there", is_member=False)
     also_gone = replace(gone, name="s4")
     assert found([*WELL, gone, also_gone], "quorum") == CheckResult("quorum", "-", "3 of 3 serve")

@@ -66,7 +66,7 @@ def test_a_group_is_made_listed_and_deleted(run: Command, base: int) -> None:
     assert "short" in told
 
 
-def test_what_a_group_shows_is_printed_with_who_holds_it_back(run: Command, rt: st.Connection, base: int) -> None:
+def test_the_status_of_a_group_names_the_channel_that_holds_it_back(run: Command, rt: st.Connection, base: int) -> None:
     run("create", "rig", "rig/left", "rig/right")
     rt.group("rig")["rig/left"].get(base + SECOND, base + SECOND, match="start", timeout=10)
     status, said, _ = run("status", "rig")

@@ -76,7 +76,7 @@ def test_a_message_id_is_put_once(stampede: Run) -> None:
     )
 
 
-def test_what_is_pending_is_listed(stampede: Run, cluster: LocalCluster) -> None:
+def test_pending_messages_are_listed(stampede: Run, cluster: LocalCluster) -> None:
     assert stampede("queue", "put", "cli/pending", "x")[0] == "cli/pending #1\n"
     assert stampede("queue", "pending", "cli/pending")[0] == "no message of cli/pending is leased\n"
     with st.connect(cluster.address, name="cli-taker") as rt:

@@ -318,7 +318,7 @@ def test_a_replay_with_wrong_usage_puts_nothing(run: Command, tmp_path: Path, wo
     assert status == 2
 
 
-def test_what_channels_hold_is_exported(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+def test_the_items_of_channels_are_exported(run: Command, rt: st.Connection, tmp_path: Path) -> None:
     channel = rt.channel("export/json", codec="json", max_age="60s")
     rt.channel("export/arrays", codec="numpy", max_age="60s").put([[1, 2], [3, 4]])
     for number in range(3):

@@ -108,7 +108,7 @@ def test_all_supernodes_are_told_the_same_members_and_each_is_one_of_them(projec
 
 
 @pytest.mark.parametrize("service", [*SUPERNODES, *HOSTS])
-def test_what_a_service_advertises_is_its_own_address_on_the_network(project: dict[str, Any], service: str) -> None:
+def test_each_service_advertises_its_own_address_on_the_network(project: dict[str, Any], service: str) -> None:
     settings = settings_of(project, service)
     (network,) = project["services"][service]["networks"].values()
     port = settings.listen.rpartition(":")[2]
@@ -128,7 +128,7 @@ def test_the_secret_is_a_file_and_nowhere_else(project: dict[str, Any], service:
 
 
 @pytest.mark.parametrize("service", [*SUPERNODES, *HOSTS])
-def test_what_must_outlive_a_container_is_in_a_volume_of_its_own(project: dict[str, Any], service: str) -> None:
+def test_data_that_must_outlive_a_container_is_in_a_volume_of_its_own(project: dict[str, Any], service: str) -> None:
     places = {volume["target"]: volume["source"] for volume in project["services"][service]["volumes"]}
     assert places == {str(settings_of(project, service).data_dir): service}
 

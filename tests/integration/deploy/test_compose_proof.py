@@ -82,7 +82,7 @@ def test_secrets_volumes_and_temporary_folders_become_mounts() -> None:
         {"stop_grace_period": "1 fortnight"},
     ],
 )
-def test_what_the_proof_does_not_carry_out_is_refused_and_not_passed_over(changes: dict[str, Any]) -> None:
+def test_keys_that_the_proof_does_not_carry_out_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(plan.NotProvable):
         planned(**changes)
 

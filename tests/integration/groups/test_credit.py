@@ -41,7 +41,7 @@ async def deciding(host: Host, group: group_pb2.GroupRecord, credit: int) -> Cut
     return reader
 
 
-async def test_what_becomes_visible_while_no_event_is_wanted_is_one_event(
+async def test_items_that_become_visible_while_no_event_is_wanted_are_one_event(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)  # a sign of life would be due at any time

@@ -257,7 +257,7 @@ async def test_a_host_that_says_it_is_another_gets_no_times(pair: Pair) -> None:
         assert "hello" in (await call.details())
 
 
-async def test_what_is_not_a_channel_of_the_teller_changes_nothing(pair: Pair) -> None:
+async def test_a_message_about_a_channel_of_another_host_changes_nothing(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 1)

@@ -135,7 +135,7 @@ async def test_matches_go_on_where_they_began_though_none_had_come_yet(host: Hos
     assert [list(one.item.run.time_unix_nano) for one in found] == [[t + 5]]
 
 
-async def test_what_reads_a_member_through_the_group_ends_when_it_is_let_out(host: Host) -> None:
+async def test_reads_of_a_member_through_the_group_end_when_the_member_leaves(host: Host) -> None:
     left, right = await host.open("left"), await host.open("right")
     group = host.directory.add_group("pair", [left, right])
     items = (await left.subscribe(group).opened()).call

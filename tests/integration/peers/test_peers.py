@@ -156,7 +156,7 @@ def test_a_lease_is_kept_and_one_that_ended_is_taken_again(cluster: LocalCluster
         assert message.payload == b"good morning"
 
 
-def test_who_lost_its_name_to_another_is_told(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_peer_that_lost_its_name_to_another_is_told(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
     with st.connect(cluster.address, name="torn") as rt:
         leave(rt)
         with st.connect(cluster.address, name="torn") as other:

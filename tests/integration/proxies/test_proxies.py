@@ -127,7 +127,7 @@ def test_a_chain_of_proxies_and_the_end_of_its_middle(rt: Any, channel: Any) -> 
             all_saw(readers, producing.stop())
 
 
-def test_what_leaves_the_owner_leaves_the_proxies(rt: Any) -> None:
+def test_items_that_leave_the_owner_leave_the_proxies(rt: Any) -> None:
     channel = rt.channel(f"cam/{next(numbers)}", max_items=3, host="h1")
     rt.proxy(channel, "h2")
     for number in range(20):

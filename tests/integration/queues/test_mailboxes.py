@@ -99,7 +99,7 @@ def is_gone(sender: st.Connection, peer: str) -> bool:
     return False
 
 
-def test_whoever_left_and_came_back_is_found_anew(cluster: LocalCluster) -> None:
+def test_a_peer_that_left_and_came_back_is_found_again(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as sender:
         with st.connect(cluster.address, name="guest") as first:
             sender.send("guest", b"1")

@@ -64,7 +64,7 @@ def things(cluster: LocalCluster) -> None:
         rt.queue("jobs").put(b"job")
 
 
-def test_who_may_only_put_may_open_put_and_nothing_else(cluster: LocalCluster, operator: Operator) -> None:
+def test_a_client_that_may_put_may_open_and_put_and_nothing_else(cluster: LocalCluster, operator: Operator) -> None:
     things(cluster)
     operator.add("cam", "put", "video/*", "--kind", "channel")
     with st.connect(cluster.address, secret=operator.token("cam")) as rt:
@@ -251,7 +251,7 @@ def test_a_name_that_no_rule_gives_cannot_be_registered(cluster: LocalCluster, o
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_who_holds_the_clusters_secret_may_do_everything_whatever_the_rules(
+def test_a_caller_with_the_secret_of_the_cluster_may_do_everything_whatever_the_rules(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     operator.add("*", "*", "*", "--deny")
@@ -349,7 +349,7 @@ def audited(cluster: LocalCluster, *words: str) -> bool:
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_who_removes_a_rule_that_is_not_there_is_told_how_to_write_it(
+def test_the_removal_of_an_unknown_rule_says_how_to_write_the_rule(
     operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     operator.add("cam", "put", "video/9", "--kind", "channel")

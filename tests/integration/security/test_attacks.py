@@ -37,7 +37,7 @@ async def test_a_caller_without_credential_takes_no_call_no_lease_and_no_memory_
     assert found.after_mib < found.before_mib + MARGIN_MIB
 
 
-async def test_what_is_no_request_leaves_nothing_in_the_logs() -> None:
+async def test_bytes_that_are_no_request_leave_nothing_in_the_logs() -> None:
     assert (await attacked("malformed")).log_bytes < 10_000
 
 
@@ -69,6 +69,6 @@ async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_le
         *rare("silent-subscriptions", "silent-takers"),
     ],
 )
-async def test_what_clients_made_a_host_hold_goes_back_to_the_system_and_costs_no_call(name: str) -> None:
+async def test_the_memory_that_hostile_clients_took_goes_back_to_the_system_and_costs_no_call(name: str) -> None:
     found = await attacked(name)
     assert found.after_mib < found.before_mib + BUDGET_MIB + MARGIN_MIB

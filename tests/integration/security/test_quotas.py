@@ -96,7 +96,9 @@ def test_a_client_beyond_its_quota_is_told_which_and_what_raises_it_and_what_it_
         assert channel.newest().payload == b"next"
 
 
-def test_who_uses_how_much_and_who_was_refused_is_told_for_each_part(operator: Operator, client: st.Connection) -> None:
+def test_the_use_and_the_refusals_of_each_caller_are_shown_for_each_part(
+    operator: Operator, client: st.Connection
+) -> None:
     channel = client.channel("quotas/refused")
     channel.put(b"x")
     operator.set(CLIENT, "bytes-in-flight=0")

@@ -91,7 +91,7 @@ async def test_outsiders_introduce_nobody_and_unseat_nobody_however_often_they_c
         await resolve(leader, "cam/kept")
 
 
-async def test_whoever_takes_a_members_name_needs_its_store(tmp_path: Path) -> None:
+async def test_a_process_with_the_name_of_a_member_needs_the_store_of_that_member(tmp_path: Path) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         other, _ = cluster.others(leader)

@@ -33,7 +33,7 @@ def bound(cluster: LocalCluster, address: str) -> BindResponse:
     return response
 
 
-def test_what_is_bound_goes_on_without_front_ends_also_to_new_channels_hosts_and_supernodes(
+def test_bound_clients_go_on_without_front_ends_also_to_new_channels_hosts_and_supernodes(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     first, second = (bound(cluster, address) for address in cluster.address.split(","))

@@ -69,7 +69,7 @@ async def test_takers_of_a_deleted_queue_are_told_and_its_items_are_gone(rig: Qu
     assert rig.host.queues.all() == []
 
 
-async def test_what_a_broken_watch_missed_is_asked_for(rig: QueueRig) -> None:
+async def test_the_host_asks_for_the_changes_that_a_broken_watch_missed(rig: QueueRig) -> None:
     queue = rig.open()
     taker = await queue.take(credit=1).open()
     await rig.directory.called("Watch", times=1)

@@ -22,7 +22,7 @@ from tests.support.channel_host.queue_rig import (
 from tests.support.clock import ManualClock
 
 
-async def test_what_is_put_is_taken_in_order_and_used_up_by_acknowledging(rig: QueueRig) -> None:
+async def test_messages_are_taken_in_order_and_consumed_by_acknowledging(rig: QueueRig) -> None:
     queue = rig.open()
     acked = await queue.put(b"one", b"two", b"three", content_type="text/plain")
     assert (acked.first_seq, acked.items, acked.incarnation) == (1, 3, queue.record.incarnation)
@@ -175,7 +175,7 @@ async def test_a_taker_that_was_heard_since_its_lease_began_goes_on_being_served
         assert (await taker.items(1))[0].delivery == 2
 
 
-async def test_what_is_leased_is_listed_page_by_page(rig: QueueRig) -> None:
+async def test_leased_messages_are_listed_page_by_page(rig: QueueRig) -> None:
     queue = rig.open(lease_nanos=10 * S)
     await queue.put(b"a", b"b", b"c")
     taker = await queue.take(taker_id=7, credit=3, taker_name="robot").open()
