@@ -49,7 +49,9 @@ def test_a_client_puts_gets_the_last_30_s_and_subscribes(
     assert all(began - 1_000_000 <= int(item["Time"]) <= time.time_ns() for item in said["last"])
 
 
-def test_what_one_language_puts_the_others_read(client_in: ClientIn, cluster: LocalCluster) -> None:
+def test_items_of_a_client_in_one_language_are_read_by_clients_in_the_others(
+    client_in: ClientIn, cluster: LocalCluster
+) -> None:
     clients = [client_in(language) for language in LANGUAGES]
     expected = ["from python", *(f"from {client.language}" for client in clients)]
     with st.connect(cluster.address, name="polyglot") as rt:

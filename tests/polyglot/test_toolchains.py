@@ -42,7 +42,7 @@ def test_a_broken_client_or_pin_is_a_failure(said: str, tmp_path: Path) -> None:
         toolchains.step(printing(said), tmp_path, dict(os.environ))
 
 
-def test_what_was_fetched_is_not_fetched_again_unless_the_pins_change(tmp_path: Path) -> None:
+def test_a_fetched_toolchain_is_not_fetched_again_unless_the_pins_change(tmp_path: Path) -> None:
     stamp = tmp_path / "fetched"
     assert toolchains.once(stamp, toolchains.digest("a", "1"))
     stamp.write_text(toolchains.digest("a", "1"))
