@@ -206,7 +206,7 @@ def test_pieces_that_are_not_taken_to_their_end_hold_nothing_back() -> None:
         assert not held._snapshots
 
 
-def test_what_is_refused_is_refused_at_once() -> None:
+def test_a_get_with_a_wrong_position_is_refused_at_once() -> None:
     busy = Busy(POLICIES["all is kept"], 1)
     query = Query(interval=parse_interval(0, 2 * NOW), after=Position(NOW, 1, incarnation=2))
     with pytest.raises(StampedeError, match="incarnation 2"):

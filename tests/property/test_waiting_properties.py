@@ -159,7 +159,7 @@ def may_be_released(needs: Needs | None, reach: Reach) -> bool:
 @pytest.mark.parametrize("grouped", [False, True])
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**40), policy=st.sampled_from(POLICIES))
-def test_whoever_is_released_was_reached(grouped: bool, seed: int, policy: Policy) -> None:
+def test_every_released_wait_was_reached(grouped: bool, seed: int, policy: Policy) -> None:
     scenario = Scenario(seed, policy, grouped=grouped)
     for _ in range(40):
         scenario.block()

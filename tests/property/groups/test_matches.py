@@ -76,7 +76,7 @@ TIMES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 9)), max_size=14)
 @settings(max_examples=400, deadline=None)
 @given(TIMES, TIMES, st.integers(0, 12), st.sampled_from([0, 3, 9]), st.integers(0, 2**32))
 @pytest.mark.parametrize("unique", [True, False])
-def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_all_were_known(
+def test_items_out_of_order_by_no_more_than_the_lateness_are_matched_as_if_all_were_known(
     unique: bool,
     own: Sequence[tuple[int, int]], other: Sequence[tuple[int, int]], tolerance: int, lateness: int, seed: int,
 ) -> None:  # fmt: skip
