@@ -99,7 +99,7 @@ async def test_disks_leave_nothing_behind_when_a_test_fails_and_two_runs_do_not_
                 break
 
 
-async def test_what_was_acknowledged_survives_a_loss_of_power_everywhere(machines: list[Machine]) -> None:
+async def test_acknowledged_commands_survive_a_loss_of_power_everywhere(machines: list[Machine]) -> None:
     names = [f"a{n}" for n in range(40)]
     await write(machines[0], names)
     under_way = asyncio.create_task(machines[1].ask("propose under-way"))

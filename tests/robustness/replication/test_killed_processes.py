@@ -77,7 +77,7 @@ async def write_at_last(member: MemberProcess, name: str) -> None:
         assert answer in (UNKNOWN_OUTCOME, REFUSED)
 
 
-async def test_what_was_acknowledged_survives_the_killing_of_every_member(cluster: list[MemberProcess]) -> None:
+async def test_acknowledged_commands_survive_the_killing_of_every_member(cluster: list[MemberProcess]) -> None:
     first, second, third = cluster
     await write(first, [f"a{n}" for n in range(40)])
     await write(second, [f"b{n}" for n in range(40)])
