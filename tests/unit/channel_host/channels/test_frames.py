@@ -181,7 +181,7 @@ def test_a_message_holds_a_bounded_number_of_runs_however_small_they_are() -> No
     assert [message.is_last for message in messages] == [False, True]
 
 
-def test_what_is_sent_of_a_large_answer_is_let_go_of_message_by_message() -> None:
+def test_a_large_answer_is_freed_message_by_message_as_it_is_sent() -> None:
     channel, _ = interleaved(500)
     answer = read_all(channel)
     left = [len(answer.slices)]

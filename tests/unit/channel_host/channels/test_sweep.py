@@ -105,7 +105,7 @@ async def test_a_step_of_the_sweep_frees_few_entries_however_many_channels_have_
     assert max(after - before for before, after in pairwise(freed)) <= 3 * sweep.ENTRIES_PER_STEP_MAX
 
 
-async def test_what_is_known_of_producers_is_charged_and_goes_without_another_put() -> None:
+async def test_the_memory_of_producers_is_charged_and_freed_without_another_put() -> None:
     host = Host()
     channel = host.open(Policy(max_items=1))
     host.put(channel, b"x")

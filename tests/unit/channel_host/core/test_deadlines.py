@@ -24,7 +24,7 @@ def test_things_are_due_in_order_and_only_at_their_last_deadline() -> None:
     assert deadlines.next() is None
 
 
-def test_what_is_disarmed_is_not_due() -> None:
+def test_a_disarmed_deadline_is_not_due() -> None:
     deadlines, one = Deadlines[Thing](), Thing(1)
     deadlines.arm(one, 5)
     deadlines.disarm(one)

@@ -168,7 +168,7 @@ async def test_a_link_to_the_wrong_host_is_refused(hello: dict[str, Any], error:
         await wire.running
 
 
-async def test_whoever_does_not_greet_is_refused() -> None:
+async def test_a_link_without_a_greeting_is_refused() -> None:
     wire = Wire(Notebook())
     await wire.say(pb.TimesUpdate())
     with pytest.raises(InvalidArgument, match="hello"):

@@ -89,7 +89,7 @@ async def test_a_dropped_call_is_written_no_further() -> None:
     assert box.context.written == [b"1.0", b"2.0"]
 
 
-async def test_whoever_queues_too_much_is_held_back_until_it_is_written() -> None:
+async def test_a_stream_with_too_many_queued_answers_waits_until_they_are_written() -> None:
     box = Box()
     box.context.open.clear()
     for call_id in range(ANSWERS_QUEUED_MAX + 2):

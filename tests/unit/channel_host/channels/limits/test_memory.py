@@ -16,7 +16,7 @@ def test_a_claim_beyond_the_bound_is_refused_with_the_way_out() -> None:
         budget.claim(137)
 
 
-def test_what_is_charged_adds_up_as_it_changes() -> None:
+def test_charges_add_up_as_they_change() -> None:
     budget = MemoryBudget(1000)
     one, other = Charge(budget), Charge(budget)
     one.set(300)
@@ -27,7 +27,7 @@ def test_what_is_charged_adds_up_as_it_changes() -> None:
     assert budget.used_bytes == 100
 
 
-def test_what_time_has_outdated_is_freed_before_a_claim_is_refused() -> None:
+def test_outdated_items_are_freed_before_a_claim_is_refused() -> None:
     def free() -> bool:
         charge.set(0)
         return False

@@ -211,7 +211,7 @@ def test_a_malformed_offer_is_refused_by_its_columns() -> None:
         Offer(times=[1], durations=None, lengths=[1, 1])
 
 
-def test_what_the_shell_refused_is_counted() -> None:
+def test_puts_that_the_shell_refused_are_counted() -> None:
     channel = a_channel(max_items=9)
     channel.reject_malformed(3)
     assert channel.counters(CLOCK).rejected["MALFORMED_RUN"] == 3

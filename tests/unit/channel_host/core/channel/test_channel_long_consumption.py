@@ -74,7 +74,7 @@ def test_what_goes_while_new_consumers_learn_what_had_gone_is_owed_by_nobody() -
     assert channel.counters(CLOCK).held == 2000
 
 
-def test_how_many_items_wait_for_a_consumer_is_known_without_a_walk_over_what_has_gone(
+def test_the_count_of_items_that_wait_for_a_consumer_needs_no_walk_over_collected_items(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     channel = backwards(ITEMS, consumers=10)
@@ -163,7 +163,7 @@ def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> Non
     assert consumers._collected.ranges == []
 
 
-def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_items_that_all_consumers_consumed_are_freed_in_small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """With 200,000 items consumed out of their order, one status once collected 6 x 256 items."""
     channel = backwards(ITEMS, consumers=2)
     for consumer in (1, 2):

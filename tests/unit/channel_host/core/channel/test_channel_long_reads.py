@@ -80,7 +80,7 @@ def test_a_page_in_a_bucket_of_equal_times_costs_the_page(looked: SliceCounter) 
 
 
 @pytest.mark.parametrize("durations", [None, [5]])
-def test_how_far_a_channel_has_come_is_known_without_a_walk(looked: SliceCounter, durations: list[int] | None) -> None:
+def test_the_reach_of_a_channel_is_known_without_a_walk(looked: SliceCounter, durations: list[int] | None) -> None:
     channel = a_channel()
     for _ in range(ITEMS):
         put(channel, CLOCK, durations=durations)

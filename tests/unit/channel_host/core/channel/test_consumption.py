@@ -73,7 +73,7 @@ def test_a_consumer_whose_lease_ends_holds_nothing_back_and_gives_its_place() ->
     assert [place.consumer_id for place in channel.consumers(CLOCK + LEASE_NANOS)] == [CYD, BOB]
 
 
-def test_who_takes_an_ended_place_starts_at_the_newest_item() -> None:
+def test_a_consumer_that_takes_an_ended_place_starts_at_the_newest_item() -> None:
     channel = three_items()
     channel.consume(ANN, [], CLOCK, lease_nanos=5)
     channel.consume(BOB, [], CLOCK)
@@ -228,7 +228,9 @@ def test_consumers_can_be_asked_for_while_a_channel_is_in_use() -> None:
         (ANN, [1] * (SEQS_MAX + 1), "4097 seqs"),
     ],
 )
-def test_what_makes_no_sense_is_refused_and_takes_no_place(consumer_id: int, seqs: list[int], message: str) -> None:
+def test_an_impossible_consumption_is_refused_and_takes_no_place(
+    consumer_id: int, seqs: list[int], message: str
+) -> None:
     channel = three_items()
     with pytest.raises(InvalidArgument, match=message):
         channel.consume(consumer_id, seqs, CLOCK)

@@ -215,7 +215,7 @@ def test_a_change_reaches_as_far_as_what_came_with_it() -> None:
     assert tracker.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
 
 
-def test_what_a_group_hides_reaches_nobody_until_it_is_visible() -> None:
+def test_items_that_a_group_hides_reach_no_reader_until_they_are_visible() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, durations=[5])
     tracker = ReachTracker(channel)

@@ -47,7 +47,7 @@ def test_a_start_at_the_newest_of_an_empty_channel_means_everything_to_come() ->
     assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, ALL).slices]) == [1]
 
 
-def test_what_was_collected_before_it_was_sent_is_a_gap_with_its_count() -> None:
+def test_items_that_were_collected_before_they_were_sent_are_a_gap_with_its_count() -> None:
     channel = a_channel(max_items=3)
     put(channel, 10, 20)
     cursor = channel.subscribe_all(CLOCK)
@@ -154,7 +154,7 @@ def test_a_saved_cursor_holds_what_the_start_left_out() -> None:
     assert again.saved(3) == SavedCursor(incarnation=3, next_seq=7)
 
 
-def test_what_is_collected_before_a_cursor_goes_on_is_told() -> None:
+def test_items_that_are_collected_before_a_cursor_goes_on_are_reported() -> None:
     channel = a_channel(max_items=4)
     put(channel, 10, 20, 30)
     cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))

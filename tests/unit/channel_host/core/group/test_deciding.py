@@ -110,7 +110,7 @@ def test_late_items_come_with_the_next_event_and_apart() -> None:
     assert step.is_last
 
 
-def test_what_is_accepted_while_an_event_is_under_way_is_late_in_the_next_one() -> None:
+def test_items_accepted_while_an_event_is_under_way_are_late_in_the_next_event() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 0, NOW)
     follower.begin(25)

@@ -111,7 +111,7 @@ def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
     assert pairs(resumed, right) == [(20, 20)]
 
 
-def test_what_came_late_between_two_streams_is_counted_as_dropped() -> None:
+def test_late_items_between_two_streams_are_counted_as_dropped() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(-1, 0))
     assert pairs(matcher, right) == [(10, 10), (20, 20)]
@@ -216,7 +216,7 @@ def test_a_position_says_which_partners_are_taken_so_that_another_gives_none_of_
     assert matched(resumed, left, right) == [(14, None), (40, None)]
 
 
-def test_what_comes_late_is_waited_for_and_matched_as_the_nearest() -> None:
+def test_a_late_item_is_awaited_and_matched_as_the_nearest() -> None:
     left, right = channel(10, 20, 35), channel(8, 35)
     matcher, late = everything(left, right, 5), everything(left, right, 5)
     own = {OWN: left, RIGHT: right}

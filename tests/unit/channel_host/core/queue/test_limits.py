@@ -7,7 +7,7 @@ from stampede_rt.wire.queues import queue_policy_from_spec
 from stampede_rt_channel_host.core.queue import QueueLimits
 
 
-def test_what_was_never_stated_of_a_queue_has_its_default() -> None:
+def test_a_setting_that_was_never_stated_of_a_queue_has_its_default() -> None:
     limits = QueueLimits.of(queue_policy_from_spec(queue_pb2.QueueSpec()))
     assert (limits.max_items, limits.max_bytes, limits.copies) == (None, 256 * 2**20, 1)
     assert (limits.lease_nanos, limits.on_full, limits.max_deliveries) == (30 * 10**9, "block", None)

@@ -136,7 +136,7 @@ def test_credit_bounds_what_a_taker_is_given_and_drain_voids_it() -> None:
     assert core.dispatched() == {}
 
 
-def test_what_was_dispatched_and_never_sent_goes_back_as_if_it_had_not_been_dispatched() -> None:
+def test_a_message_that_was_dispatched_and_never_sent_goes_back_without_a_trace() -> None:
     core = Core(max_deliveries=1)
     core.put(1, 1)
     taker = core.taker(1, credit=2)
@@ -147,7 +147,7 @@ def test_what_was_dispatched_and_never_sent_goes_back_as_if_it_had_not_been_disp
     assert core.dispatched() == {2: [1, 2]}
 
 
-def test_what_a_taker_was_sent_stays_leased_when_it_leaves() -> None:
+def test_messages_sent_to_a_taker_stay_leased_when_the_taker_leaves() -> None:
     core = Core()
     core.put(1)
     taker = core.taker(1, credit=1)
