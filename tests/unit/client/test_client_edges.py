@@ -92,7 +92,7 @@ def test_a_wrong_limit_is_refused(limit: object) -> None:
 
 
 @pytest.mark.parametrize("flag", ["newest_first", "payloads", "complete"])
-def test_what_is_no_flag_is_refused(flag: str) -> None:
+def test_a_value_that_is_no_flag_is_refused(flag: str) -> None:
     """Earlier, the text "no" counted as yes, or failed inside protobuf."""
     with pytest.raises(InvalidArgument, match=f"{flag} is 'no'; write True or False"):
         ReadQuery(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
@@ -129,7 +129,7 @@ def test_the_nearest_supernode_comes_first_and_the_silent_ones_last() -> None:
     assert order_by_round_trip(["a", "b", "c"], {"c": 0.1, "a": 0.2}, {"c", "b"}) == ["a", "c", "b"]
 
 
-def test_what_is_stale_is_forgotten_for_every_thread() -> None:
+def test_a_stale_binding_is_forgotten_for_every_thread() -> None:
     cache = BindingCache()
     cache.learn_owner(b"c", Owner(host_id=b"h", epoch=1, spec_version=1), ["h:1"])
     binding = Binding(subject_id=b"c", target="h:1", epoch=1, incarnation=1)

@@ -34,7 +34,7 @@ def said_by(code: str) -> str:
 @pytest.mark.parametrize(
     "module", ["stampede_rt", "stampede_rt.cli.main", "stampede_rt.values.timeline", "stampede_rt.errors"]
 )
-def test_what_needs_no_connection_loads_no_grpc(module: str) -> None:
+def test_parts_that_need_no_connection_load_no_grpc(module: str) -> None:
     assert said_by(f"import {module}") == ""
 
 

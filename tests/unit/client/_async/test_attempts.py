@@ -108,7 +108,7 @@ async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock
 
 
 @pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])
-async def test_what_cannot_pass_is_raised_at_once(clock: Clock, error: Any) -> None:
+async def test_an_error_that_cannot_pass_is_raised_at_once(clock: Clock, error: Any) -> None:
     place = Place()
     with pytest.raises(type(error)):
         await attempt(place, Operation(error), 10)

@@ -139,7 +139,7 @@ async def test_a_host_that_takes_and_answers_nothing_ends_a_put_with_its_time() 
     assert len(place.streams) == 1
 
 
-async def test_what_was_not_acked_is_sent_again_before_what_came_since() -> None:
+async def test_unacknowledged_runs_are_sent_again_before_newer_runs() -> None:
     place = Place()
     producer = await three_in_flight(place)
     await producer.put(b"4")

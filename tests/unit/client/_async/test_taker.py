@@ -367,7 +367,7 @@ async def test_prefetched_messages_whose_leases_have_ended_are_passed_over() -> 
     assert await seq_of(taker.get(FOR_EVER)) == 3
 
 
-async def test_what_was_prefetched_is_given_back_at_the_end() -> None:
+async def test_prefetched_messages_are_given_back_at_the_end() -> None:
     host = Host()
     taker = taker_at(host, prefetch=4)
     get = asyncio.ensure_future(taker.get(FOR_EVER))

@@ -39,7 +39,7 @@ def test_work_that_ends_gives_its_status() -> None:
     assert ended("sys.exit(interrupts.run_interruptibly(lambda: 3))") == (3, "")
 
 
-def test_what_the_work_raises_is_raised() -> None:
+def test_an_error_of_the_work_is_raised() -> None:
     assert ended("interrupts.run_interruptibly(lambda: sys.exit(2))") == (2, "")
 
 
@@ -111,7 +111,7 @@ def test_work_goes_on_where_ctrl_c_is_ignored() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_what_unwinds_gets_one_keyboard_interrupt(number: signal.Signals) -> None:
+def test_a_command_that_unwinds_gets_one_keyboard_interrupt(number: signal.Signals) -> None:
     program = f"""
     try:
         with interrupts.unwinding(signal.SIGINT, signal.SIGTERM):

@@ -18,7 +18,7 @@ def test_json_is_shown_by_its_value() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"{", b"[" * 100_000, b"1" * 6000])
-def test_what_cannot_be_parsed_as_json_is_shown_as_text(payload: bytes) -> None:
+def test_a_payload_that_is_no_json_is_shown_as_text(payload: bytes) -> None:
     assert shown(payload, "application/json").startswith(payload[:1].decode())
 
 

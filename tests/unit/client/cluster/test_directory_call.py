@@ -97,7 +97,7 @@ def test_a_supernode_that_is_known_no_more_tells_why_if_no_other_does() -> None:
     ("error", "passes"),
     [(unreached(), True), (DeadlineExceeded("late"), True), (ChannelNotFound("none"), False)],
 )
-def test_what_may_pass_is_tried_again(error: StampedeError, passes: bool) -> None:
+def test_a_call_that_failed_for_a_passing_reason_is_tried_again(error: StampedeError, passes: bool) -> None:
     assert may_pass(error) is passes
 
 

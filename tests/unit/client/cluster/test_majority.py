@@ -36,7 +36,7 @@ def test_one_that_is_down_beside_two_that_run_does_not_hide_what_those_say() -> 
     assert told({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
 
 
-def test_who_is_silent_counts_like_who_is_gone() -> None:
+def test_a_silent_supernode_counts_like_one_that_is_gone() -> None:
     said = told({"a": DeadlineExceeded("late"), "b": gone("b"), "c": gone("c")})
     assert "0 of 3 supernodes answer" in said
     assert "a did not answer in time, b cannot be reached" in said

@@ -118,7 +118,7 @@ def test_gaps_of_the_file_are_told(tmp_path: Path) -> None:
         (npy(0).replace(b"()", b"(9" + b"9" * 12 + b",)").replace(b" " * 14, b"", 1), NPY, "does not fit its length"),
     ],
 )
-def test_what_no_table_takes_is_named_with_its_channel_and_seq(
+def test_a_value_that_no_table_takes_is_named_with_its_channel_and_seq(
     tmp_path: Path, payload: bytes, kind: str, why: str
 ) -> None:
     path = file_of(tmp_path / "a.mcap", [payload], kind)

@@ -32,7 +32,7 @@ def test_without_a_shift_times_stay_and_a_duration_moves_them() -> None:
 
 
 @pytest.mark.parametrize("speed", [-1, True, "2", float("nan"), float("inf"), 1e9])
-def test_what_is_no_speed_is_refused(speed: object) -> None:
+def test_an_impossible_speed_is_refused(speed: object) -> None:
     with pytest.raises(InvalidArgument):
         parse_speed(speed)
 

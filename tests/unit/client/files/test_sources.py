@@ -109,7 +109,7 @@ def test_a_damaged_foreign_file_is_an_error_that_names_it(tmp_path: Path, name: 
         source_of(path)
 
 
-def test_what_is_no_known_file_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_an_unknown_format_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(b"hello")
     with pytest.raises(FileError, match="neither MCAP, nor rosbag2, nor XDF"):

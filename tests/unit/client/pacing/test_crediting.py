@@ -78,7 +78,7 @@ def test_credit_of_a_quick_reader_goes_in_few_messages() -> None:
     assert reader.messages < 100
 
 
-def test_what_is_asked_for_twice_is_granted_once() -> None:
+def test_credit_that_is_asked_for_twice_is_granted_once() -> None:
     window = CreditWindow()
     assert window.ask(0.0) == 1
     assert window.ask(1.0) == 0

@@ -117,7 +117,7 @@ async def test_a_coroutine_function_can_be_sampled() -> None:
     assert put_values == [5]
 
 
-async def test_what_cancels_the_sampled_function_is_a_failure_of_its_own(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_cancelled_sampled_function_has_failed(caplog: pytest.LogCaptureFixture) -> None:
     clock, session = TestClock(), Attaching()
 
     async def sample() -> None:

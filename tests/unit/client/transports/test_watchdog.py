@@ -12,7 +12,7 @@ from stampede_rt.transports.watchdog import Watchdog
 LIMIT_S = 10.0
 
 
-def test_what_lasts_too_long_is_called_back_and_told_so() -> None:
+def test_the_function_of_a_limit_that_is_over_is_called_and_the_limit_says_so() -> None:
     watchdog, called = Watchdog(), threading.Event()
     with watchdog.limit(0.01, called.set) as overdue:
         assert called.wait(LIMIT_S)
@@ -20,7 +20,7 @@ def test_what_lasts_too_long_is_called_back_and_told_so() -> None:
     watchdog.close()
 
 
-def test_what_ends_in_time_is_not_called_back() -> None:
+def test_the_function_of_a_limit_that_is_kept_is_not_called() -> None:
     watchdog, called, later = Watchdog(), threading.Event(), threading.Event()
     with watchdog.limit(0.05, called.set) as overdue:
         pass

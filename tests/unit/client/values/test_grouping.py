@@ -77,7 +77,7 @@ def test_a_reader_never_forgets_the_highest_cut_that_it_saw() -> None:
         (handle("left"), "give a list"),
     ],
 )
-def test_what_cannot_be_the_members_of_a_group_is_refused_with_the_reason(channels: Any, complaint: str) -> None:
+def test_impossible_members_of_a_group_are_refused_with_the_reason(channels: Any, complaint: str) -> None:
     with pytest.raises(InvalidArgument, match=complaint):
         parse_members(channels)
 

@@ -16,7 +16,7 @@ LONE_SURROGATE = "\ud800"
 
 @pytest.mark.parametrize(("parse", "name"), [(parse_message_id, "message_id"), (parse_reason, "reason")])
 @pytest.mark.parametrize("value", [LONE_SURROGATE, "x" * 100_000, 5, b"bytes"])
-def test_what_is_no_text_or_too_long_is_refused_in_few_words(
+def test_ids_that_are_no_text_or_too_long_are_refused_in_few_words(
     parse: Callable[[Any], str], name: str, value: Any
 ) -> None:
     with pytest.raises(InvalidArgument, match=f"{name} is") as caught:

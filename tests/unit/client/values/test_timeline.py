@@ -69,7 +69,7 @@ def test_instants_are_ints_or_datetimes_with_a_timezone() -> None:
 
 
 @pytest.mark.parametrize("wrong", [1.5, "now", True, None, 2**63, datetime(2026, 1, 1)])
-def test_what_loses_or_guesses_is_no_instant(wrong: object) -> None:
+def test_a_value_that_loses_digits_or_needs_a_guess_is_not_parsed_as_an_instant(wrong: object) -> None:
     with pytest.raises(InvalidArgument):
         parse_instant(wrong)  # type: ignore[arg-type]
 

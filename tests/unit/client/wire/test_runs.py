@@ -56,7 +56,7 @@ def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: 
 
 
 @given(items, some.data())
-def test_what_remains_of_a_run_keeps_its_order(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
+def test_the_rest_of_a_run_keeps_its_order(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
     kept = sorted(data.draw(some.sets(some.integers(0, len(columns) - 1), min_size=1)))
     rest = parse_run(select_items(encoded(columns), kept))
     assert list(rest.times or ()) == [columns[i][0] for i in kept]
