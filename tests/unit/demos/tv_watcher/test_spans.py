@@ -96,7 +96,7 @@ def test_a_span_of_which_something_was_collected_is_not_complete():
     assert not step.complete
 
 
-def test_what_comes_late_is_in_no_span():
+def test_a_late_item_is_in_no_span():
     ((step, _),) = spans_taken(cut(late=item(4 * SECOND, FRAME)), 9 * SECOND)
     assert step.counts["motion"] == 25
 

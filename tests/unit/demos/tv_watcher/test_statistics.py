@@ -49,7 +49,7 @@ def test_receipts_measure_from_put_to_receipt():
     assert (record["latency_p50_nanos"], record["latency_p99_nanos"]) == (20, 30)
 
 
-def test_what_the_host_accepted_and_the_reader_never_got_is_lost():
+def test_items_that_the_host_accepted_and_the_reader_never_got_are_lost():
     receipts = Receipts()
     for seq in range(1, 48):
         receipts.add(seq=seq, payload_bytes=1, put_unix_nano=0, received_unix_nano=1)
