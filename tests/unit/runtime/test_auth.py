@@ -110,7 +110,9 @@ async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> N
             await first_of_watch(server.address, WRONG)
 
 
-async def test_who_brings_the_clients_secret_may_call_what_clients_call_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_caller_with_the_secret_of_clients_may_call_the_methods_of_clients_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)  # the service never hears of rules
     clients = Secret(text="for clients", path=Path("clients"))
     async with serving(register, secret=RIGHT, client_secret=clients) as server:

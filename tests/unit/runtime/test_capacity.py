@@ -108,7 +108,7 @@ async def test_a_stream_that_ends_makes_room_for_another_one() -> None:
             call.cancel()
 
 
-def test_what_finds_no_reserved_slot_takes_one_of_all() -> None:
+def test_a_call_without_a_free_reserved_slot_takes_one_of_those_for_all() -> None:
     slots = Slots(LIMITS)
     given = [slots.take(is_stream=True, for_members=True) for _ in range(3)]
     assert (slots.reserved, slots.streams, slots.singles) == (2, 1, 0)

@@ -32,6 +32,6 @@ def test_a_serial_number_is_known_as_other_programs_print_it(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "xyz", "1" * 65])
-def test_what_is_no_serial_number_is_refused(text: str) -> None:
+def test_a_malformed_serial_number_is_refused(text: str) -> None:
     with pytest.raises(CertificateError, match="neither a file nor a serial number"):
         serial_of(text)

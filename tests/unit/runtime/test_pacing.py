@@ -254,7 +254,7 @@ async def test_streams_whose_callers_go_together_end_a_few_in_each_turn() -> Non
     assert all(call.cancelled() for call in calls)
 
 
-async def test_what_a_stream_raises_reaches_its_caller() -> None:
+async def test_an_error_of_a_stream_reaches_its_caller() -> None:
     async def behavior(_requests: Any, _context: Any) -> None:
         raise KeyError("no")
 

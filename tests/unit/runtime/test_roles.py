@@ -55,7 +55,7 @@ def test_a_client_cannot_change_who_the_supernodes_are() -> None:
 
 
 @pytest.mark.parametrize("method", ["/no.Service/Method", "/stampede_rt.v1.NoService/Method", "nonsense", ""])
-def test_what_has_no_row_is_for_nobody(method: str) -> None:
+def test_a_method_without_a_row_is_for_no_role(method: str) -> None:
     assert roles_for(method) == frozenset()
     assert "nobody" in why_refused(method, caller(Role.OPERATOR))
 

@@ -73,7 +73,7 @@ class Refusing(grpc.GenericRpcHandler):
 
 
 @pytest.mark.parametrize("method", [LIST, WATCH])
-async def test_what_a_refused_call_held_is_freed_without_the_collector(method: str) -> None:
+async def test_the_memory_of_a_refused_call_is_freed_without_the_collector(method: str) -> None:
     handler = Refusing()
     gc.collect()
     gc.disable()

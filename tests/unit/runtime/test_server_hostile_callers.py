@@ -165,7 +165,9 @@ async def test_a_server_reads_only_a_few_unfinished_requests_of_a_caller_at_the_
 
 
 @pytest.mark.parametrize("method", [LIST, WATCH, FOLLOW])
-async def test_what_is_no_request_is_refused_without_a_traceback(method: str, caplog: pytest.LogCaptureFixture) -> None:
+async def test_bytes_that_are_no_request_are_refused_without_a_traceback(
+    method: str, caplog: pytest.LogCaptureFixture
+) -> None:
     async with port() as one:
         with caplog.at_level(logging.DEBUG):
             code, details = await one.sent(method, NO_REQUEST)
@@ -176,7 +178,7 @@ async def test_what_is_no_request_is_refused_without_a_traceback(method: str, ca
 
 
 @pytest.mark.parametrize("method", [LIST, WATCH, FOLLOW])
-async def test_who_brings_no_secret_is_refused_before_anything_is_read(method: str) -> None:
+async def test_a_caller_without_a_secret_is_refused_before_anything_is_read(method: str) -> None:
     async with port(SECRET, brings=False) as one:
         code, _ = await one.sent(method, NO_REQUEST)
         assert code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED)

@@ -55,7 +55,7 @@ def test_one_without_a_proof_is_told_by_its_machine_not_by_each_of_its_ports(cap
     assert len(caplog.records) == 1
 
 
-def test_what_is_remembered_has_a_bound() -> None:
+def test_the_callers_that_the_audit_log_remembers_are_bounded() -> None:
     log = AuditLog(Clock())
     for number in range(2 * SUBJECTS_MAX):
         log.denied(None, f"ipv4:10.0.{number // 256}.{number % 256}:5", "x", "")

@@ -171,7 +171,7 @@ async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_g
         assert await said(other, "open") == b"0"
 
 
-async def test_who_may_do_nothing_with_a_thing_is_told_so() -> None:
+async def test_a_caller_that_may_do_nothing_with_a_thing_is_told_so() -> None:
     async with port() as (server, begin):
         server.access.set_state(state(1, ALLOW))
         call = begin(CLIENTS)

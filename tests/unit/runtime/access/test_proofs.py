@@ -62,7 +62,7 @@ def test_each_proof_gives_a_name_and_roles(
         (CERTIFIED, None, CallerCertificate(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
     ],
 )
-def test_what_is_no_proof_is_refused_and_told_why(
+def test_a_malformed_proof_is_refused_with_the_reason(
     accepted: AcceptedProofs, brought: bytes | None, certificate: CallerCertificate | None, told: str
 ) -> None:
     with pytest.raises(PermissionDenied, match=told):

@@ -63,7 +63,7 @@ def test_holders_of_the_clients_secret_have_a_name_in_rules() -> None:
     assert not rules.judge(client("clients"), READ, CHANNEL, "public/1").allowed
 
 
-def test_who_may_do_anything_with_a_thing_may_know_of_it() -> None:
+def test_a_caller_that_may_do_anything_with_a_thing_may_know_of_it() -> None:
     rules = AccessRules([allow("cam", (PUT,), "v"), allow("send", (SEND,), "p", PEER)])
     assert rules.knows_of(client("cam"), CHANNEL, "v")
     assert not rules.knows_of(client("cam"), QUEUE, "v")

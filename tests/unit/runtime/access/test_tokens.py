@@ -42,7 +42,7 @@ def test_a_token_that_anybody_has_changed_is_refused() -> None:
 
 
 @pytest.mark.parametrize("text", ["", ".", "stampede-token-1.", TOKEN[:-5], TOKEN + ".", "stampede-token-1.é.é"])
-def test_what_is_no_token_is_refused_and_not_an_error(text: str) -> None:
+def test_a_malformed_token_is_refused_without_an_error(text: str) -> None:
     with pytest.raises(PermissionDenied):
         read_token(text, keys=[KEY], cluster_id="c")
 

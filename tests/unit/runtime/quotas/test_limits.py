@@ -56,7 +56,7 @@ def test_names_and_addresses_and_patterns_of_them_can_be_set(who: str) -> None:
 
 
 @pytest.mark.parametrize(("who", "limit"), [("", 1), ("a b", 1), ("x" * 257, 1), ("a", -1), ("a", LIMIT_MAX + 1)])
-def test_what_matches_nobody_or_is_no_limit_is_refused(who: str, limit: int) -> None:
+def test_impossible_subjects_and_limits_are_refused(who: str, limit: int) -> None:
     with pytest.raises(InvalidArgument):
         check_setting(QuotaSetting(who, Quota.STREAMS, limit))
 

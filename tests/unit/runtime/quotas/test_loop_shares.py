@@ -153,7 +153,7 @@ def test_a_long_debt_ends_soon_after_the_others_have_gone() -> None:
     assert loop.is_quiet
 
 
-def test_who_comes_behind_a_line_waits_even_if_there_is_time() -> None:
+def test_a_caller_behind_a_line_waits_even_if_there_is_time() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)
@@ -185,7 +185,7 @@ def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
     assert sum(looks) == 1
 
 
-def test_what_a_step_owes_counts_at_its_end() -> None:
+def test_the_debt_of_a_step_counts_at_the_end_of_the_step() -> None:
     loop = Loop()
     busy, light = loop.caller(), loop.caller()
     loop.works(light, 1)

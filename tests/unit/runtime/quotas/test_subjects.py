@@ -26,11 +26,11 @@ def test_members_of_the_cluster_and_operators_have_no_quota(role: Role) -> None:
 
 
 @pytest.mark.parametrize("caller", [by_secret(of_cluster=False), by_secret(of_cluster=True), ANYONE])
-def test_who_brings_no_name_goes_by_its_address(caller: Caller) -> None:
+def test_a_caller_without_a_name_counts_under_its_address(caller: Caller) -> None:
     assert subject_of(caller, PEER) == "@10.0.0.3"
 
 
-def test_what_a_caller_has_made_counts_under_its_name_in_the_directory() -> None:
+def test_the_things_that_a_caller_made_count_under_its_name_in_the_directory() -> None:
     assert creator_of(named(CallerKind.TOKEN, Role.CLIENT)) == "one"
     assert creator_of(named(CallerKind.TOKEN, Role.OPERATOR)) is None
     assert creator_of(by_secret(of_cluster=False)) == "@clients"

@@ -36,7 +36,7 @@ OVERLOADED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
         (b"\xff" * 100, "which may not come here"),
     ],
 )
-async def test_what_is_no_opening_is_refused_at_once(port: Open, sent: bytes, why: str) -> None:
+async def test_bytes_that_are_no_opening_are_refused_at_once(port: Open, sent: bytes, why: str) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.send_bytes(sent)
         status = await stream.status()
