@@ -64,7 +64,7 @@ async def test_port_0_is_announced_as_the_port_that_was_bound() -> None:
         await one.close()
 
 
-async def test_what_one_acknowledged_all_read_and_the_loss_of_the_leader_is_survived(tmp_path: Path) -> None:
+async def test_all_members_read_what_one_acknowledged_also_after_the_loss_of_the_leader(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         first, second = cluster.others(leader)

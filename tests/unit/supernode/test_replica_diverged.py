@@ -33,7 +33,7 @@ def done(*commands: bytes) -> DirectoryReplica:
     return replica
 
 
-def test_who_does_not_know_a_command_that_others_do_has_another_digest_for_good() -> None:
+def test_a_member_that_skips_an_unknown_command_has_another_digest_for_good() -> None:
     later = encoded(2, BeginTenure(tenure=2, supernode_id="s1", new_cluster_id="c", new_lease_ttl_nanos=TTL_NANOS))
     knows, does_not = done(encoded(1, TENURE), later), done(UNKNOWN, later)
     assert knows.digest()[0] == does_not.digest()[0] == 2

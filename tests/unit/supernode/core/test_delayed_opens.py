@@ -175,7 +175,7 @@ def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
-def test_what_was_deleted_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
+def test_a_deletion_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
     """Earlier, a client that made and deleted groups without a pause kept all others from making any."""
     log.directory.feature_level = FREED_GROUPS_LEVEL
     members = {name: log.apply(open_channel(name)) for name in ("kept", "gone")}

@@ -95,7 +95,7 @@ def test_a_stall_does_not_call_back_an_end_that_is_proposed(table: LeaseTable) -
     assert len(table.due(60 * SECOND)) == 2
 
 
-def test_who_leads_again_grants_a_full_ttl_again(table: LeaseTable) -> None:
+def test_a_supernode_that_leads_again_grants_a_full_ttl(table: LeaseTable) -> None:
     pass_time(table, 0, 4 * SECOND)
     table.lead(9, [host(1), host(2)], 4 * SECOND, ttl_nanos=TTL)
     assert pass_time(table, 4 * SECOND, 8 * SECOND) == []

@@ -47,7 +47,7 @@ def go_on(log: Log) -> None:
 
 
 @pytest.mark.parametrize("snapshots_before", [0, 1])
-def test_what_happens_afterwards_is_not_in_it(log: Log, snapshots_before: int) -> None:
+def test_later_changes_are_not_in_a_snapshot(log: Log, snapshots_before: int) -> None:
     writer = SnapshotWriter()
     for _ in range(snapshots_before):
         writer.begin(log.directory)()

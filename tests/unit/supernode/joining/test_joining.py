@@ -79,7 +79,7 @@ async def test_a_backup_of_a_running_cluster_founds_another_one_that_knows_all_t
             await restored.close()
 
 
-async def test_who_is_no_member_cannot_be_asked_for_a_snapshot(tmp_path: Path) -> None:
+async def test_a_supernode_that_is_no_member_cannot_be_asked_for_a_snapshot(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_ports(1)[0]}"
     one = Supernode("s1", address, ["--id", "s1", "--listen", address])
     try:
@@ -121,7 +121,7 @@ async def test_a_folder_is_not_started_under_the_id_of_another_supernode(tmp_pat
         await own.close()
 
 
-async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> None:
+async def test_a_command_that_fails_says_why_in_one_line(tmp_path: Path) -> None:
     nobody, folder = f"127.0.0.1:{free_ports(1)[0]}", str(tmp_path / "b")
     join = ("join", "--member", nobody, "--data-dir", folder)
     for words, expected, text in (

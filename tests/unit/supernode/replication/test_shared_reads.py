@@ -26,7 +26,7 @@ class Rig:
         return task
 
 
-async def test_who_comes_while_a_read_is_under_way_waits_for_the_next_one_which_all_of_them_share() -> None:
+async def test_callers_that_come_during_a_confirmed_read_share_the_next_one() -> None:
     rig = Rig()
     first = await rig.ask()
     later = [await rig.ask() for _ in range(3)]

@@ -182,7 +182,7 @@ async def test_one_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(ri
         (replication.Ambiguous("x"), "AMBIGUOUS"),
     ],
 )
-async def test_what_the_log_says_of_a_change_reaches_the_caller(
+async def test_the_outcome_of_a_change_of_members_reaches_the_caller(
     rig: tuple[Node, Any], failure: Exception, reason: str
 ) -> None:
     node, stub = rig

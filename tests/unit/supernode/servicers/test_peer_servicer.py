@@ -276,7 +276,7 @@ async def test_the_leader_tells_what_peers_told_it_of_their_clocks_and_only_if_a
     assert not any(peer.HasField("clock") for peer in (await node.peers.ListPeers(pb.ListPeersRequest())).peers)
 
 
-async def test_what_peers_tell_of_their_clocks_comes_into_no_log_and_no_snapshot(node: Node) -> None:
+async def test_the_clocks_of_peers_are_in_no_log_and_no_snapshot(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7, "planner"))
     index, snapshot = node.log.index, node.replica.begin_snapshot()()
     await node.peers.RenewPeerLease(renewal(7, clock=BEHIND))
@@ -324,7 +324,7 @@ async def test_the_clock_of_a_peer_goes_with_its_lease_and_its_registration(node
     assert await clocks(node, include_dead=True) == {"planner": None}
 
 
-async def test_what_cannot_be_a_clock_is_refused(node: Node) -> None:
+async def test_impossible_facts_of_a_clock_are_refused(node: Node) -> None:
     for wrong in (
         peer_pb2.ClockOffset(offset_nanos=1, uncertainty_nanos=-1, supernode_id="s1"),
         peer_pb2.ClockOffset(offset_nanos=1, uncertainty_nanos=1),

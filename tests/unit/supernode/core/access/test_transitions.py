@@ -156,7 +156,7 @@ def test_what_a_rule_would_do_is_told_for_the_things_there_are() -> None:
     assert effects_on(log.directory.tables, before, without_rule(before, PUT), PUT) == []
 
 
-def test_what_is_revoked_stays_so_also_in_snapshots_and_there_are_so_many_and_no_more() -> None:
+def test_revoked_certificates_stay_revoked_also_in_snapshots_and_are_bounded() -> None:
     log = Log()
     first = log.apply(RevokeCredential(serial="a1"))
     assert isinstance(first, CredentialRevoked)

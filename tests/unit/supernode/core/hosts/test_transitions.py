@@ -151,7 +151,7 @@ def test_a_lost_host_that_comes_back_or_says_that_it_leaves_is_lost_no_more(log:
     assert log.directory.tables.lost == set()
 
 
-def test_who_takes_the_name_of_a_lost_host_takes_its_place(log: Log) -> None:
+def test_a_host_with_the_name_of_a_lost_host_takes_its_place(log: Log) -> None:
     lost(log, 1, name="rig")
     registered(log, register(2, name="rig"))
     assert set(log.directory.tables.hosts) == {id_of(2)}

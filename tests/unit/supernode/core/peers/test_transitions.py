@@ -99,7 +99,7 @@ def test_a_mailbox_is_made_as_and_where_it_is_asked_for(log: Log) -> None:
         {"attributes": (("", "x"),)},
     ],
 )
-def test_what_a_peer_cannot_say_of_itself_is_refused(log: Log, how: dict[str, Any]) -> None:
+def test_impossible_facts_of_a_peer_are_refused(log: Log, how: dict[str, Any]) -> None:
     assert refusal(log, register_peer(7, "planner", **how)).reason == "INVALID_ARGUMENT"
 
 
@@ -117,7 +117,7 @@ def test_a_live_name_is_refused_to_another_peer_without_the_proof(log: Log, firs
     assert (queues(log), list(log.directory.tables.peers.by_id)) == ([held], [id_of(7)])
 
 
-def test_whoever_brings_the_proof_takes_over_name_and_mailbox(log: Log) -> None:
+def test_a_peer_with_the_proof_takes_over_the_name_and_the_mailbox(log: Log) -> None:
     held = mailbox(log, 7, "planner", proof=1)
     entered = enter(log, 8, "planner", boot=2, proof=1)
     assert entered.mailbox is not None

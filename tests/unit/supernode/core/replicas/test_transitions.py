@@ -103,7 +103,7 @@ def test_a_channel_has_a_bounded_number_of_copies(log: Log, monkeypatch: pytest.
     assert (refused.reason, refused.metadata["channel"]) == ("INVALID_ARGUMENT", "cam")
 
 
-def test_what_a_removed_proxy_fed_is_fed_by_the_owner(log: Log) -> None:
+def test_the_copies_that_a_removed_proxy_fed_are_fed_by_the_owner(log: Log) -> None:
     channel_id = cam(log).channel_id
     added(log, add_replica(channel_id, 2))
     assert added(log, add_replica(channel_id, 3, source=2)).source_host_id == id_of(2)

@@ -166,7 +166,7 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
                 self.heard_second.set()
 
 
-async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() -> None:
+async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_one() -> None:
     peer = Peer()
     server, address = await served(lambda server: _pb_grpc.add_RaftServiceServicer_to_server(peer, server))
     # So little room that the first stream breaks with messages in its queue.

@@ -130,7 +130,7 @@ def test_what_more_than_half_of_all_voters_hold_is_right_whoever_leads(
     assert polled(ONE, answers, voters=voters).of_most("abcdef"[:voters])[1] == of_most
 
 
-def test_who_differs_from_the_leader_is_in_doubt_until_most_agree() -> None:
+def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() -> None:
     poll = polled(ONE, {"a": OTHER}, voters=2)
     assert poll.doubts == {"a": 7}
     poll.answered("b", (7, ONE), "ab")

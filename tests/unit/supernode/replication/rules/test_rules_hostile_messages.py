@@ -116,7 +116,7 @@ def test_who_is_locked_out_hears_strangers_until_it_follows_somebody_whom_it_kno
     assert "x" not in lone.node.peers
 
 
-def test_whom_a_stranger_names_is_a_stranger() -> None:
+def test_a_member_that_a_stranger_names_is_a_stranger() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
@@ -160,7 +160,7 @@ def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> N
     assert [type(message) for _, message in lone.receive("c", vote_request(2))] == [VoteReply]
 
 
-def test_what_a_stranger_refuses_disputes_nothing() -> None:
+def test_a_refusal_by_a_stranger_disputes_nothing() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)

@@ -108,7 +108,7 @@ def test_without_anything_new_the_last_snapshot_is_the_answer() -> None:
     assert alone.snapshot() is alone.snapshot()
 
 
-def test_what_waits_when_the_replica_closes_is_told_so() -> None:
+def test_waiting_requests_are_told_when_the_replica_closes() -> None:
     alone = Alone(MemoryStore())
     alone.ask()
     alone.replica.close()

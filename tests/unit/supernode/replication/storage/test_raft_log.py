@@ -66,7 +66,7 @@ def test_a_new_store_is_empty(reopen: Reopen) -> None:
     assert log.commit_index == 1
 
 
-def test_what_was_synced_survives_and_the_rest_does_not(reopen: Reopen) -> None:
+def test_synced_entries_survive_and_the_rest_does_not(reopen: Reopen) -> None:
     log = with_entries(reopen(), 3)
     log.set_term(4, "b")
     log.commit_index = 2

@@ -72,7 +72,7 @@ def test_while_it_is_decoded_the_leader_is_answered_and_need_not_send_it_again()
     assert (reply.success, reply.next_index) == (True, 11)
 
 
-def test_what_the_leader_has_sent_meanwhile_it_sends_again() -> None:
+def test_pieces_that_the_leader_has_sent_meanwhile_are_sent_again() -> None:
     slow = Slow()
     slow.receive_all()
     slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))

@@ -301,7 +301,7 @@ def test_a_database_without_term_and_entries_is_not_taken_for_a_new_one(tmp_path
     store.close()
 
 
-def test_what_others_have_promised_outlives_the_process(tmp_path: Path) -> None:
+def test_promises_of_others_outlive_the_process(tmp_path: Path) -> None:
     fill(tmp_path)
     log = RaftLog(open_store(tmp_path))
     log.note_promise("b", 3, 0)
