@@ -19,6 +19,7 @@ def name_of(rt: Any, host_id: bytes) -> str:
     return str(next(one.name for one in rt.hosts() if one.host_id == host_id))
 
 
+@pytest.mark.without_rules("it acts as an operator")
 def test_a_channel_with_replicas_does_not_move_and_its_replica_stays_in_sync(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
