@@ -23,6 +23,7 @@ from tests.support.cluster import cluster_fixture
 from tests.support.operator import Operator, operating
 from tests.support.raw_stream import RawStream, raw_stream
 
+pytestmark = pytest.mark.without_rules("it acts as an operator")
 cluster = cluster_fixture(hosts=1, supernodes=1, durable=False)
 NAME = "sockets/video"
 ITEMS, ITEM_BYTES = 20, 100_000
