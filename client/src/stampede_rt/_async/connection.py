@@ -19,6 +19,7 @@ from stampede_rt._async.peer_locator import PeerLocator
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._async.queue_locator import queue_state
+from stampede_rt._async.replay import ReplayedConnection
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt.cluster.embedding import HostHere
 from stampede_rt.cluster.tracing import span
@@ -41,7 +42,8 @@ from stampede_rt.values.model import Ack, OnFull
 from stampede_rt.values.peering import ClockOffset, PeerInfo
 from stampede_rt.values.policy import parse_name, parse_policy
 from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
-from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
+from stampede_rt.values.reading import parse_replay
+from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, InstantLike, parse_duration
 from stampede_rt.wire.groups import group_info, group_spec
 
 
@@ -222,6 +224,16 @@ class Connection(Files, Reference):
             response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         handles = member_handles(self._session, response, channels or ())
         return Group(GroupMembers(self._session, group_info(response.group), handles, create=channels is not None))
+
+    def replay(
+        self, start: InstantLike, end: InstantLike | None = None, *, speed: float = 1.0, step: bool = False
+    ) -> ReplayedConnection:
+        """Replay recorded channels from the instant `start` of their hosts' clocks, under a virtual clock.
+
+        Its clock moves only while the program waits: `speed` times as fast as real time, 0: without pauses; with
+        `step=True` only by `step`. `end`: the last instant; None: of the last change. Raises InvalidArgument.
+        """
+        return ReplayedConnection(self, self._session.check, *parse_replay(start, end, speed, step), step=step)
 
     async def cross_section(
         self,

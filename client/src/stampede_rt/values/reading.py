@@ -10,6 +10,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Item
 from stampede_rt.values.policy import flag_of, whole_number_of
 from stampede_rt.values.timeline import (
+    MAX_INSTANT,
     DurationLike,
     InstantLike,
     Interval,
@@ -98,6 +99,17 @@ def parse_within(within: str | None) -> bool:
 def parse_as_of(as_of: InstantLike | None) -> int | None:
     """Return `as_of` in nanoseconds; None for None. Raises InvalidArgument."""
     return None if as_of is None else parse_instant(as_of, "as_of")
+
+
+def parse_replay(start: InstantLike, end: InstantLike | None, speed: float, step: bool) -> tuple[int, int, float]:
+    """Return the first and the last instant of a replay, and its speed. Raises InvalidArgument."""
+    first, last = parse_instant(start, "start"), MAX_INSTANT if end is None else parse_instant(end, "end")
+    if last < first:
+        raise InvalidArgument(f"end is {end!r}, before the start {start!r}; a replay goes forward")
+    flag_of("step", step)
+    if isinstance(speed, bool) or not isinstance(speed, int | float) or not 0 <= speed < math.inf:
+        raise InvalidArgument(f"speed is {speed!r}; write a number such as 2.0, or 0 for no pauses")
+    return first, last, float(speed)
 
 
 def parse_staleness(max_staleness: DurationLike | None) -> int | None:

@@ -1,0 +1,149 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A replay under a virtual clock: a connection-like object that shows recorded channels as they were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, Protocol
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.cross_section import cross_section
+from stampede_rt._sync.group import Group
+from stampede_rt._sync.replayed_channel import ReplayedChannel
+from stampede_rt._sync.replayed_matches import ReplayedMatches
+from stampede_rt._sync.virtual_clock import VirtualClock
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.codecs import CodecLike
+from stampede_rt.values.grouping import (
+    CrossSection,
+    NamedChannel,
+    Over,
+    is_named_by,
+    parse_lateness,
+    parse_tolerance,
+    shown_name,
+)
+from stampede_rt.values.policy import flag_of
+from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
+
+
+class Opener(Protocol):
+    """A connection, which opens channels and groups."""
+
+    def channel(self, name: str, *, codec: CodecLike | None = None, create: bool = True) -> Channel:
+        """See `Connection.channel`."""
+
+    def group(self, name: str) -> Group:
+        """See `Connection.group`."""
+
+
+class ReplayedConnection:
+    """Recorded channels as they were, for programs that read them (see `Connection.replay`). A context manager.
+
+    The clock moves only when the program waits: in a read with a timeout, in a step of a subscription or of matches, in
+    `sleep`. Between two waits no virtual time passes. So a program with one thread gets the same answers in the same
+    order in each replay, at any speed.
+    """
+
+    def __init__(
+        self, opener: Opener, check: Callable[[], None], start: int, end: int, speed: float, *, step: bool
+    ) -> None:
+        self._connection = opener
+        self._end = end
+        self._clock = VirtualClock(start, speed, step, check)
+
+    def __repr__(self) -> str:
+        return f"<ReplayedConnection at {self.now}>"
+
+    def __enter__(self) -> ReplayedConnection:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Wake the calls that wait for the clock. The connection stays open."""
+        self._clock.close()
+
+    @property
+    def now(self) -> int:
+        """The instant of the virtual clock, in nanoseconds since the epoch."""
+        return self._clock.now
+
+    def sleep(self, duration: DurationLike) -> None:
+        """Wait until the virtual clock is later by `duration`."""
+        self._clock.reach(self.now + parse_duration(duration, "duration"))
+
+    def step(self, duration: DurationLike) -> int:
+        """Move the clock of a replay with `step=True` forward by `duration`, and return its instant.
+
+        The calls that wait for an instant up to then go on.
+        """
+        nanos = parse_duration(duration, "duration")
+        if nanos < 0:
+            raise InvalidArgument(f"duration is {duration!r}; a replay goes forward only")
+        self._clock.move(self.now + nanos)
+        return self.now
+
+    def channel(self, name: str, *, codec: CodecLike | None = None, **_: Any) -> ReplayedChannel:
+        """Get a recorded channel. Ignores the arguments that say how to create one. Raises ChannelNotFound."""
+        return self._replayed(self._connection.channel(name, codec=codec, create=False))
+
+    def _replayed(self, channel: Channel) -> ReplayedChannel:
+        return ReplayedChannel(channel, self._clock, self._end)
+
+    def group(self, name: str, *_: object, **__: object) -> ReplayedGroup:
+        """Get a group by its name, with its present members. Ignores the other arguments. Raises GroupNotFound."""
+        group = self._connection.group(name)
+        return ReplayedGroup(group.name, [self._replayed(one) for one in group.channels], self._clock)
+
+    def cross_section(
+        self,
+        reference: ReplayedChannel,
+        others: Sequence[ReplayedChannel],
+        at: BoundLike = NOW,
+        *,
+        over: Over = "start",
+        payloads: bool = True,
+    ) -> CrossSection[ReplayedChannel]:
+        """Return an item of `reference` with the items of `others` (see `Connection.cross_section`). Does not wait."""
+        return cross_section(reference, others, at, over=over, complete=False, payloads=payloads, timeout=0)
+
+
+class ReplayedGroup:
+    """A group under a virtual clock. It matches the items of its channels; it does not show them up to a cut."""
+
+    def __init__(self, name: str, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
+        self.name = name
+        self.channels = tuple(channels)
+        """The members, in the order in which they joined."""
+        self._clock = clock
+
+    def match(
+        self,
+        per: NamedChannel | str,
+        tolerance: DurationLike,
+        *,
+        lateness: DurationLike = "0s",
+        partial: bool = False,
+        payloads: bool = True,
+        **_: Any,
+    ) -> ReplayedMatches:
+        """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
+        if _.get("unique"):
+            raise InvalidArgument("a replay does not match with unique=True; leave it out")
+        found = next((one for one in self.channels if is_named_by(per, one)), None)
+        if found is None:
+            raise InvalidArgument(f"{shown_name(per)!r} is no member of the group {self.name!r}")
+        return ReplayedMatches(
+            self._clock,
+            self.channels,
+            found,
+            parse_tolerance(tolerance),
+            parse_lateness(lateness),
+            partial=flag_of("partial", partial),
+            payloads=flag_of("payloads", payloads),
+        )

@@ -1,0 +1,203 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A channel under a virtual clock: each read answers as of the clock's instant."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.reader import Reader
+from stampede_rt._sync.reads import read
+from stampede_rt._sync.virtual_clock import VirtualClock
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, VersionMismatch
+from stampede_rt.transports.concurrency_sync import StepLock
+from stampede_rt.values.model import Item, Items, PastState, Reason
+from stampede_rt.values.policy import flag_of
+from stampede_rt.values.reading import NO_WAIT, ReadQuery, SubscribeMode
+from stampede_rt.values.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    BoundLike,
+    Interval,
+    Match,
+    fixed,
+    parse_bound,
+    parse_interval,
+)
+
+_MAY_COME = (Reason.NOT_YET, Reason.LOST)  # with these reasons items may still come into the interval
+NEWEST_QUERY = ReadQuery(parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, limit=1, newest_first=True)
+
+
+class ReplayedChannel(Reader):
+    """A recorded channel as it was at the instant of a replay's clock. It reads like the channel, and cannot put.
+
+    A read that waits moves the clock to the instant at which the host would have answered it.
+    """
+
+    def __init__(self, channel: Channel, clock: VirtualClock, end: int) -> None:
+        super().__init__(channel._session, channel._state)
+        self._clock = clock
+        self.end = end
+        """The instant at which the replay ends."""
+
+    def newest(  # type: ignore[override]
+        self, after: Item | int | None = None, *, payloads: bool = True, timeout: float | None = 0, **_: Any
+    ) -> Item | None:
+        """Return the newest item, or None (see `Channel.newest`)."""
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
+
+    def _read(self, query: ReadQuery) -> Items:
+        wait, begun = query.wait, self._clock.now
+        query = replace(query, wait=NO_WAIT, max_staleness_nanos=None, least_seq=None, within_memory=False)
+        if query.as_of is not None:
+            return self.read_as_of(query, query.as_of)
+        deadline = MAX_INSTANT if wait.seconds is None else begun + wait.nanos
+        instant = begun
+        while True:
+            items = self.read_as_of(query, instant)
+            is_over = items.complete or (items and not query.complete) or items.reason not in _MAY_COME
+            if is_over or instant >= deadline:
+                self._clock.reach(instant)
+                return items
+            query = replace(query, interval=fixed(query.interval, items.interval))
+            following = self._wake_at(items, instant)
+            if following is None and deadline == MAX_INSTANT:
+                raise DeadlineExceeded(f"channel {self.name!r}: the replay has ended, and the read would wait for ever")
+            if following is None:
+                self._clock.reach(min(deadline, self.end))
+                return items
+            instant = min(following, deadline)
+
+    def _wake_at(self, items: Items, instant: int) -> int | None:
+        """Return the next instant at which the answer may change; None: there is none in the replay."""
+        found = [] if items.past is None or items.past.next_change is None else [items.past.next_change]
+        if items.interval is not None and items.interval.start >= instant:
+            found.append(items.interval.start + 1)
+        return min((one for one in found if instant < one <= self.end), default=None)
+
+    def read_as_of(self, query: ReadQuery, as_of: int) -> Items:
+        """Return the answer as of an instant. Raises VersionMismatch if the host does not know the past."""
+        items = read(self._session, self._state, replace(query, as_of=as_of))
+        if items.past is None:
+            raise VersionMismatch(f"the host of channel {self.name!r} knows no as_of; upgrade it")
+        return items
+
+    def subscribe(  # type: ignore[override]
+        self,
+        start: BoundLike | None = None,
+        mode: SubscribeMode = "all",
+        after: Item | None = None,
+        *,
+        payloads: bool = True,
+        **_: Any,
+    ) -> ReplayedSubscription:
+        """Subscribe from the clock's instant on (see `Channel.subscribe`). The iteration ends with the replay.
+
+        `mode` "all" only, and without `after`. Raises InvalidArgument.
+        """
+        if mode != "all" or after is not None:
+            raise InvalidArgument(
+                'a replayed subscription has mode="all" and no `after`; use start=, or newest(after=)'
+            )
+        bound = None if start is None else parse_bound(start, "start")
+        query = replace(NEWEST_QUERY, payloads=False)
+        if bound is not None:
+            interval = Interval(bound, parse_bound(MAX_INSTANT, "end"))
+            query = ReadQuery(interval, match=Match.START, payloads=flag_of("payloads", payloads))
+        return ReplayedSubscription(self, self._clock, query, holds=bound is not None, payloads=payloads)
+
+
+class ChangeFeed:
+    """The changes of a channel after an instant, one after the other, in the order of their acceptance."""
+
+    def __init__(self, channel: ReplayedChannel, past: PastState | None, *, payloads: bool) -> None:
+        self.channel = channel
+        self._past = past
+        self._payloads = payloads
+
+    @property
+    def next_change(self) -> int | None:
+        """The instant of the next change; None: there is none in the replay."""
+        following = None if self._past is None else self._past.next_change
+        return following if following is not None and following <= self.channel.end else None
+
+    @property
+    def advance(self) -> int | None:
+        """The highest advance as of the last change."""
+        return None if self._past is None else self._past.advance
+
+    def take(self) -> list[Item]:
+        """Return the items of the next change, in the order of their seqs; none if it is an advance."""
+        instant = self.next_change
+        assert instant is not None, "the caller has looked at next_change"
+        found = None if self._past is None else self._past.next_items
+        if found is None:
+            items = self.channel.read_as_of(replace(NEWEST_QUERY, payloads=False), instant)
+            self._past = items.past
+            return []
+        first_seq, start, end = found
+        query = ReadQuery(parse_interval(start, end), match=Match.START, payloads=self._payloads)
+        items = self.channel.read_as_of(query, instant)
+        self._past = items.past
+        return sorted((one for one in items if one.seq >= first_seq), key=lambda one: one.seq)
+
+
+class ReplayedSubscription:
+    """An iterator over the items of a replayed channel, in the order of their acceptance. A context manager.
+
+    Each step moves the clock to the instant at which the host accepted the item. The iteration ends with the replay.
+    """
+
+    def __init__(
+        self, channel: ReplayedChannel, clock: VirtualClock, held: ReadQuery, *, holds: bool, payloads: bool
+    ) -> None:
+        self._channel, self._clock, self._held, self._holds, self._payloads = channel, clock, held, holds, payloads
+        self._begun_at = clock.now
+        self._ready: deque[tuple[int, Item]] = deque()
+        self._feed: ChangeFeed | None = None
+        self._steps = StepLock()  # callers that step at the same time take turns
+        self._closed = False
+
+    def __enter__(self) -> ReplayedSubscription:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> ReplayedSubscription:
+        return self
+
+    def __next__(self) -> Item:
+        with self._steps:
+            while not self._closed:
+                if self._ready:
+                    instant, item = self._ready.popleft()
+                    self._clock.reach(instant)
+                    return item
+                if not self._fetch():
+                    break
+            raise StopIteration
+
+    def _fetch(self) -> bool:
+        """Fetch the next items. Return False at the end of the replay."""
+        if self._feed is None:
+            found = self._channel.read_as_of(self._held, self._begun_at)
+            self._feed = ChangeFeed(self._channel, found.past, payloads=self._payloads)
+            held = sorted(found, key=lambda one: one.seq) if self._holds else []
+            self._ready.extend((self._begun_at, one) for one in held)
+            return True
+        instant = self._feed.next_change
+        if instant is None:
+            return False
+        self._ready.extend([(instant, one) for one in self._feed.take()])
+        return True
+
+    def close(self) -> None:
+        """End the iteration."""
+        self._closed = True

@@ -1,0 +1,168 @@
+"""Replays of recorded channels under a virtual clock, at a real host."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+
+MS, SECOND = 10**6, 10**9
+FRAMES = 24
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    """One host with an archive."""
+    with LocalCluster(hosts=1, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
+        yield running
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address, secret=cluster.secret.text) as connection:
+        yield connection
+
+
+def depth(rt: Any, taken: list[str] | None = None) -> list[object]:
+    """The consumer of the stereo demo in short: pairs of both cameras, and frames without a partner."""
+    found: list[object] = []
+    with rt.group("stereo").match("eye/left", "4ms", partial=True) as matches:
+        if taken is not None:
+            taken.append("open")
+        for matched in islice(matches, FRAMES):
+            right = None if matched.missing else matched["eye/right"]
+            found.append((matched["eye/left"].payload, right and right.payload, right and right.seq, matched.time))
+        found.append((matches.unmatched, matches.dropped))
+    return found
+
+
+def film(left: st.Channel, right: st.Channel, began: int) -> None:
+    """Put the frames of both cameras: some of the right ones late, out of order, or never."""
+    for number in range(FRAMES):
+        at = began + number * 10 * MS
+        left.put(b"left %d" % number, time=at)
+        if number % 5 == 4:
+            right.put(b"right %d late" % (number - 1), time=at - 9 * MS)
+        if number % 7 != 6:
+            right.put(b"right %d" % number, time=at + (number % 3) * MS)
+        time.sleep(0.004)  # the pace of the cameras
+    for channel in (left, right):
+        channel.advance(began + SECOND)
+
+
+def test_ten_replays_at_three_speeds_give_a_consumer_what_it_got_live(rt: st.Connection) -> None:
+    left, right = (rt.channel(f"eye/{side}", max_age="60s", archive="7d") for side in ("left", "right"))
+    rt.group("stereo", [left, right])
+    start, taken, live = left.stats().host_time, [], []
+    consumer = threading.Thread(target=lambda: live.extend(depth(rt, taken)))
+    consumer.start()
+    while not taken:
+        time.sleep(0.01)
+    film(left, right, time.time_ns() - 2 * SECOND)
+    consumer.join(30)
+    assert len(live) == FRAMES + 1
+    for speed in (0, 0, 0, 0, 0, 4.0, 4.0, 4.0, 1.0, 1.0):
+        with rt.replay(start, speed=speed) as replay:
+            assert depth(replay) == live
+
+
+def test_blocking_reads_move_the_clock_to_the_instant_of_their_answer(rt: st.Connection) -> None:
+    channel, start = rt.channel("clock/reads", max_age="60s", archive="7d"), st.now() - SECOND
+    start = channel.stats().host_time
+    for number in range(5):
+        channel.put(b"%d" % number, time=start + number * MS)
+    instants = []
+    with rt.replay(start, speed=0) as replay:
+        seen, found = replay.channel("clock/reads"), []
+        assert seen.newest() is None
+        item = seen.newest(timeout=10)
+        while item is not None:
+            assert seen.newest() == item  # no time passes between two waits
+            found.append(item.payload)
+            instants.append(replay.now)
+            item = seen.newest(after=item, timeout=1)
+    assert found == [b"0", b"1", b"2", b"3", b"4"]
+    assert instants == sorted(instants)
+    assert [channel.newest(as_of=instant).payload for instant in instants] == found
+
+
+def test_a_subscription_gives_the_items_in_the_order_of_their_acceptance(rt: st.Connection) -> None:
+    channel, began = rt.channel("clock/items", max_age="60s", archive="7d"), st.now() - SECOND
+    channel.put(b"held", time=began)
+    start = channel.stats().host_time
+    for payload, at in ((b"a", 10), (b"c", 30), (b"late", 20), (b"d", 40)):
+        channel.put(payload, time=began + at * MS)
+    with rt.replay(start, speed=0) as replay:
+        seen = replay.channel("clock/items")
+        with seen.subscribe() as items:
+            assert [item.payload for item in items] == [b"a", b"c", b"late", b"d"]
+        assert [item.payload for item in seen.get(st.OLDEST, st.NOW)] == [b"held", b"a", b"late", b"c", b"d"]
+    with rt.replay(start, speed=0) as replay, replay.channel("clock/items").subscribe(start=began) as items:
+        assert [item.payload for item in items] == [b"held", b"a", b"c", b"late", b"d"]
+
+
+def test_a_clock_of_steps_moves_only_when_it_is_told_to(rt: st.Connection) -> None:
+    channel = rt.channel("clock/steps", max_age="60s", archive="7d")
+    start = channel.stats().host_time
+    channel.put(b"one")
+    end = channel.stats().host_time
+    with rt.replay(start, step=True) as replay:
+        seen, found = replay.channel("clock/steps"), []
+        reader = threading.Thread(target=lambda: found.append(seen.newest(timeout=10)))
+        reader.start()
+        assert seen.newest() is None
+        assert replay.now == start
+        replay.step(f"{end - start} ns")
+        reader.join(10)
+        assert [item.payload for item in found] == [b"one"]
+        assert replay.now == end
+
+
+def test_a_replay_ends_where_it_is_told_to(rt: st.Connection) -> None:
+    channel = rt.channel("clock/end", max_age="60s", archive="7d")
+    start = channel.stats().host_time
+    channel.put(b"one")
+    end = channel.stats().host_time
+    channel.put(b"two")
+    with rt.replay(start, end, speed=0) as replay:
+        seen = replay.channel("clock/end")
+        assert [item.payload for item in seen.subscribe()] == [b"one"]
+        assert seen.newest(after=seen.newest(), timeout=5) is None
+        with pytest.raises(st.DeadlineExceeded, match="the replay has ended"):
+            seen.newest(after=seen.newest(), timeout=None)
+        with pytest.raises(st.InvalidArgument, match="mode"):
+            replay.channel("clock/end").subscribe(mode="newest")
+
+
+@pytest.mark.parametrize("arguments", [{"speed": -1}, {"speed": "fast"}, {"end": 5}, {"step": 1}])
+def test_a_replay_with_wrong_arguments_is_refused(rt: st.Connection, arguments: dict[str, Any]) -> None:
+    with pytest.raises(st.InvalidArgument):
+        rt.replay(10, **arguments)
+
+
+def test_the_asyncio_client_replays_the_same(cluster: LocalCluster) -> None:
+    async def replayed() -> list[bytes]:
+        async with aio.connect(cluster.address, secret=cluster.secret.text) as rt:
+            channel = await rt.channel("clock/aio", max_age="60s", archive="7d")
+            start = (await channel.stats()).host_time
+            for number in range(3):
+                await channel.put(b"%d" % number)
+            found = []
+            async with rt.replay(start, speed=0) as replay:
+                seen = await replay.channel("clock/aio")
+                item = await seen.newest(timeout=5)
+                while item is not None:
+                    found.append(item.payload)
+                    item = await seen.newest(after=item, timeout=1)
+            return found
+
+    assert asyncio.run(replayed()) == [b"0", b"1", b"2"]
