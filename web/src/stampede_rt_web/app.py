@@ -20,6 +20,7 @@ from stampede_rt.escaping import escaped
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
 from stampede_rt_runtime.main import announce
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
 from stampede_rt_runtime.values import Address, parse_address_text
 from stampede_rt_web.guard import TOKEN_CHARACTERS_MIN, Guard
 from stampede_rt_web.site import Site
@@ -163,6 +164,7 @@ class _Server(uvicorn.Server):
     def stop(self) -> None:
         """Stop after the running requests, at most SHUTDOWN_SECONDS later."""
         self.should_exit = True
+        tell_systemd(STOPPING)
 
     def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]  # uvicorn's is a generator
         """Leave signals to the caller."""

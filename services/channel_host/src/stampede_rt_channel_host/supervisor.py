@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 
 from stampede_rt.escaping import escaped
 from stampede_rt_runtime.main import EXIT_FAILED
+from stampede_rt_runtime.supervision.systemd import READY, STOPPING, tell_systemd, without_supervisor
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +52,7 @@ class Supervisor:
         self._arguments = arguments
         self.stop_seconds_max = drain_seconds + STOP_SECONDS_MAX
         self._running: dict[int, Process] = {}  # by the number of the process
+        self._ready: frozenset[int] = frozenset()  # the processes that were ever ready
         self._stopping = asyncio.Event()
         self._exit_code = 0
 
@@ -97,7 +99,7 @@ class Supervisor:
                 extra={"event": "host_process_start_failed", "number": number, "why": str(error)},
             )
             return EXIT_FAILED, False
-        was_ready = await self._pass_on_lines(process)
+        was_ready = await self._pass_on_lines(number, process)
         status = await process.wait()
         del self._running[number]
         return status, was_ready
@@ -111,6 +113,7 @@ class Supervisor:
             stdin=PIPE,  # `parent_watch` reads it
             stdout=PIPE,
             start_new_session=True,  # only the supervisor gets Ctrl-C of the terminal
+            env=without_supervisor(),
         )
         logger.info(
             "started a host process", extra={"event": "host_process_started", "number": number, "pid": process.pid}
@@ -119,19 +122,25 @@ class Supervisor:
             _signal(process, signal.SIGTERM)
         return process
 
-    async def _pass_on_lines(self, process: Process) -> bool:
+    async def _pass_on_lines(self, number: int, process: Process) -> bool:
         """Print the lines that the process prints on stdout, until it ends. Returns whether there were any.
 
-        A host prints only its ready line.
+        A host prints only its ready line. With the first line of the last process, all are ready.
         """
         assert process.stdout is not None
         was_ready = False
         while line := await process.stdout.readline():
             was_ready = True
+            self._note_ready(number)
             with contextlib.suppress(OSError):  # nobody reads the supervisor's output any more; the hosts still serve
                 sys.stdout.write(escaped(line.decode(errors="replace").rstrip("\n")) + "\n")
                 sys.stdout.flush()
         return was_ready
+
+    def _note_ready(self, number: int) -> None:
+        before, self._ready = self._ready, self._ready | {number}
+        if len(before) < len(self._ready) == len(self._arguments):
+            tell_systemd(READY)
 
     async def _pause(self, number: int, status: int, pause_s: float) -> None:
         logger.warning(
@@ -152,6 +161,7 @@ class Supervisor:
     def _ask_to_stop(self) -> None:
         """Tell each process to stop. A second call tells them to end all calls at once."""
         self._stopping.set()
+        tell_systemd(STOPPING)
         for process in self._running.values():
             _signal(process, signal.SIGTERM)
             _signal(process, signal.SIGCONT)  # a frozen process gets no other signal

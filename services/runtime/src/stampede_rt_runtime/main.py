@@ -24,6 +24,7 @@ from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.logs import FORMATS, LEVELS, set_up_logging
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.supervision.systemd import READY, tell_systemd
 from stampede_rt_runtime.tls import ServiceTls, load_tls
 from stampede_rt_runtime.values import Address, parse_address, parse_address_text
 
@@ -212,6 +213,7 @@ def run_loop(work: Awaitable[R]) -> R:
 
 
 def announce(line: str) -> None:
-    """Print the ready line on stdout and flush it, because the process's starter waits for it."""
+    """Print the ready line on stdout and flush it, because the process's starter waits for it. Tell systemd, too."""
     sys.stdout.write(escaped(line) + "\n")
     sys.stdout.flush()
+    tell_systemd(READY)

@@ -27,6 +27,7 @@ from stampede_rt_runtime.pacing import PacingInterceptor
 from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.reflecting import describe_services, noting_names
 from stampede_rt_runtime.sockets.server import SocketServer
+from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.tracing import tracing_interceptors
 from stampede_rt_runtime.values import Address
@@ -151,6 +152,7 @@ class ServiceServer:
         with _signals_set(self.stopping):
             await self.stopping.wait()
         logger.info("stopping", extra={"event": "stopping", "address": self.address})
+        tell_systemd(STOPPING)
         hurry = asyncio.Event()
         with _signals_set(hurry):
             if leave is not None:

@@ -1,0 +1,1 @@
+"""Messages of a service to the supervisor that started it."""
