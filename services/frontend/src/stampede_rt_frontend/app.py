@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -69,7 +70,8 @@ async def serve(settings: FrontendSettings) -> None:
         async with serving_metrics(settings.metrics_address(), "frontend", server, metrics.collect):
             await server.start()
             await server.set_serving(True)
-            announce(f"stampede frontend ready on {address}")
+            # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
+            asyncio.get_running_loop().call_soon(announce, f"stampede frontend ready on {address}")
             await server.run()
 
 
