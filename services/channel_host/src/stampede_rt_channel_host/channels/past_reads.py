@@ -53,8 +53,8 @@ class PastReader:
         self._recorder = recorder
         self._channel = channel
 
-    async def read(self, query: Query, as_of: int, cut: int | None, scheduler: PieceScheduler) -> PastAnswer:
-        """Read as of an instant of the host's clock that has passed, only items before `cut` if it is set.
+    async def read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
+        """Read as of an instant of the host's clock that has passed.
 
         First waits until the archive has all items that the host had accepted by then. Raises Unavailable if that takes
         more than ARCHIVED_WITHIN_SECONDS, or if the archive cannot be read.

@@ -18,7 +18,7 @@ async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[
     recording, query = get.hosted.recording, get.plan.query
     assert recording is not None, "the channel is recorded"
     if get.plan.as_of is not None:
-        found = await recording.past_reader().read(query, get.plan.as_of, get.plan.cut, scheduler)
+        found = await recording.past_reader().read(query, get.plan.as_of, scheduler)
         get.continues, get.past = found.continues, found.summary
         return found.answer
     within = None if get.pending is None else get.pending.interval

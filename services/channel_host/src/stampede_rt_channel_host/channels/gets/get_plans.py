@@ -27,7 +27,7 @@ class GetPlan:
 
     `wait_nanos`: 0 means that the get may not wait; below 0 means that it may wait without limit. `group`: the group
     through which the get reads, if any. `demand`: the read's demands on a copy; None: it accepts none.
-    `as_of`: answer as at this instant; then only with the items before `cut`, if it is set.
+    `as_of`: answer as at this instant.
     """
 
     channel_id: bytes
@@ -39,7 +39,6 @@ class GetPlan:
     group: GroupReadParams | None = None
     within_memory: bool = False
     as_of: int | None = None
-    cut: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,6 @@ class GetPlans:
 
 
 def _plan(request: pb.GetRequest) -> GetPlan:
-    has_past = request.HasField("as_of_unix_nano")
     return GetPlan(
         channel_id=request.channel_id,
         epoch=request.epoch,
@@ -99,8 +97,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
         demand=demand_of(request),
         group=group_of(request),
         within_memory=request.within_memory,
-        as_of=request.as_of_unix_nano if has_past else None,
-        cut=request.cut_unix_nano if has_past and request.HasField("cut_unix_nano") else None,
+        as_of=request.as_of_unix_nano if request.HasField("as_of_unix_nano") else None,
     )
 
 
