@@ -226,5 +226,6 @@ def test_top_is_sorted_paused_filtered_and_ended_by_keys(rt: st.Connection, term
 def test_top_fits_a_narrow_terminal(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("top/one").put(b"x")
     screen = terminal("top", "top/*", "--every", "0.1", "--count", "1", columns=50)
-    assert "top/one" in screen.text
-    assert max(map(len, screen.lines)) <= 50 * 2  # erased lines may leave spaces
+    assert "ITEMS/S" in screen.text
+    assert "REFUSED/S" not in screen.text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in screen.text

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from stampede_rt import Connection
 
 HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S")
+NARROW_HEADS = ("ITEMS/S", "IN/S", "AGE")
+WIDE_COLUMNS = 84  # a narrower terminal shows NARROW_HEADS alone
 KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
 _ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
 
@@ -153,17 +155,19 @@ def _table(before: Look, after: Look, view: View, console: Any) -> Any:
         title=Text(f"{len(rows)} channels, {state}{escaped(filtered)}"), caption=Text(KEYS), expand=True, box=None
     )
     table.add_column("CHANNEL", ratio=1, no_wrap=True, min_width=12)
-    for name in HEADS:
+    heads = HEADS if console.size.width >= WIDE_COLUMNS else NARROW_HEADS
+    for name in heads:
         table.add_column(name, justify="right", no_wrap=True)
     for row in shown:
-        table.add_row(*map(Text, _cells(row)))
+        cells = dict(zip(HEADS, _cells(row), strict=True))
+        table.add_row(Text(escaped(row.channel)), *(Text(cells[name]) for name in heads))
     return table
 
 
 def _cells(row: ChannelRates) -> tuple[str, ...]:
     age = "-" if row.age_nanos is None else format_duration(round(row.age_nanos, -6))
     return (
-        escaped(row.channel), escaped(row.host), f"{row.items:.1f}", bytes_text(row.bytes_in),
+        escaped(row.host), f"{row.items:.1f}", bytes_text(row.bytes_in),
         bytes_text(row.bytes_out), age, str(row.lag_items) if row.lag_items else "-", str(row.held),
         str(row.subscriptions), f"{row.refused:.1f}" if row.refused else "-",
     )  # fmt: skip
