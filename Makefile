@@ -6,6 +6,7 @@ PYTHON ?= python3
 UV_VERSION := 0.13.8
 UV := .tools/bin/uv
 TWINE_VERSION := 7.0.0
+MKDOCS := --from mkdocs==1.6.1 --with mkdocs-material==9.8.1 --with mkdocstrings==1.0.8 --with mkdocstrings-python==2.0.11
 RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
@@ -21,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels bench bench-docs bench-moves kill-moves clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels docs bench bench-docs bench-moves kill-moves clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -114,6 +115,10 @@ wheels: setup  ## wheels and source archives of all distributions, in out/wheels
 	rm -rf out/wheels
 	$(UV) build --quiet --all-packages --out-dir out/wheels
 	$(UV) tool run --quiet --from twine==$(TWINE_VERSION) twine check --strict out/wheels/*.whl out/wheels/*.tar.gz
+
+docs: setup  ## the site of the documentation, in out/site; see it with: python3 -m http.server -d out/site
+	$(RUN)/python tools/docs_site.py
+	NO_MKDOCS_2_WARNING=1 $(UV) tool run --quiet $(MKDOCS) mkdocs build --quiet --strict
 
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
