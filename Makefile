@@ -40,8 +40,9 @@ $(UV):
 demo: setup  ## the TV watcher: a real film through a real cluster, with a picture at the end
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
 
-demos: setup  ## all demos, each with client tokens and rules of access, and with certificates and rules
+demos: setup  ## all demos; the TV watcher and stereo with client tokens and rules of access, and with certificates and rules
 	for name in tv-watcher stereo; do for with in "" --certificates; do $(RUN)/stampede demo $$name $$with; done; done
+	$(RUN)/stampede demo rover
 
 test: setup  ## the whole test suite
 	$(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder

@@ -19,6 +19,7 @@ SECONDS_DEFAULT = 20
 
 DEMOS = {
     "tv-watcher": "a film's video, sound and captions, analysed and watched in step (paper, section 5)",
+    "rover": "cameras in the rover's own process, a planner that joins, a killed host (paper, section 5: LAGR)",
     "stereo": "two cameras paired by time, depth from every pair, a planner and a mapper (paper, section 5: LAGR)",
 }
 
@@ -47,13 +48,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = TerminalParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
     demos = parser.add_subparsers(dest="demo", metavar="NAME")
-    for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo)):
+    for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo), ("rover", _rover)):
         demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)
         demo.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="length of the run (default: 20)")
         demo.add_argument("--picture", type=Path, metavar="PATH", help="the file for a picture of the run (PNG)")
-        demo.add_argument(
-            "--certificates", action="store_true", help="encrypt all traffic; the roles have certificates, not tokens"
-        )
+        if name != "rover":
+            demo.add_argument(
+                "--certificates",
+                action="store_true",
+                help="encrypt all traffic; the roles have certificates, not tokens",
+            )
         demo.set_defaults(run=run)
     return parser
 
@@ -71,6 +75,13 @@ def _stereo(arguments: argparse.Namespace) -> int:
     from stampede_rt_demos.stereo.app import run
 
     return run(seconds=arguments.seconds, picture=arguments.picture, certificates=arguments.certificates)
+
+
+def _rover(arguments: argparse.Namespace) -> int:
+    require_libraries()
+    from stampede_rt_demos.rover.app import run
+
+    return run(seconds=arguments.seconds, picture=arguments.picture)
 
 
 def _seconds(text: str) -> int:

@@ -74,17 +74,16 @@ def put_here(
 def read_here(session: Session, state: ChannelState, query: ReadQuery) -> Items | None:
     """Return the answer to a read, see `Reader.get`."""
     here = session.here
-    if here is None or query.as_of is not None or query.max_staleness_nanos is not None or query.least_seq is not None:
-        return None
-    binding = _binding_here(session, state, here)
-    if binding is None:
+    may_differ = query.as_of is not None or query.max_staleness_nanos is not None or query.least_seq is not None
+    binding = None if here is None or may_differ else _binding_here(session, state, here)
+    if here is None or binding is None:
         return None
     wait_s = query.wait.seconds
     try:
         answer = here.read_now(binding.subject_id, binding.epoch, query) if wait_s == 0 else None
         if answer is None:
-            future = here.read(binding.subject_id, binding.epoch, query)
-            answer = result_of(future, None if wait_s is None else wait_s + CALL_TIMEOUT_S)
+            limit_s = None if wait_s is None else wait_s + CALL_TIMEOUT_S
+            answer = result_of(here.read(binding.subject_id, binding.epoch, query), limit_s)
     except (StampedeError, TimeoutError):
         return None
     return None if answer is None else _items(state, query, answer)

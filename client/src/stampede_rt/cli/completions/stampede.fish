@@ -709,7 +709,7 @@ complete -c stampede -n '_shtab_stampede_using certs show' -s h -l help -d 'show
 complete -c stampede -n '_shtab_stampede_using certs show; and test $_shtab_stampede_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d FILE
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a demo -d 'Demonstrations on real media, through a real cluster on this machine:'
 complete -c stampede -n '_shtab_stampede_using demo' -s h -l help -d 'show this help message and exit'
-complete -c stampede -n '_shtab_stampede_using demo; and test $_shtab_stampede_npos -ge 0' -ka "tv-watcher stereo" -d NAME
+complete -c stampede -n '_shtab_stampede_using demo; and test $_shtab_stampede_npos -ge 0' -ka "tv-watcher stereo rover" -d NAME
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a bench -d 'Benchmarks of Stampede RT and of similar software.'
 complete -c stampede -n '_shtab_stampede_using bench' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using bench; and test $_shtab_stampede_npos -eq 0' -a paper -d 'The figures of the paper, measured on this machine:'

@@ -485,7 +485,7 @@ _shtab_stampede_context_use_defaults_added=0
 
 _shtab_stampede_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  ":NAME:(tv-watcher stereo)"
+  ":NAME:(tv-watcher stereo rover)"
 )
 
 # guard to ensure default positional specs are added only once per session

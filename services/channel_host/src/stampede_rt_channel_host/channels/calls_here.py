@@ -84,14 +84,13 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
         hosted = find_here(store, channel_id, epoch)
     except StampedeError:
         return None
-    if hosted is None or (hosted.due is not None and hosted.due <= store.now()):
-        return None
-    part = next(iter(hosted.channel.newest_slices()), None)
-    if part is None or not isinstance(part.run.body, ReferencedBody):
+    is_due = hosted is None or (hosted.due is not None and hosted.due <= store.now())
+    part = None if hosted is None or is_due else next(iter(hosted.channel.newest_slices()), None)
+    if hosted is None or part is None or not isinstance(part.run.body, ReferencedBody):
         return None
     hosted.count_delivered(1, part.payload_bytes)
-    runs = (_run(DeliveredSlice(part, None), payloads=True),)
-    return AnswerHere(runs, None, False, False, False, None, hosted.channel.incarnation)
+    run = _run(DeliveredSlice(part, None), payloads=True)
+    return AnswerHere((run,), None, False, False, False, None, hosted.channel.incarnation)
 
 
 def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, tell: Told) -> WaitingGet | None:

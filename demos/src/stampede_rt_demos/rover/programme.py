@@ -1,0 +1,24 @@
+"""The plan of the rover demo: who takes part, and when the hosts are drained and killed. Pure."""
+
+from __future__ import annotations
+
+RIG = "rig"
+"""The rover's own process: a host with the channels of both cameras, and a peer with a mailbox."""
+SECONDS_MIN = 16
+"""A lost host stops its channels for its lease, about 6 s; the rest of the run must be long enough to go on."""
+STREAM_MAX_AGE = "60s"
+CATCH_UP_SECONDS = 10
+"""The consumers listen, and the rover stays, for this time after the last frame is due, because frames may be late."""
+
+PLANNER_JOINS = 0.2
+DRAIN = 0.3
+KILL = 0.45
+"""The moments of the run, as shares of its length."""
+
+EVERY = 3
+"""The rover's cameras take every third frame of the film, so that they catch up soon after the outage."""
+
+
+def is_taken(number: int) -> bool:
+    """Whether the rover's cameras take the frame of this number."""
+    return number % EVERY == 0
