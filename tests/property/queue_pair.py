@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.copies.queue_messages import ArrivingQueue, parts_of
 from stampede_rt_channel_host.core.queue import (
     Acknowledge,
     Batch,
@@ -166,8 +168,11 @@ class QueuePair:
             self.leave(0, drain=False)
         while self.waiting:
             self.withdraw(0)
-        limits, state = limits_of(self.oracle.setup), self.core.export(self.clock)
-        self.core = QueueCore.restore(limits, state, self.clock, incarnation=7)
+        arriving = ArrivingQueue()
+        for part in parts_of(self.core.export(self.clock)):
+            arriving.add(pb.HandOverQueueResponse.FromString(part.SerializeToString()))
+        limits = limits_of(self.oracle.setup)
+        self.core = QueueCore.restore(limits, arriving.state(), self.clock, incarnation=7)
         self.check()
 
     def tick(self, nanos: int) -> None:

@@ -65,7 +65,7 @@ def adopt(rig: Rig, channels: int) -> None:
     """Serve channels and queues without asking the directory."""
     for number in range(channels):
         rig.host.store.adopt(channel(number))
-        rig.host.queues._adopt(queue(number))
+        rig.host.queues.adopt(queue(number))
 
 
 def channel(number: int, epoch: int = 1) -> RecordedChannel:

@@ -9,14 +9,25 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import QueueNotFound
+from stampede_rt.errors import QueueNotFound, error_for
 from stampede_rt.status import abort
-from stampede_rt.v1 import directory_pb2, directory_service_pb2, queue_directory_service_pb2_grpc, queue_pb2
+from stampede_rt.v1 import (
+    directory_pb2,
+    directory_service_pb2,
+    migration_directory_service_pb2_grpc,
+    queue_directory_service_pb2_grpc,
+    queue_pb2,
+)
+from stampede_rt.v1 import migration_directory_service_pb2 as moves_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from tests.support.channel_host.fake_directory import FakeDirectory
 
 
-class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
+class FakeQueueDirectory(
+    FakeDirectory,
+    queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer,
+    migration_directory_service_pb2_grpc.MigrationDirectoryServiceServicer,
+):
     """A fake directory with `queues` by id.
 
     A host gets its own queues when it registers; `tell` reports changes to watchers.
@@ -30,6 +41,7 @@ class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDi
     def register(self, server: grpc.aio.Server) -> None:
         super().register(server)
         queue_directory_service_pb2_grpc.add_QueueDirectoryServiceServicer_to_server(self, server)
+        migration_directory_service_pb2_grpc.add_MigrationDirectoryServiceServicer_to_server(self, server)
 
     def add_queue(self, name: str, host_id: bytes, **spec: Any) -> queue_pb2.QueueRecord:
         record = queue_pb2.QueueRecord(
@@ -56,6 +68,15 @@ class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDi
             await abort(context, QueueNotFound(f"there is no queue with the id {request.queue_id.hex()}"))
         assert record is not None
         return pb.ResolveQueueResponse(queue=record, host=self.hosts.get(record.host_id))
+
+    async def CommitQueueMove(self, request: Any, context: Any) -> moves_pb.CommitQueueMoveResponse:  # noqa: N802
+        await self._begin("CommitQueueMove", context)
+        record = self.queues[request.queue_id]
+        if (record.host_id, record.epoch) != (request.to_host_id, request.epoch + 1):
+            if record.epoch != request.epoch:
+                await abort(context, error_for("WRONG_EPOCH", f"the queue is at epoch {record.epoch}"))
+            record.host_id, record.epoch = request.to_host_id, record.epoch + 1
+        return moves_pb.CommitQueueMoveResponse(queue=record)
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_service_pb2.WatchResponse]:  # noqa: N802
         if not request.include_queues:  # another part of the host watches other things

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Moves channels to other hosts, while they are in use (paper, sections 4.1 and 4.2)."""
+"""Moves channels and queues to other hosts, while they are in use (paper, sections 4.1 and 4.2)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.reader import Reader
-from stampede_rt.errors import HostNotFound
+from stampede_rt.errors import HostNotFound, QueueNotFound
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
@@ -21,7 +21,7 @@ ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeo
 
 
 class Moves(Proxies):
-    """Moves of channels, by the channel's name or handle. The methods raise ChannelNotFound, Unavailable."""
+    """Moves of channels, by the channel's name or handle, and of queues. All raise ChannelNotFound, Unavailable."""
 
     def move(self, channel: str | Reader, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> MoveInfo:
         """Move a channel to another host, while it is in use. Its items, producers and readers go with it.
@@ -35,19 +35,33 @@ class Moves(Proxies):
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
         state = self._state(channel)
+        answer = self._move_here(pb.MoveHereRequest(channel_id=state.info.channel_id), host, deadline_s)
+        return _info(state.info.name, host, answer)
+
+    def move_queue(self, queue: str, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> MoveInfo:
+        """Move the queue of that name to another host, while it is in use. Its messages, leases and retries go with it.
+
+        Returns when the new host serves the queue; blocks for `timeout` at most. Calls and streams of the queue wait
+        meanwhile, because the whole queue moves at once. Takers keep their leases, and settle at the new host. If the
+        queue is at that host already, the call returns at once. Raises QueueNotFound, HostNotFound, PermissionDenied
+        without the right to configure the queue, Overloaded if 8 queues move from or to one host, Unavailable if the
+        queue does not arrive within 5 s, and DeadlineExceeded (the move goes on then).
+        """
+        deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
+        found = next((one for one in self.queues(queue) if one.name == queue), None)
+        if found is None:
+            raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists them")
+        answer = self._move_here(pb.MoveHereRequest(queue_id=found.queue_id), host, deadline_s)
+        return _info(queue, host, answer)
+
+    def _move_here(self, request: pb.MoveHereRequest, host: str, deadline_s: float) -> pb.MoveHereResponse:
         hosts = {one.name: one for one in self.hosts()}
         if host not in hosts or not hosts[host].endpoints:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
         endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
-        request = pb.MoveHereRequest(channel_id=state.info.channel_id)
-        answer = endpoint.call(endpoint.moves.MoveHere, request, max(deadline_s - monotonic_s(), 0.1))
-        return MoveInfo(
-            channel=state.info.name,
-            host=host,
-            held=answer.held,
-            held_bytes=answer.held_bytes,
-            blackout_nanos=answer.blackout_nanos,
-        )
+        left_s = max(deadline_s - monotonic_s(), 0.1)
+        answer: pb.MoveHereResponse = endpoint.call(endpoint.moves.MoveHere, request, left_s)
+        return answer
 
     def rebalance(self, *, apply: bool = False, over: DurationLike = "2s") -> list[PlannedMove]:
         """Plan moves that even out the loads of the hosts. With `apply` also perform them, one after the other.
@@ -83,10 +97,10 @@ class Moves(Proxies):
         return rates
 
     def drain(self, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> DrainInfo:
-        """Move all channels of a host to other hosts, while they are in use. For operators.
+        """Move all channels, queues and mailboxes of a host to other hosts, while they are in use. For operators.
 
         Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most
-        60 s, with the channels that have not moved and why. Queues and mailboxes stay. The host goes on to serve, and
+        60 s, with those that have not moved and why. The host goes on to serve, and
         may get other channels. Raises HostNotFound, PermissionDenied, Unavailable.
         """
         nanos = parse_duration(timeout, "timeout")
@@ -98,6 +112,16 @@ class Moves(Proxies):
         answer = endpoint.call(endpoint.moves.DrainHost, request, nanos / 1e9 + ANSWER_S)
         left = {one.name: one.reason for one in answer.left}
         return DrainInfo(host=host, moved=answer.moved, left=left, left_count=answer.left_count)
+
+
+def _info(name: str, host: str, answer: pb.MoveHereResponse) -> MoveInfo:
+    return MoveInfo(
+        channel=name,
+        host=host,
+        held=answer.held,
+        held_bytes=answer.held_bytes,
+        blackout_nanos=answer.blackout_nanos,
+    )
 
 
 def _work(stats: ChannelStats) -> float:

@@ -1,4 +1,4 @@
-"""`stampede move` and `stampede rebalance`: give channels to other hosts, while they are in use."""
+"""`stampede move` and `stampede rebalance`: give channels and queues to other hosts, while they are in use."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from stampede_rt.values.timeline import format_duration
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
-    move = add_verb(subparsers, "move", "move a channel to another host, while it is in use", run_move)
-    move.add_argument("channel", help="the channel's name")
+    move = add_verb(subparsers, "move", "move a channel or queue to another host, while it is in use", run_move)
+    move.add_argument("channel", help="the channel's name, or with --queue the queue's")
+    move.add_argument("--queue", action="store_true", help="move the queue of that name")
     move.add_argument("host", metavar="HOST", help="the host that becomes the owner")
     text = "show moves that would even out the loads of the hosts; with --apply perform them"
     rebalance = add_verb(subparsers, "rebalance", text, run_rebalance)
@@ -24,9 +25,10 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_move(arguments: argparse.Namespace) -> int:
-    """Move a channel."""
+    """Move a channel or queue."""
     with connected(arguments) as rt:
-        moved = rt.move(arguments.channel, arguments.host)
+        move = rt.move_queue if arguments.queue else rt.move
+        moved = move(arguments.channel, arguments.host)
     print_facts(move_row(moved, arguments.output), arguments.output)
     return 0
 

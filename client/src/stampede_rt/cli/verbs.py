@@ -6,7 +6,7 @@ VERBS = {
     "ls": ("discovery", "list channels"),
     "info": ("discovery", "print a channel's policy and counters"),
     "hosts": ("hosts", "list hosts, with their channels and loads"),
-    "move": ("move", "move a channel to another host, while it is in use"),
+    "move": ("move", "move a channel or queue to another host, while it is in use"),
     "rebalance": ("move", "show moves that would even out the loads of the hosts; with --apply perform them"),
     "put": ("putting", "put items; creates an absent channel"),
     "rm": ("changing", "delete channels with all their items, for everyone"),

@@ -1,4 +1,5 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from collections.abc import Mapping as _Mapping
@@ -19,6 +20,26 @@ class CommitMoveRequest(_message.Message):
     to_host_id: bytes
     to_boot_incarnation: int
     def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+
+class CommitQueueMoveRequest(_message.Message):
+    __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    queue_id: bytes
+    epoch: int
+    to_host_id: bytes
+    to_boot_incarnation: int
+    def __init__(self, request_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+
+class CommitQueueMoveResponse(_message.Message):
+    __slots__ = ("queue",)
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
+    queue: _queue_pb2.QueueRecord
+    def __init__(self, queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ...) -> None: ...
 
 class CommitMoveResponse(_message.Message):
     __slots__ = ("channel",)

@@ -40,6 +40,11 @@ class MigrationDirectoryServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
                 _registered_method=True)
+        self.CommitQueueMove = channel.unary_unary(
+                '/stampede_rt.v1.MigrationDirectoryService/CommitQueueMove',
+                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveResponse.FromString,
+                _registered_method=True)
 
 
 class MigrationDirectoryServiceServicer(object):
@@ -59,6 +64,17 @@ class MigrationDirectoryServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def CommitQueueMove(self, request, context):
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
+        the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+        owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+        heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -66,6 +82,11 @@ def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
                     servicer.CommitMove,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.SerializeToString,
+            ),
+            'CommitQueueMove': grpc.unary_unary_rpc_method_handler(
+                    servicer.CommitQueueMove,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -96,6 +117,33 @@ class MigrationDirectoryService(object):
             '/stampede_rt.v1.MigrationDirectoryService/CommitMove',
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CommitQueueMove(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationDirectoryService/CommitQueueMove',
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveResponse.FromString,
             options,
             channel_credentials,
             insecure,

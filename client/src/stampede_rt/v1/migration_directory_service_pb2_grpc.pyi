@@ -42,6 +42,13 @@ class MigrationDirectoryServiceStub:
     and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
+    CommitQueueMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
+    the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+    owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+    heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    """
 
 @_typing.type_check_only
 class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
@@ -56,6 +63,13 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
     and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    """
+    CommitQueueMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]  # type: ignore[assignment]
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
+    the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+    owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+    heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
 
 class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -74,6 +88,19 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
         and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
+    def CommitQueueMove(
+        self,
+        request: _migration_directory_service_pb2.CommitQueueMoveRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_directory_service_pb2.CommitQueueMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitQueueMoveResponse]]:
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
+        the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
+        owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+        heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer: MigrationDirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

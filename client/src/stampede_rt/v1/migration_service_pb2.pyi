@@ -1,4 +1,7 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import queue_pb2 as _queue_pb2
+from stampede_rt.v1 import replica_service_pb2 as _replica_service_pb2
+from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -32,19 +35,153 @@ class ChannelNotMoved(_message.Message):
     def __init__(self, name: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class MoveHereRequest(_message.Message):
-    __slots__ = ("channel_id",)
+    __slots__ = ("channel_id", "queue_id")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
-    def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
+    queue_id: bytes
+    def __init__(self, channel_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ...) -> None: ...
 
 class MoveHereResponse(_message.Message):
-    __slots__ = ("channel", "held", "held_bytes", "blackout_nanos")
+    __slots__ = ("channel", "queue", "held", "held_bytes", "blackout_nanos")
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
     BLACKOUT_NANOS_FIELD_NUMBER: _ClassVar[int]
     channel: _channel_pb2.ChannelRecord
+    queue: _queue_pb2.QueueRecord
     held: int
     held_bytes: int
     blackout_nanos: int
-    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., held: _Optional[int] = ..., held_bytes: _Optional[int] = ..., blackout_nanos: _Optional[int] = ...) -> None: ...
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., held: _Optional[int] = ..., held_bytes: _Optional[int] = ..., blackout_nanos: _Optional[int] = ...) -> None: ...
+
+class HandOverQueueRequest(_message.Message):
+    __slots__ = ("open", "committed_epoch")
+    OPEN_FIELD_NUMBER: _ClassVar[int]
+    COMMITTED_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    open: HandOverQueueOpen
+    committed_epoch: int
+    def __init__(self, open: _Optional[_Union[HandOverQueueOpen, _Mapping]] = ..., committed_epoch: _Optional[int] = ...) -> None: ...
+
+class HandOverQueueOpen(_message.Message):
+    __slots__ = ("queue_id", "epoch", "host_id")
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    queue_id: bytes
+    epoch: int
+    host_id: bytes
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ...) -> None: ...
+
+class HandOverQueueResponse(_message.Message):
+    __slots__ = ("facts", "runs", "more_body", "held", "messages", "acknowledged", "producers", "message_ids", "ends")
+    FACTS_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    MORE_BODY_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
+    MESSAGES_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
+    PRODUCERS_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_IDS_FIELD_NUMBER: _ClassVar[int]
+    ENDS_FIELD_NUMBER: _ClassVar[int]
+    facts: HandedQueueFacts
+    runs: _containers.RepeatedCompositeFieldContainer[HandedRun]
+    more_body: bytes
+    held: _containers.RepeatedCompositeFieldContainer[_subject_pb2.SeqRange]
+    messages: _containers.RepeatedCompositeFieldContainer[HandedMessage]
+    acknowledged: _containers.RepeatedCompositeFieldContainer[HandedAcknowledgement]
+    producers: _containers.RepeatedCompositeFieldContainer[_replica_service_pb2.FedProducer]
+    message_ids: _containers.RepeatedCompositeFieldContainer[HandedMessageId]
+    ends: bool
+    def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ...) -> None: ...
+
+class HandedQueueFacts(_message.Message):
+    __slots__ = ("next_seq", "next_delivery_id", "counters")
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    NEXT_DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
+    COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    next_seq: int
+    next_delivery_id: int
+    counters: _queue_pb2.QueueCounters
+    def __init__(self, next_seq: _Optional[int] = ..., next_delivery_id: _Optional[int] = ..., counters: _Optional[_Union[_queue_pb2.QueueCounters, _Mapping]] = ...) -> None: ...
+
+class HandedRun(_message.Message):
+    __slots__ = ("first_seq", "length_bytes", "accepted_ago_nanos", "body")
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_BYTES_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    first_seq: int
+    length_bytes: _containers.RepeatedScalarFieldContainer[int]
+    accepted_ago_nanos: int
+    body: bytes
+    def __init__(self, first_seq: _Optional[int] = ..., length_bytes: _Optional[_Iterable[int]] = ..., accepted_ago_nanos: _Optional[int] = ..., body: _Optional[bytes] = ...) -> None: ...
+
+class HandedMessage(_message.Message):
+    __slots__ = ("seq", "deliveries", "acknowledged", "leases", "delay_nanos", "is_leaving", "last")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
+    LEASES_FIELD_NUMBER: _ClassVar[int]
+    DELAY_NANOS_FIELD_NUMBER: _ClassVar[int]
+    IS_LEAVING_FIELD_NUMBER: _ClassVar[int]
+    LAST_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    deliveries: _containers.RepeatedScalarFieldContainer[int]
+    acknowledged: _containers.RepeatedScalarFieldContainer[int]
+    leases: _containers.RepeatedCompositeFieldContainer[HandedLease]
+    delay_nanos: int
+    is_leaving: bool
+    last: HandedFailure
+    def __init__(self, seq: _Optional[int] = ..., deliveries: _Optional[_Iterable[int]] = ..., acknowledged: _Optional[_Iterable[int]] = ..., leases: _Optional[_Iterable[_Union[HandedLease, _Mapping]]] = ..., delay_nanos: _Optional[int] = ..., is_leaving: bool = ..., last: _Optional[_Union[HandedFailure, _Mapping]] = ...) -> None: ...
+
+class HandedLease(_message.Message):
+    __slots__ = ("delivery_id", "taker_id", "taker_name", "lease_nanos", "leased_ago_nanos")
+    DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
+    LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    LEASED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    delivery_id: int
+    taker_id: int
+    taker_name: str
+    lease_nanos: int
+    leased_ago_nanos: int
+    def __init__(self, delivery_id: _Optional[int] = ..., taker_id: _Optional[int] = ..., taker_name: _Optional[str] = ..., lease_nanos: _Optional[int] = ..., leased_ago_nanos: _Optional[int] = ...) -> None: ...
+
+class HandedFailure(_message.Message):
+    __slots__ = ("number", "taker_id", "taker_name", "ended", "reason")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    TAKER_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    taker_id: int
+    taker_name: str
+    ended: str
+    reason: str
+    def __init__(self, number: _Optional[int] = ..., taker_id: _Optional[int] = ..., taker_name: _Optional[str] = ..., ended: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class HandedAcknowledgement(_message.Message):
+    __slots__ = ("delivery_id", "taker_id", "ago_nanos")
+    DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_ID_FIELD_NUMBER: _ClassVar[int]
+    AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    delivery_id: int
+    taker_id: int
+    ago_nanos: int
+    def __init__(self, delivery_id: _Optional[int] = ..., taker_id: _Optional[int] = ..., ago_nanos: _Optional[int] = ...) -> None: ...
+
+class HandedMessageId(_message.Message):
+    __slots__ = ("message_id", "seq", "ago_nanos", "owner")
+    MESSAGE_ID_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
+    message_id: str
+    seq: int
+    ago_nanos: int
+    owner: str
+    def __init__(self, message_id: _Optional[str] = ..., seq: _Optional[int] = ..., ago_nanos: _Optional[int] = ..., owner: _Optional[str] = ...) -> None: ...

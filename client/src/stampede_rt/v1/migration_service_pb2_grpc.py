@@ -42,6 +42,11 @@ class MigrationServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
                 _registered_method=True)
+        self.HandOverQueue = channel.stream_stream(
+                '/stampede_rt.v1.MigrationService/HandOverQueue',
+                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.FromString,
+                _registered_method=True)
         self.DrainHost = channel.unary_unary(
                 '/stampede_rt.v1.MigrationService/DrainHost',
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostRequest.SerializeToString,
@@ -56,9 +61,9 @@ class MigrationServiceServicer(object):
     """
 
     def MoveHere(self, request, context):
-        """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
-        already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
-        QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+        """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+        puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
+        Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
         ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
@@ -66,9 +71,19 @@ class MigrationServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def HandOverQueue(self, request_iterator, context):
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
+        all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
+        this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
+        NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def DrainHost(self, request, context):
-        """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
-        host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
+        group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
         SHUTTING_DOWN. What could not be moved is in the answer.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -82,6 +97,11 @@ def add_MigrationServiceServicer_to_server(servicer, server):
                     servicer.MoveHere,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.SerializeToString,
+            ),
+            'HandOverQueue': grpc.stream_stream_rpc_method_handler(
+                    servicer.HandOverQueue,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.SerializeToString,
             ),
             'DrainHost': grpc.unary_unary_rpc_method_handler(
                     servicer.DrainHost,
@@ -119,6 +139,33 @@ class MigrationService(object):
             '/stampede_rt.v1.MigrationService/MoveHere',
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def HandOverQueue(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/stampede_rt.v1.MigrationService/HandOverQueue',
+            stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -37,15 +37,21 @@ class MigrationServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationServiceAsyncStub: ...
     MoveHere: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]
-    """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
-    already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
-    QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+    """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+    puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
+    Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
     ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
+    HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
+    all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
+    this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
+    NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+    """
     DrainHost: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]
-    """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
-    host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
+    group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
     SHUTTING_DOWN. What could not be moved is in the answer.
     """
 
@@ -58,15 +64,21 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     MoveHere: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]  # type: ignore[assignment]
-    """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
-    already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
-    QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+    """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+    puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
+    Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
     ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
+    HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
+    all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
+    this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
+    NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+    """
     DrainHost: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]  # type: ignore[assignment]
-    """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
-    host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
+    group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
     SHUTTING_DOWN. What could not be moved is in the answer.
     """
 
@@ -82,11 +94,23 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.MoveHereRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.MoveHereResponse, _abc.Awaitable[_migration_service_pb2.MoveHereResponse]]:
-        """Make this host the owner of a channel. The host answers when it is the owner and acknowledges puts. If it is the owner
-        already, it answers at once. A caller needs the right to configure the channel. Errors: CHANNEL_NOT_FOUND,
-        QUEUE_NOT_FOUND (queues and mailboxes cannot move), MOVE_CONFLICT (another move of the channel is under way),
+        """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+        puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
+        Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
         ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
+    def HandOverQueue(
+        self,
+        request_iterator: _MaybeAsyncIterator[_migration_service_pb2.HandOverQueueRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.HandOverQueueResponse], _abc.AsyncIterator[_migration_service_pb2.HandOverQueueResponse]]:
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
+        all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
+        this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
+        NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod
@@ -95,8 +119,8 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.DrainHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.DrainHostResponse, _abc.Awaitable[_migration_service_pb2.DrainHostResponse]]:
-        """For operators: move all channels of this host to other hosts, several at a time. Channels of one group go to the same
-        host. Queues and mailboxes stay. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
+        group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
         SHUTTING_DOWN. What could not be moved is in the answer.
         """
 

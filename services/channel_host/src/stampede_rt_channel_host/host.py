@@ -42,6 +42,8 @@ from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.copies.owner_messages import retries_of, retries_to
+from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
@@ -176,8 +178,9 @@ class ChannelHost:
         self.moves_here = IncomingMoves(
             self.identity, self.store, self._move_directory, self.copies, self._dial, bytes_per_second
         )
+        self._queues_here = QueueArrivals(self.identity, self.queues, self._move_directory, self._dial)
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
-        self.draining = Draining(self.store, self._move_directory, self.groups.ids_of, self._dial)
+        self.draining = Draining(self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial)
 
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
@@ -211,7 +214,14 @@ class ChannelHost:
         callers = FeedCallers(DirectoryQueries(self._supernodes))
         ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away, callers).add_to(server)
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(
-            MigrationServicer(self.moves_here, self._move_directory, self.draining), server
+            MigrationServicer(
+                self.moves_here,
+                self._queues_here,
+                QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, callers),
+                self._move_directory,
+                self.draining,
+            ),
+            server,
         )
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
@@ -243,6 +253,7 @@ class ChannelHost:
     async def give_away(self, seconds: float) -> None:
         """Move the channels to other hosts, for `seconds` at most, and take none from them: this host stops."""
         self.moves_here.close()
+        self._queues_here.close()
         await self.draining.run(seconds)
 
     async def leave(self) -> None:
@@ -258,7 +269,7 @@ class ChannelHost:
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
-        for part in (self.groups, self.replicas, self.copies, self.moves_here, self.moves_away):
+        for part in (self.groups, self.replicas, self.copies, self.moves_here, self._queues_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self.store.recordings.close(self.identity.boot_incarnation if self._tasks else 0)

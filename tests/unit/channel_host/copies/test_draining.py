@@ -70,7 +70,8 @@ async def drained(channels: int, *hosts: Host) -> Drained:
         own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
         store: Any = SimpleNamespace(all=lambda: own, serves=lambda hosted: True)
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
-        drain = Draining(store, directory, lambda channel_id: [], grpc.aio.insecure_channel)
+        queues: Any = SimpleNamespace(all=list)
+        drain = Draining(store, queues, directory, lambda channel_id: [], grpc.aio.insecure_channel)
         return await drain.run(SECONDS_MAX)
 
 

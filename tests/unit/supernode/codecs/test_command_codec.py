@@ -48,7 +48,7 @@ from stampede_rt_supernode.core.hosts.commands import (
     ReportedLoad,
 )
 from stampede_rt_supernode.core.kept_answers import Answer
-from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
@@ -148,6 +148,7 @@ OPERATIONS: list[Operation] = [
     remove_replica(id_of(2), 3),
     set_in_sync(id_of(2), 3, epoch=4, boot=5),
     CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
+    CommitQueueMove(queue_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
     open_queue("jobs", host="rig", create=False, **EVERYTHING_OF_QUEUES),
     open_queue("jobs"),
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
@@ -263,6 +264,7 @@ RESULTS: list[Result] = [
     ReplicaRemoved(),
     ReplicaInSyncSet(replica=REPLICA),
     MoveCommitted(channel=CHANNEL),
+    QueueMoveCommitted(queue=QUEUE),
     QueueOpened(queue=QUEUE, host=HOST, created=True),
     QueueUpdated(queue=MAILBOX),
     QueueDeleted(queue=QUEUE),

@@ -34,7 +34,7 @@ _shtab_stampede_commands() {
     lag:'print how far channels, groups and queues are behind, the worst first'
     ls:'list channels'
     mailbox:'messages to peers, by their names'
-    move:'move a channel to another host, while it is in use'
+    move:'move a channel or queue to another host, while it is in use'
     peers:'list peers: connections with a name'
     proxy:'proxies: read-only copies of channels at other hosts, which serve readers'
     put:'put items; creates an absent channel'
@@ -980,7 +980,8 @@ _shtab_stampede_move_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":the channel\'s name:"
+  "--queue[move the queue of that name]"
+  ":the channel\'s name, or with --queue the queue\'s:"
   ":the host that becomes the owner:"
 )
 

@@ -1,15 +1,22 @@
-"""Moves all channels of this host to other hosts: before it stops, or because an operator asks (paper, section 4.1)."""
+"""Moves what a host owns away: before the host stops, or because an operator asks (paper, section 4.1)."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import grpc
 
-from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import (
+    ChannelNotFound,
+    DeadlineExceeded,
+    Overloaded,
+    QueueNotFound,
+    StampedeError,
+    Unavailable,
+)
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
@@ -17,38 +24,89 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.core.placing import OtherHost, spread, together
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
 MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
 NAMES_LOGGED_MAX = 20
+_AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host may take the channel, or this one a little later
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
-BEGIN_SECONDS_MAX = 2.0  # a host that has not begun a move by then gets no other channel during the drain
+BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
 
 
 class Drained(NamedTuple):
-    """The number of channels that have moved, and the others by name, with the reasons."""
+    """The number of channels and queues that have moved, and the others by name, with the reasons."""
 
     moved: int
     left: dict[str, str]
 
 
+class _Own(Protocol):
+    """A channel or queue that this host owns."""
+
+    id: bytes
+    name: str
+    request: pb.MoveHereRequest
+
+    @property
+    def is_here(self) -> bool:
+        """Whether this host still owns it. A move may come to its end although its caller got no answer."""
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the other host has begun the move."""
+
+
+class _OwnChannel:
+    def __init__(self, store: ChannelStore, hosted: HostedChannel) -> None:
+        self._store, self._hosted = store, hosted
+        self.id, self.name = hosted.record.channel_id, hosted.record.name
+        self.request = pb.MoveHereRequest(channel_id=self.id)
+
+    @property
+    def is_here(self) -> bool:
+        return self._store.serves(self._hosted) and not self._hosted.is_heir
+
+    @property
+    def is_moving(self) -> bool:
+        return self._hosted.moving is not None
+
+
+class _OwnQueue:
+    def __init__(self, store: QueueStore, hosted: HostedQueue) -> None:
+        self._store, self._hosted = store, hosted
+        self.id, self.name = hosted.record.queue_id, f"queue {display_name(hosted.record)}"
+        self.request = pb.MoveHereRequest(queue_id=self.id)
+
+    @property
+    def is_here(self) -> bool:
+        return self._store.serves(self._hosted)
+
+    @property
+    def is_moving(self) -> bool:
+        return self._hosted.moving is not None
+
+
 class Draining:
-    """Moves the channels of one host away. `groups_of` returns the groups of a channel, `dial` opens connections."""
+    """Moves what one host owns away. `groups_of` returns the groups of a channel, `dial` opens connections."""
 
     def __init__(
-        self, store: ChannelStore, directory: MoveDirectory, groups_of: Callable[[bytes], Collection[bytes]],
-        dial: Callable[[str], grpc.aio.Channel],
+        self, store: ChannelStore, queues: QueueStore, directory: MoveDirectory,
+        groups_of: Callable[[bytes], Collection[bytes]], dial: Callable[[str], grpc.aio.Channel],
     ) -> None:  # fmt: skip
         self._store = store
+        self._queues = queues
         self._directory = directory
         self._groups_of = groups_of
         self._dial = dial
 
     async def run(self, seconds: float) -> Drained:
-        """Move all channels away. Ends after `seconds`, with what has moved by then. Raises nothing."""
+        """Move all channels and queues away. Ends after `seconds`, with what has moved by then. Raises nothing."""
         own = self._own()
-        left = {one.record.name: "the time was over" for one in own.values()}
+        left = {one.name: "the time was over" for one in own.values()}
         if own:
             try:
                 async with asyncio.timeout(seconds):
@@ -61,10 +119,13 @@ class Draining:
         self._tell(drained)
         return drained
 
-    def _own(self) -> dict[bytes, HostedChannel]:
-        """The channels that this host owns, by id."""
-        own = (one for one in self._store.all() if one.copy is None and not one.is_heir and one.epoch)
-        return {one.record.channel_id: one for one in own}
+    def _own(self) -> dict[bytes, _Own]:
+        """The channels and queues that this host owns, by id."""
+        channels = (one for one in self._store.all() if one.copy is None and not one.is_heir and one.epoch)
+        queues = (one for one in self._queues.all() if one.epoch)
+        own: list[_Own] = [_OwnChannel(self._store, one) for one in channels]
+        own += [_OwnQueue(self._queues, one) for one in queues]
+        return {one.id: one for one in own}
 
     def _tell(self, drained: Drained) -> None:
         if drained.left:
@@ -75,7 +136,7 @@ class Draining:
             extra = {"event": "host_drained", "channels": drained.moved}
             logger.info("all channels have moved to other hosts", extra=extra)
 
-    async def _move_all(self, own: dict[bytes, HostedChannel], left: dict[str, str]) -> None:
+    async def _move_all(self, own: dict[bytes, _Own], left: dict[str, str]) -> None:
         """Move the channels. Takes each that has moved out of `left`, and notes the reason for each that has not."""
         hosts = await self._directory.other_hosts()
         if not hosts:
@@ -86,42 +147,10 @@ class Draining:
         limit = asyncio.Semaphore(MOVES_AT_ONCE)
         try:
             async with asyncio.TaskGroup() as moves:
-                for channel_id, hosted in own.items():
-                    moves.create_task(self._move(hosted, places[channel_id], others, limit, left))
+                for each, place in ((one, places[one.id]) for one in own.values()):
+                    moves.create_task(_move(each, place, others, limit, left))
         finally:
             await others.aclose()
-
-    async def _move(
-        self, hosted: HostedChannel, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore,
-        left: dict[str, str],
-    ) -> None:  # fmt: skip
-        """Move one channel.
-
-        Tries one host after the other for as long as they have no room, have too many moves, or do not answer.
-        """
-        name, delay_s = hosted.record.name, RETRY_SECONDS_MIN
-        while host is not None and self._is_here(hosted):  # paced by the sleep; `Draining.run` ends it
-            try:
-                async with limit:
-                    await others.move(hosted, host)
-                    break
-            except ChannelNotFound:  # deleted meanwhile
-                break
-            except StampedeError as error:
-                left[name] = str(error)
-                if error.reason == "SHUTTING_DOWN" or isinstance(error, DeadlineExceeded):
-                    others.leave_out(host)
-                elif not isinstance(error, Overloaded | Unavailable) and error.reason != "MOVE_CONFLICT":
-                    return
-            host = others.after(host)
-            await asyncio.sleep(delay_s)
-            delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
-        if host is not None or not self._is_here(hosted):
-            left.pop(name)
-
-    def _is_here(self, hosted: HostedChannel) -> bool:
-        """Whether this host still owns the channel. A move may come to its end although its caller got no answer."""
-        return self._store.serves(hosted) and not hosted.is_heir
 
 
 class _Others:
@@ -130,10 +159,11 @@ class _Others:
     def __init__(self, hosts: Sequence[OtherHost], dial: Callable[[str], grpc.aio.Channel]) -> None:
         self._hosts = [*hosts]
         self._dial = dial
+        self._silent: set[bytes] = set()  # the hosts that have not begun the latest move
         self._connections: dict[str, grpc.aio.Channel] = {}
 
-    async def move(self, hosted: HostedChannel, host: OtherHost) -> None:
-        """Have a host take the channel over.
+    async def move(self, own: _Own, host: OtherHost) -> None:
+        """Have a host take a channel or queue over.
 
         Raises the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the
         move after BEGIN_SECONDS_MAX.
@@ -141,26 +171,63 @@ class _Others:
         if host.target not in self._connections:
             self._connections[host.target] = self._dial(host.target)
         stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
-        request = pb.MoveHereRequest(channel_id=hosted.record.channel_id)
         while True:  # the source ends a move whose destination is silent; each call joins the move
             try:
-                await stub.MoveHere(request, timeout=BEGIN_SECONDS_MAX)
+                await stub.MoveHere(own.request, timeout=BEGIN_SECONDS_MAX)
+                self._silent.discard(host.host_id)
                 return
             except grpc.RpcError as error:
                 plain = from_rpc_error(error, host.target)
-                if not isinstance(plain, DeadlineExceeded) or hosted.moving is None:
-                    raise plain from error
+                if isinstance(plain, DeadlineExceeded) and own.is_moving:
+                    continue
+                if isinstance(plain, DeadlineExceeded):
+                    self._silent.add(host.host_id)
+                raise plain from error
 
     def leave_out(self, host: OtherHost) -> None:
         """Choose this host no more, because it stops. Idempotent."""
         self._hosts = [one for one in self._hosts if one is not host]
 
     def after(self, host: OtherHost) -> OtherHost | None:
-        """The host to try after `host`: each in turn. None: there is none."""
-        later = [one for one in self._hosts if one.host_id > host.host_id]
-        return min(later or self._hosts, key=lambda one: one.host_id, default=None)
+        """The host to try after `host`: each in turn, those that answer before the others. None: there is none."""
+        hosts = [one for one in self._hosts if one.host_id not in self._silent] or self._hosts
+        later = [one for one in hosts if one.host_id > host.host_id]
+        return min(later or hosts, key=lambda one: one.host_id, default=None)
+
+    def answering(self, host: OtherHost) -> OtherHost | None:
+        """The host, or another one if this one was silent."""
+        return self.after(host) if host.host_id in self._silent else host
 
     async def aclose(self) -> None:
         """Close the connections."""
         for connection in self._connections.values():
             await connection.close(None)
+
+
+async def _move(
+    own: _Own, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]
+) -> None:
+    """Move one channel or queue.
+
+    Tries one host after the other for as long as they have no room, have too many moves, or do not answer.
+    """
+    delay_s = RETRY_SECONDS_MIN
+    while host is not None and own.is_here:  # paced by the sleep; `Draining.run` ends it
+        try:
+            async with limit:
+                host = others.answering(host) or host
+                await others.move(own, host)
+                break
+        except (ChannelNotFound, QueueNotFound):  # deleted meanwhile
+            break
+        except StampedeError as error:
+            left[own.name] = str(error)
+            if error.reason == "SHUTTING_DOWN":
+                others.leave_out(host)
+            elif not isinstance(error, _AGAIN) and error.reason != "MOVE_CONFLICT":
+                return
+        host = others.after(host)
+        await asyncio.sleep(delay_s)
+        delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
+    if host is not None or not own.is_here:
+        left.pop(own.name)

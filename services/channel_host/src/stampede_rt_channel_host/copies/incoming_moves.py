@@ -6,7 +6,8 @@ import asyncio
 import logging
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import grpc
@@ -127,7 +128,9 @@ class IncomingMoves:
         held_at = time.monotonic_ns()
         feed.hold()
         state.may_inherit = await _handoff(record.name, feed, feeding)
-        hosted = self._store.adopt(await self._commit(record, source.epoch))
+        request_id = secrets.token_bytes(16)
+        commit = partial(self._directory.commit, record.channel_id, source.epoch, request_id)
+        hosted = self._store.adopt(await until_known(commit))
         feed.committed(hosted.epoch)
         await self._remove_heir(hosted, source.host_id)
         blackout_nanos = time.monotonic_ns() - held_at
@@ -136,22 +139,6 @@ class IncomingMoves:
         await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source hears of it
         logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
         return Moved(hosted, blackout_nanos)
-
-    async def _commit(self, record: RecordedChannel, epoch: int) -> RecordedChannel:
-        """Have the directory make this host the owner. Asks until it knows the outcome: the source waits for it, too.
-
-        Raises StaleBinding (WRONG_EPOCH) if the source has ended the move, and other errors that a repetition cannot
-        heal.
-        """
-        request_id, delay_s = secrets.token_bytes(16), RETRY_SECONDS_MIN
-        while True:  # paced by the sleep; ends when the directory answers
-            try:
-                return await self._directory.commit(record.channel_id, epoch, request_id)
-            except StampedeError as error:
-                if isinstance(error, StaleBinding) or not error.retryable:
-                    raise
-            await asyncio.sleep(delay_s)
-            delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
 
     async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
         """Let the former owner be the heir no more. Tries again for as long as this host has the channel.
@@ -173,6 +160,23 @@ class IncomingMoves:
                 f"host {self._identity.name} has lost channel {hosted.record.name} at the end of its move; look where "
                 "the channel is (`stampede channels`), and move it again"
             )
+
+
+async def until_known(commit: Callable[[], Awaitable[Result]]) -> Result:
+    """Have the directory commit a move. Asks until it knows the outcome: the former owner waits for it, too.
+
+    Raises StaleBinding (WRONG_EPOCH) if the former owner has ended the move, and other errors that a repetition cannot
+    heal.
+    """
+    delay_s = RETRY_SECONDS_MIN
+    while True:  # paced by the sleep; ends when the directory answers
+        try:
+            return await commit()
+        except StampedeError as error:
+            if isinstance(error, StaleBinding) or not error.retryable:
+                raise
+        await asyncio.sleep(delay_s)
+        delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
 
 
 async def _handoff(name: str, feed: MoveFeed, feeding: asyncio.Task[None]) -> Inheritance:

@@ -1,16 +1,22 @@
-"""MigrationService on the wire: moves of channels to this host, and the drain of this host."""
+"""MigrationService on the wire: moves of channels and queues to this host, and the drain of this host."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
+
+from collections.abc import AsyncIterator
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
-from stampede_rt_channel_host.cluster.records import channel_message
+from stampede_rt_channel_host.cluster.records import channel_message, queue_message
 from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
+from stampede_rt_channel_host.queues.access import check_queue_access, check_queue_known
+from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_access, check_known, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -22,14 +28,21 @@ NAMES_MAX = 1000
 class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
     """Serves MigrationService."""
 
-    def __init__(self, moves: IncomingMoves, directory: MoveDirectory, draining: Draining) -> None:
+    def __init__(
+        self, moves: IncomingMoves, queues: QueueArrivals, handovers: QueueHandovers, directory: MoveDirectory,
+        draining: Draining,
+    ) -> None:  # fmt: skip
         self._moves = moves
+        self._queues = queues
+        self._handovers = handovers
         self._directory = directory
         self._draining = draining
 
     @errors_as_status
     async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:
-        """Make this host the owner of a channel."""
+        """Make this host the owner of a channel or queue."""
+        if request.queue_id:
+            return await self._move_queue_here(request.queue_id)
         if len(request.channel_id) != ID_BYTES:
             raise InvalidArgument(f"channel_id has {len(request.channel_id)} bytes; give the {ID_BYTES} of the channel")
         record = await self._directory.resolve(request.channel_id)
@@ -45,9 +58,29 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
             blackout_nanos=blackout_nanos,
         )
 
+    async def _move_queue_here(self, queue_id: bytes) -> pb.MoveHereResponse:
+        check_queue_id(queue_id)
+        record, target = await self._directory.queue(queue_id)
+        check_queue_known(record)
+        check_queue_access(AccessVerb.CONFIGURE, record)
+        current_account().change()
+        hosted, blackout_nanos = await self._queues.move_here(record, target)
+        counters = hosted.queue.latest_counters()
+        return pb.MoveHereResponse(
+            queue=queue_message(hosted.record),
+            held=counters.held,
+            held_bytes=counters.held_bytes,
+            blackout_nanos=blackout_nanos,
+        )
+
+    @errors_as_status
+    async def HandOverQueue(self, requests: AsyncIterator[pb.HandOverQueueRequest], context: Context) -> None:  # type: ignore[override]
+        """Hand a queue over to the calling host."""
+        await self._handovers.serve(context)
+
     @errors_as_status
     async def DrainHost(self, request: pb.DrainHostRequest, context: Context) -> pb.DrainHostResponse:
-        """Move all channels of this host away."""
+        """Move all channels and queues of this host away."""
         timeout_nanos = min(request.timeout_nanos or DRAIN_NANOS_MAX, DRAIN_NANOS_MAX)
         if timeout_nanos < 0:
             raise InvalidArgument(f"timeout_nanos is {timeout_nanos}; give more than 0, or 0 for 60 s")

@@ -15,11 +15,12 @@ from stampede_rt.v1 import migration_directory_service_pb2 as pb
 from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.placing import OtherHost
-from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 
 CALL_SECONDS_MAX = 4.0
 
@@ -34,6 +35,7 @@ class MoveDirectory:
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:
         self._supernodes = supernodes
         self._queries = DirectoryQueries(supernodes)
+        self._queues = QueueDirectory(supernodes)
         self._identity = identity
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
@@ -80,6 +82,25 @@ class MoveDirectory:
         )
         stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
         return recorded_channel((await self._call("CommitMove", request, stub)).channel)
+
+    async def queue(self, queue_id: bytes) -> tuple[RecordedQueue, str | None]:
+        """The queue's present record, and its owner's gatekeeper; None if the owner is not alive. Raises
+        QueueNotFound.
+        """
+        found = await self._queues.resolve(queue_id)
+        return found.queue, found.target
+
+    async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes) -> RecordedQueue:
+        """Make this host the owner of a queue, if the epoch is still this one. Safe to repeat. Raises StaleBinding."""
+        request = pb.CommitQueueMoveRequest(
+            request_id=request_id,
+            queue_id=queue_id,
+            epoch=epoch,
+            to_host_id=self._identity.host_id,
+            to_boot_incarnation=self._identity.boot_incarnation,
+        )
+        stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
+        return recorded_queue((await self._call("CommitQueueMove", request, stub)).queue)
 
     async def remove_heir(self, channel_id: bytes, host_id: bytes) -> None:
         """Let the former owner be the heir no more. Idempotent."""

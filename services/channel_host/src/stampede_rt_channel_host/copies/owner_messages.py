@@ -70,11 +70,12 @@ def _producer_to(runs: list[KeptRun], now: int) -> pb.FedProducer:
     return pb.FedProducer(
         producer_id=runs[0].producer_id,
         owner=runs[0].owner,
-        runs=[_run_to(one.first_number, one.outcome, now) for one in runs],
+        runs=[run_to(one.first_number, one.outcome, now) for one in runs],
     )
 
 
-def _run_to(first_number: int, outcome: RunOutcome, now: int) -> pb.FedRun:
+def run_to(first_number: int, outcome: RunOutcome, now: int) -> pb.FedRun:
+    """The judgement of a run. `now`: the clock that it was judged by."""
     return pb.FedRun(
         first_number=first_number,
         items=outcome.items,
@@ -93,13 +94,18 @@ def _run_to(first_number: int, outcome: RunOutcome, now: int) -> pb.FedRun:
 
 def _runs_of(producer: pb.FedProducer, now: int) -> Iterator[KeptRun]:
     for run in producer.runs:
-        parts = tuple(map(_part_of, run.parts))
-        accepted = sum(one.items for one in parts)
-        if not producer.producer_id or not parts or accepted + len(run.rejections) != run.judged_items:
+        outcome = outcome_of(run, now)
+        accepted = sum(one.items for one in outcome.parts)
+        if not producer.producer_id or not accepted or accepted + len(run.rejections) != run.judged_items:
             raise InvalidArgument("the feed has a run without a judgement; install the same release on both hosts")
-        refusals = tuple(ItemRefusal(one.index, from_error_message(one.error)) for one in run.rejections)
-        outcome = RunOutcome(run.items, run.judged_items, parts, refusals, now - run.judged_ago_nanos)
         yield KeptRun(producer.producer_id, run.first_number, outcome, producer.owner)
+
+
+def outcome_of(run: pb.FedRun, now: int) -> RunOutcome:
+    """The judgement of a run, by the clock that shows `now`."""
+    parts = tuple(map(_part_of, run.parts))
+    refusals = tuple(ItemRefusal(one.index, from_error_message(one.error)) for one in run.rejections)
+    return RunOutcome(run.items, run.judged_items, parts, refusals, now - run.judged_ago_nanos)
 
 
 def _part_of(message: pb.FedRunPart) -> RunPart:

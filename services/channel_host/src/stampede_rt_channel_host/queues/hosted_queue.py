@@ -18,6 +18,7 @@ from stampede_rt_channel_host.core.queue import (
     Enqueue,
     PendingDelivery,
     QueueCore,
+    QueueHandoff,
     QueueLimits,
     Settlement,
     SettlementResult,
@@ -28,6 +29,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
+STREAMS_END_SECONDS_MAX = 2.0
 _orders = itertools.count()
 FIRST_DELIVERY_IDS = range(1, 2**62)  # below 2**62, so that all later ids fit into a signed int64
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
@@ -46,6 +48,15 @@ class TakerStream(Protocol):
         """The host does not serve the queue any more."""
 
 
+class QueueMove:
+    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over."""
+
+    def __init__(self) -> None:
+        self.is_held = self.is_exporting = False
+        self.elsewhere: StampedeError | None = None
+        self.over = asyncio.Event()
+
+
 class HostedQueue:
     """One queue at this host.
 
@@ -62,16 +73,18 @@ class HostedQueue:
         on_dead_letters: Callable[[HostedQueue], None],
         deadlines: Deadlines[HostedQueue],
         may_serve: Callable[[], bool] = lambda: True,
+        core: QueueCore | None = None,
     ) -> None:
         """Set up the queue of `record`.
 
-        `deadlines`: the deadlines of all queues of the host. `may_serve` says whether the host has its lease. Raises
-        InvalidArgument if the record's limits are not possible.
+        `deadlines`: the deadlines of all queues of the host. `may_serve` says whether the host has its lease. `core`:
+        the queue that another host has handed over. Raises InvalidArgument if the record's limits are not possible.
         """
         self.record = record
         self.epoch: int = record.epoch
         self.registration = 0  # the number of the host's last registration when the store took `record` over
-        self.queue = QueueCore(
+        self.moving: QueueMove | None = None  # the move of the queue away from this host, while one is under way
+        self.queue = core or QueueCore(
             QueueLimits.of(record.policy),
             incarnation=record.incarnation,
             name=display_name(record),
@@ -85,17 +98,58 @@ class HostedQueue:
         self._now = now
         self._on_dead_letters = on_dead_letters
         self._streams: dict[TakerState, TakerStream] = {}
+        self._left = asyncio.Event()  # set when a stream has left
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
         self._is_forgotten = False
+        if core is not None:
+            core.configure(QueueLimits.of(record.policy), now())
+            self._follow_up()
 
     def update(self, record: RecordedQueue) -> None:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
-        if record.spec_version != self.record.spec_version:
-            self.queue.configure(QueueLimits.of(record.policy), self._now())
+        has_changed, has_failed = record.spec_version != self.record.spec_version, record.epoch > self.record.epoch
         self.record, self.epoch = record, record.epoch
+        if self.moving is not None and not has_failed:
+            return  # nothing may change the queue now; it gets its limits when the move is over
+        moving, self.moving = self.moving, None
+        if has_changed or moving is not None:
+            self.queue.configure(QueueLimits.of(record.policy), self._now())
+        if moving is not None:  # the move has failed
+            self.queue.resume(self._now())
+            moving.over.set()
         self._follow_up()
+
+    async def hold(self, error: StampedeError) -> None:
+        """End all streams and waits with `error`, and let nothing change the queue from then on, until `update` gets a
+        record with another epoch. Raises Overloaded if the streams do not end.
+        """
+        self.moving = QueueMove()
+        for _ in self._stopping(error):
+            await asyncio.sleep(0)
+        try:
+            async with asyncio.timeout(STREAMS_END_SECONDS_MAX):
+                while self._streams:
+                    self._left.clear()
+                    await self._left.wait()
+        except TimeoutError:
+            raise Overloaded(f"the streams of queue {display_name(self.record)} did not end; move it again") from None
+        self.moving.is_held = True
+
+    async def exported(self) -> QueueHandoff:
+        """The whole queue, which is held. A thread does this work, because it takes a microsecond for each message."""
+        assert self.moving is not None, "the queue is held"
+        self.moving.is_exporting = True
+        try:
+            return await asyncio.to_thread(self.queue.export, self._now())
+        finally:
+            self.moving.is_exporting = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nothing may change the queue, because it is on its way to another host."""
+        return self.moving is not None and self.moving.is_held
 
     async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
         """Put a run, and return when it is accepted or refused. If the run has to wait for room, this call waits inside
@@ -163,6 +217,7 @@ class HostedQueue:
     def leave(self, taker: TakerState) -> None:
         """Remove the stream of a taker, which has ended. Its sent messages stay leased; the others go back."""
         del self._streams[taker]
+        self._left.set()
         self.queue.leave(taker, self._now())
         self._follow_up()
 
@@ -180,11 +235,14 @@ class HostedQueue:
 
     def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
-        self.queue.dead_letter_moved(seq, self._now())
-        self._follow_up()
+        if not self.is_held:  # else the next owner sends it again, and the dead-letter queue recognises it
+            self.queue.dead_letter_moved(seq, self._now())
+            self._follow_up()
 
     def tick(self) -> None:
         """Handle everything that is due by the host's clock."""
+        if self.is_held:
+            return
         now = self._now()
         self.queue.tick(now)
         self.queue.expire(now)
@@ -195,6 +253,15 @@ class HostedQueue:
 
         Meanwhile the queue accepts no messages, and gives takers none.
         """
+        if self.moving is not None:  # `hold` has ended them
+            return
+        yield from self._stopping(error)
+        if not self._is_forgotten:
+            yield  # afterwards the interrupted streams do not use the queue any more
+            self.queue.resume(self._now())
+            self._follow_up()
+
+    def _stopping(self, error: StampedeError) -> Pieces[None]:
         self.queue.pause()
         streams = list(self._streams.items())
         while self.queue.refuse_waiting(error, self._now()):
@@ -206,10 +273,6 @@ class HostedQueue:
                 stream.end(error)
             if at % STREAMS_PER_PIECE == 0:
                 yield
-        if not self._is_forgotten:
-            yield  # afterwards the interrupted streams do not use the queue any more
-            self.queue.resume(self._now())
-            self._follow_up()
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
         """As `ending`, and then free the messages, because the host gives the queue up. Its memory counts no more."""
@@ -218,8 +281,13 @@ class HostedQueue:
             self._timer.cancel()
         self._deadlines.disarm(self)
         self._charge.set(0)
+        if self.moving is not None:
+            self.moving.elsewhere = error
+            self.moving.over.set()
         yield from self.ending(error)
         yield  # afterwards the interrupted streams do not use the queue any more
+        while self.moving is not None and self.moving.is_exporting:
+            yield
         yield from self.queue.emptying()
 
     def _follow_up(self) -> None:

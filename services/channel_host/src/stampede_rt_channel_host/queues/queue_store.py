@@ -18,12 +18,14 @@ from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, Stampede
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_after_another, rest_of
 from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue import QueueCore
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -75,6 +77,7 @@ class QueueStore:
         self.in_use = asyncio.Event()  # set once a queue is used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
+        self._arriving: dict[bytes, tuple[int, QueueCore]] = {}  # with the epoch of this host as the owner
         self.departed: Counter[str] = Counter()
         """The counters of the queues that this host served before, by the names in QueueCounters."""
 
@@ -84,17 +87,22 @@ class QueueStore:
         hosted = self._queues.get(queue_id)
         if hosted is None or not hosted.epoch:
             raise refusals.not_here(self._identity.name, queue_id)
+        if hosted.moving is not None:
+            raise refusals.is_moving(hosted.record)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record, epoch)
         return hosted
 
     async def use(self, queue_id: bytes, epoch: int | None) -> HostedQueue:
         """The queue under `epoch` (None: any). Asks the directory first if this host does not know the queue, or knows
-        only a lower epoch.
+        only a lower epoch. Waits for the end of a move, for HELD_SECONDS_MAX at most.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), QueueNotFound, Overloaded, Unavailable.
         """
         self._check_lease()
+        held = self._queues.get(queue_id)
+        if held is not None and held.moving is not None:
+            await _decided(held)
         if not self._knows(queue_id, epoch):
             async with self._single_flight.about(queue_id):
                 if not self._knows(queue_id, epoch):
@@ -134,7 +142,7 @@ class QueueStore:
         of that work to `left`. If the answer was not complete, the store asks the directory at the next `use` instead.
         """
         if record is not None:
-            self._adopt(record)
+            self.adopt(record)
         elif is_complete:
             logger.warning("queue went elsewhere", extra={"event": "queue_moved", "queue": display_name(hosted.record)})
             error = refusals.not_here(self._identity.name, hosted.record.queue_id)
@@ -148,11 +156,11 @@ class QueueStore:
         if hosted is None:
             return
         if removed:
-            self._forget(record.queue_id, refusals.deleted(record))
+            self.forget(record.queue_id, refusals.deleted(record))
         elif record.host_id == self._identity.host_id:
-            self._adopt(record)
+            self.adopt(record)
         elif record.epoch > hosted.record.epoch:
-            self._forget(record.queue_id, refusals.moved(record))
+            self.forget(record.queue_id, refusals.moved(record))
 
     async def missed(self) -> None:
         """See `ChangeFollower`. Asks the directory about every queue that this host knows."""
@@ -209,9 +217,32 @@ class QueueStore:
 
     def holds(self, hosted: HostedQueue) -> bool:
         """Whether the queue belongs to this host and the host may serve."""
-        return self._lease_held() and self._queues.get(hosted.record.queue_id) is hosted
+        return self._lease_held() and hosted.moving is None and self.serves(hosted)
 
-    def _may_serve(self) -> bool:
+    def serves(self, hosted: HostedQueue) -> bool:
+        """Whether this object still stands for its queue at this host."""
+        return self._queues.get(hosted.record.queue_id) is hosted
+
+    def known(self, queue_id: bytes) -> HostedQueue | None:
+        """The queue, if it is here, whether it may be served or not."""
+        return self._queues.get(queue_id)
+
+    def check_room(self, record: RecordedQueue) -> None:
+        """Raises Overloaded if the host has no room for another queue."""
+        if len(self._queues) >= QUEUES_MAX:
+            raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
+        self._creation_shares.check(record.created_by)
+
+    def expect(self, record: RecordedQueue, core: QueueCore) -> None:
+        """Serve a queue with these messages once the directory names this host as its owner in the next epoch."""
+        self._arriving[record.queue_id] = record.epoch + 1, core
+
+    def give_up(self, queue_id: bytes) -> None:
+        """Expect a queue no more. Idempotent."""
+        self._arriving.pop(queue_id, None)
+
+    def may_serve(self) -> bool:
+        """Whether the host may serve its queues."""
         return self._closing is None and self._lease_held()
 
     def _check_lease(self) -> None:
@@ -234,13 +265,13 @@ class QueueStore:
             record = await self._resolve(queue_id)
         except QueueNotFound:
             if held is not None:
-                self._forget(queue_id, refusals.deleted(held.record))
+                self.forget(queue_id, refusals.deleted(held.record))
             raise
         if record.host_id != self._identity.host_id:
             error = refusals.moved(record)
-            self._forget(queue_id, error)
+            self.forget(queue_id, error)
             raise error
-        self._adopt(record)
+        self.adopt(record)
 
     async def _resolve(self, queue_id: bytes) -> RecordedQueue:
         """Ask the directory for the record of the queue. Asks again if the host registers before the answer comes.
@@ -256,7 +287,7 @@ class QueueStore:
                 return record
         raise refusals.fenced(self._identity.name)
 
-    def _adopt(self, record: RecordedQueue) -> None:
+    def adopt(self, record: RecordedQueue) -> None:
         """Serve the queue according to a record of the directory. Ignores a record older than the present one."""
         held = self._queues.get(record.queue_id)
         if held is not None and held.record.incarnation == record.incarnation:
@@ -267,17 +298,18 @@ class QueueStore:
         if held is not None:
             if record.epoch < held.record.epoch:
                 return
-            self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
-        if len(self._queues) >= QUEUES_MAX:
-            raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
-        self._creation_shares.check(record.created_by)
-        hosted = HostedQueue(record, self.memory, self.now, self._on_dead_letters, self.deadlines, self._may_serve)
+            self.forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
+        self.check_room(record)
+        epoch, core = self._arriving.pop(record.queue_id, (0, None))
+        core = core if epoch == record.epoch else None
+        hosted = HostedQueue(record, self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve, core)
         hosted.registration = self._registrations
         self._queues[record.queue_id] = hosted
         self._creation_shares.note(record.created_by, +1)
         self.in_use.set()
 
-    def _forget(self, queue_id: bytes, error: StampedeError) -> None:
+    def forget(self, queue_id: bytes, error: StampedeError) -> None:
+        """Drop the queue, if it is here. Its callers get `error`."""
         self._scheduler.begin(one_after_another(self._drop(queue_id, error)))
 
     def _drop(self, queue_id: bytes, error: StampedeError) -> list[Pieces[None]]:
@@ -288,3 +320,17 @@ class QueueStore:
         self._creation_shares.note(hosted.record.created_by, -1)
         add_counts(self.departed, hosted)
         return rest_of(hosted.leaving(error))
+
+
+async def _decided(hosted: HostedQueue) -> None:
+    """Wait for the end of the queue's move. Raises StaleBinding (MOVED) if it has moved, and Overloaded."""
+    moving = hosted.moving
+    assert moving is not None, "the caller has checked it"
+    try:
+        async with asyncio.timeout(HELD_SECONDS_MAX):
+            await moving.over.wait()
+    except TimeoutError:
+        name = display_name(hosted.record)
+        raise Overloaded(f"queue {name} is moving to another host, which takes long; try again") from None
+    if moving.elsewhere is not None:
+        raise moving.elsewhere

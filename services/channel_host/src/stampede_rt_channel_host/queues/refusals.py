@@ -38,6 +38,19 @@ def moved(record: RecordedQueue) -> StampedeError:
     return error_for("MOVED", text, {"queue": display_name(record), "host_id": host_id})
 
 
+def moved_to(record: RecordedQueue, host_id: bytes) -> StampedeError:
+    """The error for a queue that this host has just handed over."""
+    name = display_name(record)
+    text = f"queue {name} has moved to host {host_id.hex()}; resolve it again"
+    return error_for("MOVED", text, {"queue": name, "host_id": host_id.hex()})
+
+
+def is_moving(record: RecordedQueue) -> StampedeError:
+    """The error for calls and streams of a queue that is on its way to another host."""
+    name = display_name(record)
+    return error_for("NOT_HERE", f"queue {name} is moving to another host; resolve it again", {"queue": name})
+
+
 def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:
     """The error for a request that names another epoch than the queue's."""
     name, epoch = display_name(record), record.epoch

@@ -8,13 +8,14 @@ from __future__ import annotations
 from stampede_rt.v1 import migration_directory_service_pb2 as pb
 from stampede_rt.v1 import migration_directory_service_pb2_grpc
 from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
-from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
 class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationDirectoryServiceServicer):
-    """One supernode's answers about moves of channels."""
+    """One supernode's answers about moves of channels and queues."""
 
     def __init__(self, calls: DirectoryCalls) -> None:
         self._calls = calls
@@ -31,3 +32,16 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
         )
         committed = await self._calls.submit(context, operation, MoveCommitted, request.request_id)
         return pb.CommitMoveResponse(channel=channel_record(committed.channel))
+
+    @errors_as_status
+    async def CommitQueueMove(self, request: pb.CommitQueueMoveRequest, context: Context) -> pb.CommitQueueMoveResponse:
+        """In a cluster with certificates only the new owner may call this."""
+        self._calls.check_host(context, request.to_host_id)
+        operation = CommitQueueMove(
+            queue_id=request.queue_id,
+            epoch=request.epoch,
+            to_host_id=request.to_host_id,
+            to_boot_incarnation=request.to_boot_incarnation,
+        )
+        committed = await self._calls.submit(context, operation, QueueMoveCommitted, request.request_id)
+        return pb.CommitQueueMoveResponse(queue=queue_record(committed.queue))

@@ -1,5 +1,6 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
+from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
 from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
@@ -14,6 +15,7 @@ from stampede_rt_channel_host.core.queue.limits import (
 )
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue import QueueCore
+from stampede_rt_channel_host.core.queue.queue_items import QueueTally
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
@@ -40,6 +42,7 @@ __all__ = [
     "REJECT",
     "TERMINATED",
     "Acknowledge",
+    "Acknowledged",
     "Batch",
     "DeadLetter",
     "Enqueue",
@@ -55,6 +58,7 @@ __all__ = [
     "QueueCounters",
     "QueueHandoff",
     "QueueLimits",
+    "QueueTally",
     "QueuedRun",
     "SeqRange",
     "Settlement",

@@ -71,13 +71,20 @@ class QueueCore:
 
     @classmethod
     def restore(
-        cls, limits: QueueLimits, state: QueueHandoff, now: int, *, incarnation: int, name: str = ""
+        cls,
+        limits: QueueLimits,
+        state: QueueHandoff,
+        now: int,
+        *,
+        incarnation: int,
+        name: str = "",
+        may_serve: Callable[[], bool] = lambda: True,
     ) -> QueueCore:
         """The queue that another host exported, with its seqs, leases and counters.
 
         The time of this call grows with the number of messages.
         """
-        queue = cls(limits, incarnation=incarnation, name=name)
+        queue = cls(limits, incarnation=incarnation, name=name, may_serve=may_serve)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
         queue._due_work.check_all()  # the other host may have known other limits
         queue._due_work.tick(now)

@@ -1,11 +1,11 @@
-"""Commands about moves of channels, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
+"""Commands about moves, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import ChannelRecord
+from stampede_rt_supernode.core.records import ChannelRecord, QueueRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,3 +27,20 @@ class MoveCommitted(Success):
     """The channel, with its new owner and epoch."""
 
     channel: ChannelRecord
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CommitQueueMove(Operation):
+    """Make a host the owner of a queue or mailbox, which keeps its incarnation. See `CommitMove`."""
+
+    queue_id: bytes
+    epoch: int
+    to_host_id: bytes
+    to_boot_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueMoveCommitted(Success):
+    """The queue, with its new owner and epoch."""
+
+    queue: QueueRecord

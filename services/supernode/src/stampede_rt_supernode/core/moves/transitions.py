@@ -1,8 +1,9 @@
-"""Gives a channel to another host that holds all its items (paper, section 4.1). Pure.
+"""Gives a channel or queue to another host that holds all its items (paper, section 4.1). Pure.
 
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
 keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
+A queue has no copies, so its former owner is no heir.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import replace
 
 from stampede_rt.errors import HostNotFound, LeaseExpired
 from stampede_rt_supernode.core.groups.transitions import move_witness
-from stampede_rt_supernode.core.lookups import channel_by_id
-from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.lookups import channel_by_id, queue_by_id
+from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
+from stampede_rt_supernode.core.queues.transitions import check_queue_epoch
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.transitions import check_epoch, copies_after_owner_change, store
 from stampede_rt_supernode.core.tables import Tables
@@ -30,7 +32,7 @@ def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
     """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
     check_commit_move(operation)
     channel = channel_by_id(tables, operation.channel_id)
-    host = _destination(tables, channel, operation)
+    host = _destination(tables, f"channel {channel.name}", operation)
     if (channel.host_id, channel.epoch) == (host.host_id, operation.epoch + 1):
         return MoveCommitted(channel=channel)
     check_epoch(channel, operation.epoch)
@@ -40,19 +42,39 @@ def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
     return MoveCommitted(channel=tables.channels[channel.channel_id])
 
 
-def _destination(tables: Tables, channel: ChannelRecord, operation: CommitMove) -> HostRecord:
+def check_commit_queue_move(operation: CommitQueueMove) -> None:
+    """Check the operation without the tables. Raises InvalidArgument."""
+    check_id(operation.queue_id, "queue_id")
+    check_id(operation.to_host_id, "to_host_id")
+    check_incarnation(operation.to_boot_incarnation, "to_boot_incarnation")
+
+
+def commit_queue_move(tables: Tables, operation: CommitQueueMove) -> QueueMoveCommitted:
+    """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
+    check_commit_queue_move(operation)
+    queue = queue_by_id(tables, operation.queue_id)
+    host = _destination(tables, f"queue {queue.name or queue.queue_id.hex()}", operation)
+    if (queue.host_id, queue.epoch) == (host.host_id, operation.epoch + 1):
+        return QueueMoveCommitted(queue=queue)
+    check_queue_epoch(queue, operation.epoch)
+    moved = replace(queue, host_id=host.host_id, epoch=queue.epoch + 1)
+    tables.put_queue(moved)
+    return QueueMoveCommitted(queue=moved)
+
+
+def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQueueMove) -> HostRecord:
     host = tables.hosts.get(operation.to_host_id)
     if host is None or not host.alive:
         raise HostNotFound(
-            f"host {operation.to_host_id.hex()} cannot own channel {channel.name}: it never registered, or its lease "
-            "has ended; list the hosts for others",
-            metadata={"channel": channel.name, "host_id": operation.to_host_id.hex()},
+            f"host {operation.to_host_id.hex()} cannot own {subject}: it never registered, or its lease has ended; "
+            "list the hosts for others",
+            metadata={"subject": subject, "host_id": operation.to_host_id.hex()},
         )
     if host.boot_incarnation != operation.to_boot_incarnation:
         raise LeaseExpired(
-            f"host {host.name} has started again since the move of channel {channel.name} began, and has lost its "
-            "copy; move the channel again",
-            metadata={"channel": channel.name, "host": host.name},
+            f"host {host.name} has started again since the move of {subject} began, and has lost its copy; move it "
+            "again",
+            metadata={"subject": subject, "host": host.name},
         )
     return host
 

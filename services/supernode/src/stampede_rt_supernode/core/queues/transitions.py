@@ -147,13 +147,13 @@ def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
     """Change the stated fields of a queue's policy. The other fields stay."""
     check_update_queue(operation)
     queue = queue_by_id(tables, operation.queue_id)
-    _check_epoch(queue, operation.epoch)
+    check_queue_epoch(queue, operation.epoch)
     changed = _with_spec(tables, queue, merge(queue.spec, operation.spec))
     tables.put_queue(changed)
     return QueueUpdated(queue=changed)
 
 
-def _check_epoch(queue: QueueRecord, epoch: int) -> None:
+def check_queue_epoch(queue: QueueRecord, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH if the queue has another epoch."""
     if epoch != queue.epoch:
         shown = queue.name or queue.queue_id.hex()

@@ -1,0 +1,117 @@
+"""The former owner's side of a move of a queue or mailbox (paper, section 3.5: queues migrate).
+
+The host ends the streams of the queue, lets all calls wait, and sends everything. Then one entry in the directory
+decides who owns the queue: that of the new owner, or that with which this host takes the queue back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+
+from stampede_rt.errors import InvalidArgument, Overloaded, QueueNotFound, StaleBinding, StampedeError
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
+from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.copies.feed_callers import FeedCallers
+from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.move_slots import MoveSlots
+from stampede_rt_channel_host.copies.outgoing_moves import RETRY_SECONDS, OutgoingMoves
+from stampede_rt_channel_host.copies.queue_messages import parts_of
+from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_channel_host.queues import refusals
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.refusals import display_name
+from stampede_rt_runtime.rpc import Context
+
+logger = logging.getLogger(__name__)
+
+
+class QueueHandovers:
+    """The moves of queues away from one host. `moves` does the work that goes on after a stream has ended."""
+
+    def __init__(
+        self, identity: HostIdentity, queues: QueueStore, directory: MoveDirectory, moves: OutgoingMoves,
+        callers: FeedCallers,
+    ) -> None:  # fmt: skip
+        """`callers` checks that a caller is the host for which it speaks."""
+        self._identity = identity
+        self._queues = queues
+        self._directory = directory
+        self._moves = moves
+        self._callers = callers
+        self._slots = MoveSlots(f"away from host {identity.name}", "queues")
+
+    async def serve(self, context: Context) -> None:
+        """Hand one queue over. Raises the errors of MigrationService.HandOverQueue."""
+        first = await context.read()
+        opening = first.open if isinstance(first, pb.HandOverQueueRequest) else pb.HandOverQueueOpen()
+        if len(opening.queue_id) != ID_BYTES or len(opening.host_id) != ID_BYTES:
+            raise InvalidArgument(
+                "the first request has no `open` with a queue_id and a host_id of 16 bytes; state them"
+            )
+        await self._callers.check(context, opening.host_id)
+        hosted = await self._queues.use(opening.queue_id, opening.epoch)
+        self._slots.take(hosted.record)
+        is_committed = False
+        try:
+            is_committed = await self._hand_over(hosted, context)
+        except TimeoutError:
+            raise Overloaded(f"the move of queue {display_name(hosted.record)} took too long; move it again") from None
+        finally:
+            self._slots.give_back(hosted.record)
+            end = self._end(hosted, opening.host_id, is_committed=is_committed)
+            self._moves.start(end, "end of a move of a queue")
+
+    async def _hand_over(self, hosted: HostedQueue, context: Context) -> bool:
+        """Send the queue. Returns whether the new owner says that it is the owner."""
+        async with asyncio.timeout(HELD_SECONDS_MAX):
+            await hosted.hold(refusals.is_moving(hosted.record))
+            parts = parts_of(await hosted.exported())
+            while (part := await asyncio.to_thread(next, parts, None)) is not None:
+                await context.write(part)
+            answer = await context.read()
+        return isinstance(answer, pb.HandOverQueueRequest) and bool(answer.committed_epoch)
+
+    async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
+        """Drop the queue if it has moved, else serve it again. Asks the directory until it is decided."""
+        record, request_id = hosted.record, secrets.token_bytes(16)
+        if is_committed:
+            self._gone(hosted, refusals.moved_to(record, host_id))
+        while self._queues.serves(hosted) and hosted.moving is not None:
+            try:
+                self._queues.adopt(await self._directory.commit_queue(record.queue_id, record.epoch, request_id))
+                extra = {"event": "move_ended", "channel": display_name(record)}
+                logger.info("a move of a queue has failed; the queue stays", extra=extra)
+            except StaleBinding:
+                await self._learn_owner(hosted)
+            except QueueNotFound:
+                self._queues.forget(record.queue_id, refusals.deleted(record))
+            except StampedeError as error:
+                await _try_again(record, error)
+
+    async def _learn_owner(self, hosted: HostedQueue) -> None:
+        """Learn that another host owns the queue, or that this host has another epoch."""
+        try:
+            present, _ = await self._directory.queue(hosted.record.queue_id)
+        except StampedeError:
+            await asyncio.sleep(RETRY_SECONDS)
+            return
+        if present.host_id == self._identity.host_id:
+            self._queues.adopt(present)
+        else:
+            self._gone(hosted, refusals.moved(present))
+
+    def _gone(self, hosted: HostedQueue, error: StampedeError) -> None:
+        name = display_name(hosted.record)
+        logger.info("a queue has moved away", extra={"event": "queue_moved_away", "queue": name})
+        if self._queues.serves(hosted):
+            self._queues.forget(hosted.record.queue_id, error)
+
+
+async def _try_again(record: RecordedQueue, error: StampedeError) -> None:
+    extra = {"event": "move_undecided", "channel": display_name(record), "why": str(error)}
+    logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+    await asyncio.sleep(RETRY_SECONDS)

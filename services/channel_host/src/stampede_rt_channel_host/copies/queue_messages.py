@@ -1,0 +1,195 @@
+"""Converts a whole queue to and from the parts of `MigrationService.HandOverQueue`.
+
+Times are durations on the wire, because the clocks of two hosts differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
+from itertools import chain, groupby, islice
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import queue_pb2, replica_service_pb2, subject_pb2
+from stampede_rt_channel_host.copies.owner_messages import outcome_of, run_to
+from stampede_rt_channel_host.core.dedup import KeptRun
+from stampede_rt_channel_host.core.queue import (
+    Acknowledged,
+    FailedDelivery,
+    ItemState,
+    KnownMessage,
+    LeaseState,
+    QueuedRun,
+    QueueHandoff,
+    QueueTally,
+    SeqRange,
+)
+
+PART_BYTES = 2**20
+ENTRIES_PER_PART = 4096
+PRODUCERS_PER_PART = 256
+_COUNTS = tuple(one.name for one in fields(QueueTally))
+
+
+def parts_of(state: QueueHandoff) -> Iterator[pb.HandOverQueueResponse]:
+    """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends`."""
+    counters = queue_pb2.QueueCounters(**{name: getattr(state.tally, name) for name in _COUNTS})
+    facts = pb.HandedQueueFacts(next_seq=state.next_seq, next_delivery_id=state.next_delivery_id, counters=counters)
+    yield pb.HandOverQueueResponse(facts=facts)
+    for run in state.runs:
+        yield from _parts_of_run(run)
+    for held in _some(state.held, ENTRIES_PER_PART):
+        ranges = [subject_pb2.SeqRange(first_seq=first, items=last - first + 1) for first, last in held]
+        yield pb.HandOverQueueResponse(held=ranges)
+    for items in _some(state.items, ENTRIES_PER_PART):
+        yield pb.HandOverQueueResponse(messages=map(_message_to, items))
+    for known in _some(state.acknowledged, ENTRIES_PER_PART):
+        acknowledged = [
+            pb.HandedAcknowledgement(delivery_id=one[0], taker_id=one[1], ago_nanos=one[2]) for one in known
+        ]
+        yield pb.HandOverQueueResponse(acknowledged=acknowledged)
+    by_producer = (runs for _, runs in groupby(state.producers, lambda run: run.producer_id))
+    for some in _some(map(list, by_producer), PRODUCERS_PER_PART):
+        yield pb.HandOverQueueResponse(producers=map(_producer_to, some))
+    for ids in _some(state.message_ids, ENTRIES_PER_PART):
+        named = [
+            pb.HandedMessageId(message_id=one.message_id, seq=one.seq, ago_nanos=one.time, owner=one.owner)
+            for one in ids
+        ]
+        yield pb.HandOverQueueResponse(message_ids=named)
+    yield pb.HandOverQueueResponse(ends=True)
+
+
+class ArrivingQueue:
+    """The parts of a queue that have arrived. `size_bytes`: of the parts."""
+
+    def __init__(self) -> None:
+        self._facts: pb.HandedQueueFacts | None = None
+        self._runs: list[tuple[pb.HandedRun, bytearray]] = []
+        self._rest = pb.HandOverQueueResponse()
+        self.size_bytes = 0
+
+    def add(self, part: pb.HandOverQueueResponse) -> None:
+        """Take the next part. Raises InvalidArgument for bytes without a run."""
+        self.size_bytes += part.ByteSize()
+        if part.HasField("facts"):
+            self._facts = part.facts
+        if part.more_body:
+            if not self._runs:
+                raise _nonsense("bytes of no run")
+            self._runs[-1][1].extend(part.more_body)
+        self._runs += [(run, bytearray(run.body)) for run in part.runs]
+        part.ClearField("runs")
+        part.ClearField("more_body")
+        self._rest.MergeFrom(part)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the last part has come."""
+        return self._rest.ends
+
+    def state(self) -> QueueHandoff:
+        """The whole queue, after the last part. Raises InvalidArgument if it contradicts itself."""
+        if self._facts is None or not self._rest.ends:
+            raise _nonsense("no facts, or no end")
+        rest, counters = self._rest, self._facts.counters
+        state = QueueHandoff(
+            next_seq=self._facts.next_seq,
+            next_delivery_id=self._facts.next_delivery_id,
+            tally=QueueTally(**{name: getattr(counters, name) for name in _COUNTS}),
+            runs=[
+                QueuedRun(run.first_seq, tuple(run.length_bytes), run.accepted_ago_nanos, bytes(body))
+                for run, body in self._runs
+            ],
+            held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in rest.held],
+            items=[*map(_message_of, rest.messages)],
+            acknowledged=[Acknowledged(one.delivery_id, one.taker_id, one.ago_nanos) for one in rest.acknowledged],
+            producers=[*chain.from_iterable(map(_runs_of, rest.producers))],
+            message_ids=[KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in rest.message_ids],
+        )
+        _check(state)
+        return state
+
+
+def _check(state: QueueHandoff) -> None:
+    """Raises InvalidArgument if a message has no run, or a history without a message."""
+    ends = [run.end_seq for run in state.runs]
+    runs_ascend = all(run.first_seq >= end for run, end in zip(state.runs[1:], ends, strict=False))
+    held_ascend = all(later.first > one.last for one, later in zip(state.held, state.held[1:], strict=False))
+    seqs = {seq for first, last in state.held for seq in range(first, last + 1)}
+    stored = {seq for run in state.runs for seq in range(run.first_seq, run.end_seq)}
+    if not (runs_ascend and held_ascend and seqs <= stored) or any(one.seq not in seqs for one in state.items):
+        raise _nonsense("messages without a run, or in no order")
+    if any(len(one.deliveries) < len(one.leases) for one in state.items) or max(seqs, default=0) >= state.next_seq:
+        raise _nonsense("leases without a delivery, or a message of the future")
+
+
+def _nonsense(what: str) -> InvalidArgument:
+    return InvalidArgument(f"the handed queue has {what}; install the same release on both hosts")
+
+
+def _some(entries: Iterable[Any], count: int) -> Iterator[list[Any]]:
+    unread = iter(entries)
+    while part := [*islice(unread, count)]:
+        yield part
+
+
+def _parts_of_run(run: QueuedRun) -> Iterator[pb.HandOverQueueResponse]:
+    first, rest = run.body[:PART_BYTES], memoryview(run.body)[PART_BYTES:]
+    handed = pb.HandedRun(
+        first_seq=run.first_seq, length_bytes=run.lengths, accepted_ago_nanos=run.accepted_at, body=first
+    )
+    yield pb.HandOverQueueResponse(runs=[handed])
+    for at in range(0, len(rest), PART_BYTES):
+        yield pb.HandOverQueueResponse(more_body=bytes(rest[at : at + PART_BYTES]))
+
+
+def _message_to(item: ItemState) -> pb.HandedMessage:
+    return pb.HandedMessage(
+        seq=item.seq,
+        deliveries=item.deliveries,
+        acknowledged=item.acknowledged,
+        leases=[pb.HandedLease(**lease._asdict()) for lease in item.leases],
+        delay_nanos=item.delay_nanos,
+        is_leaving=item.is_leaving,
+        last=None if item.last is None else pb.HandedFailure(**item.last._asdict()),
+    )
+
+
+def _message_of(message: pb.HandedMessage) -> ItemState:
+    return ItemState(
+        seq=message.seq,
+        deliveries=tuple(message.deliveries),
+        acknowledged=tuple(message.acknowledged),
+        leases=[*map(_lease_of, message.leases)],
+        delay_nanos=message.delay_nanos,
+        is_leaving=message.is_leaving,
+        last=_failure_of(message.last) if message.HasField("last") else None,
+    )
+
+
+def _lease_of(one: pb.HandedLease) -> LeaseState:
+    return LeaseState(one.delivery_id, one.taker_id, one.taker_name, one.lease_nanos, one.leased_ago_nanos)
+
+
+def _failure_of(last: pb.HandedFailure) -> FailedDelivery:
+    return FailedDelivery(last.number, last.taker_id, last.taker_name, last.ended, last.reason)
+
+
+def _producer_to(runs: Sequence[KeptRun]) -> replica_service_pb2.FedProducer:
+    """The runs of one producer. In a `QueueHandoff` the time of an outcome is its age."""
+    aged = [(one.first_number, one.outcome._replace(time=-one.outcome.time)) for one in runs]
+    return replica_service_pb2.FedProducer(
+        producer_id=runs[0].producer_id,
+        owner=runs[0].owner,
+        runs=[run_to(number, outcome, 0) for number, outcome in aged],
+    )
+
+
+def _runs_of(producer: replica_service_pb2.FedProducer) -> Iterator[KeptRun]:
+    for run in producer.runs:
+        outcome = outcome_of(run, 0)
+        aged = outcome._replace(time=-outcome.time)
+        yield KeptRun(producer.producer_id, run.first_number, aged, producer.owner)

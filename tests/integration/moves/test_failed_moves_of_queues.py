@@ -1,0 +1,141 @@
+"""Moves of queues that fail at one step: one host serves the queue afterwards, with all its messages."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any, NamedTuple
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.copies import queue_arrivals, queue_handover
+from stampede_rt_channel_host.queues import queue_store
+from tests.support.channel_host.queue_rig import OpenedQueue, QueueRig, ack, host_of, queue_directory
+
+OTHER_ID = b"the-other-host-i"
+
+
+class Pair(NamedTuple):
+    """Two hosts of one directory. The queue is at `source`."""
+
+    source: QueueRig
+    other: QueueRig
+    queue: OpenedQueue
+
+    def moves(self) -> Any:
+        """Have the other host take the queue over."""
+        stub = migration_service_pb2_grpc.MigrationServiceStub(self.other.connection)
+        return asyncio.ensure_future(stub.MoveHere(pb.MoveHereRequest(queue_id=self.queue.queue_id)))
+
+    def at_source(self) -> OpenedQueue:
+        """The queue, for calls to the host that had it first."""
+        return OpenedQueue(self.source, self.source.directory.queues[self.queue.queue_id])
+
+    def at_other(self) -> OpenedQueue:
+        """The queue, for calls to the other host."""
+        return OpenedQueue(self.other, self.source.directory.queues[self.queue.queue_id])
+
+
+@pytest.fixture
+async def pair() -> AsyncIterator[Pair]:
+    async with (
+        queue_directory() as directory,
+        host_of(directory) as source,
+        host_of(directory, host_id=OTHER_ID, name="h2", boot=8) as other,
+    ):
+        queue = source.open(lease_nanos=60 * 10**9)
+        await queue.put(b"a", b"b", b"c", number=1)
+        yield Pair(source, other, queue)
+
+
+async def payloads(queue: OpenedQueue) -> list[bytes]:
+    """All messages that a new taker gets."""
+    taker = queue.take(taker_id=9, credit=10)
+    held = (await queue.status()).counters.held
+    found = [one.payload for one in await taker.items(held)]
+    taker.call.cancel()
+    return found
+
+
+async def test_a_taker_whose_stream_ends_settles_at_the_new_host(pair: Pair) -> None:
+    taker = pair.queue.take(taker_id=5, credit=1)
+    (first,) = await taker.items(1)
+    await pair.moves()
+    assert await taker.ended() is grpc.StatusCode.FAILED_PRECONDITION
+    (result,) = await pair.at_other().settle(ack(first), taker_id=5)
+    assert not result.HasField("error")
+    assert await payloads(pair.at_other()) == [b"b", b"c"]
+    assert pair.source.host.queues.known(pair.queue.queue_id) is None
+
+
+async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_was(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any) -> Any:
+        raise queue_arrivals.Unavailable("the other host has a defect")
+
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_restored", fails)
+    with pytest.raises(grpc.aio.AioRpcError, match="has a defect"):
+        await pair.moves()
+    status = await pair.queue.status()  # waits for the end of the move
+    assert (status.counters.held, pair.at_source().record.epoch) == (3, 2)
+    assert await payloads(pair.at_source()) == [
+        b"a",
+        b"b",
+        b"c",
+    ]
+
+
+async def test_a_host_that_hears_nothing_of_the_commit_asks_the_directory(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may not take the queue back, because the other host serves it."""
+    served = queue_handover.QueueHandovers._hand_over
+
+    async def hears_nothing(self: Any, hosted: Any, context: Any) -> bool:
+        await served(self, hosted, context)
+        return False
+
+    monkeypatch.setattr(queue_handover.QueueHandovers, "_hand_over", hears_nothing)
+    await pair.moves()
+    assert await payloads(pair.at_other()) == [b"a", b"b", b"c"]
+    with pytest.raises(grpc.aio.AioRpcError, match="is at host"):
+        await pair.queue.status()
+
+
+async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queue_store, "HELD_SECONDS_MAX", 0.05)
+    reached, goes_on = asyncio.Event(), asyncio.Event()
+    taken_over = queue_arrivals.QueueArrivals._take_over
+
+    async def waits(self: Any, record: Any, core: Any) -> Any:
+        reached.set()
+        await goes_on.wait()
+        return await taken_over(self, record, core)
+
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", waits)
+    move = pair.moves()
+    await reached.wait()
+    with pytest.raises(grpc.aio.AioRpcError, match="takes long"):
+        await pair.queue.status()
+    goes_on.set()
+    await move
+    assert await payloads(pair.at_other()) == [b"a", b"b", b"c"]
+
+
+async def test_a_second_host_gets_nothing_of_a_queue_that_is_on_its_way(pair: Pair) -> None:
+    stub = migration_service_pb2_grpc.MigrationServiceStub(pair.source.connection)
+    first, second = stub.HandOverQueue(), stub.HandOverQueue()
+    opening = pb.HandOverQueueOpen(queue_id=pair.queue.queue_id, epoch=1, host_id=OTHER_ID)
+    await first.write(pb.HandOverQueueRequest(open=opening))
+    assert (await first.read()).facts.next_seq == 4
+    await second.write(pb.HandOverQueueRequest(open=opening))
+    first.cancel()
+    with pytest.raises(grpc.aio.AioRpcError, match="epoch 2"):  # it waited until the first move had failed
+        await second.read()
+    assert (await pair.queue.status()).counters.held == 3
