@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 
 import pytest
 
@@ -70,6 +71,22 @@ async def test_a_cancelled_get_waits_no_more(cluster: LocalCluster) -> None:
         newest = await channel.newest()
         assert newest is not None
         assert newest.payload is payload
+
+
+async def test_a_put_whose_ack_came_too_late_is_stored_once(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def late(future: Future[object], timeout_s: float | None) -> object:
+        await asyncio.wrap_future(future)
+        raise TimeoutError  # as for a program that blocks its event loop during the put
+
+    async with aio.host(cluster.address, name="rig-late", drain="0s") as rt:
+        channel = await rt.channel("reference/late")
+        monkeypatch.setattr("stampede_rt._async.calls_here.result_of", late)
+        put = await channel.put(b"once", time=7)
+        monkeypatch.undo()
+        items = await channel.get(st.OLDEST, st.NEWEST)
+        assert [(one.seq, one.time, one.payload) for one in items] == [(put.seq, 7, b"once")]
 
 
 def test_other_programs_get_and_put_equal_items(rt: st.Connection, cluster: LocalCluster) -> None:

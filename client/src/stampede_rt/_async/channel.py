@@ -79,11 +79,11 @@ class Channel(Reader):
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
         may_fill = on_full in ("block", "reject") or (ack or self.info.policy.ack or "host") != "host"
         with span("put", channel=self.name):
-            wait, accepted = Wait.parse(timeout), None
+            wait, put, accepted = Wait.parse(timeout), self._numbers.put_of(item), None
             if self._session.here is not None and not may_fill:
-                accepted = await put_here(self._session, self._state, self._numbers, item)
-            if accepted is None:
-                accepted = await self._puts.put(self._numbers, item, wait, renew_s, may_fill=may_fill)
+                accepted = await put_here(self._session, self._state, put)
+            if accepted is None:  # if the host of this process has put the item after all, it recognises the number
+                accepted = await self._puts.put(put, wait, renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, accepted)
 
     def producer(self, ack: Ack | None = None) -> Producer:

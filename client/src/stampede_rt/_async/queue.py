@@ -199,7 +199,7 @@ class Queue(MessageTaking, Reference):
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         with span("enqueue", queue=self.name):
-            return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
+            return enqueued(await self._puts.put(self._numbers.put_of(item), Wait.parse(timeout)))
 
     async def configure(
         self,

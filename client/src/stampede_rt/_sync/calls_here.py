@@ -8,7 +8,7 @@ room, or its answer is long. The usual way also finds the reason of each failure
 from __future__ import annotations
 
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.puts import ProducerNumbers, SingleItem, accepted
+from stampede_rt._sync.puts import NumberedPut, accepted
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
@@ -48,16 +48,15 @@ def _binding_here(session: Session, state: ChannelState, here: HostHere) -> Bind
     return binding if binding.target == here.target else None
 
 
-def put_here(
-    session: Session, state: ChannelState, numbers: ProducerNumbers, item: SingleItem
-) -> channel_pb.PutAck | None:
+def put_here(session: Session, state: ChannelState, numbered: NumberedPut) -> channel_pb.PutAck | None:
     """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull."""
     here = session.here
     binding = None if here is None else _binding_here(session, state, here)
     if here is None or binding is None:
         return None
+    item = numbered.item
     put = PutHere(
-        numbers.producer_id, numbers.next(), item.payload, item.time, item.duration, dict(item.attributes),
+        numbered.producer_id, numbered.number, item.payload, item.time, item.duration, dict(item.attributes),
         item.content_type,
     )  # fmt: skip
     try:

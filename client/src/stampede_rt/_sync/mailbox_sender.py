@@ -41,7 +41,7 @@ class MailboxSender:
         self._session.check()
         coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
         item = SingleItem.parse(coding, payload, None, None, attributes, content_type, message_id)
-        return enqueued(self._puts_to(peer).put(self._numbers, item, Wait.parse(timeout)))
+        return enqueued(self._puts_to(peer).put(self._numbers.put_of(item), Wait.parse(timeout)))
 
     def _puts_to(self, peer: str) -> Puts:
         with self._mutex:

@@ -7,7 +7,7 @@ import itertools
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from stampede_rt._sync.attempts import Locator, attempt
 from stampede_rt._sync.channel_state import ChannelState
@@ -37,9 +37,17 @@ class ProducerNumbers:
         self.producer_id = int.from_bytes(os.urandom(8), "little") | 1
         self._numbers = itertools.count(1)
 
-    def next(self) -> int:
-        """Return a new number. Several threads may call it."""
-        return next(self._numbers)
+    def put_of(self, item: SingleItem) -> NumberedPut:
+        """Return the put of an item, under a new number. Several threads may call it."""
+        return NumberedPut(self.producer_id, next(self._numbers), item)
+
+
+class NumberedPut(NamedTuple):
+    """One item, and the number under which its producer puts it. A put that is repeated keeps its number."""
+
+    producer_id: int
+    number: int
+    item: SingleItem
 
 
 class Puts:
@@ -55,9 +63,9 @@ class Puts:
         self._has_been_full = False  # a put without a wait was refused for lack of room
 
     def put(
-        self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, renew_s: float = RENEW_S, *, may_fill: bool = True
+        self, put: NumberedPut, wait: Wait, renew_s: float = RENEW_S, *, may_fill: bool = True
     ) -> channel_pb.PutAck:
-        """Put one item under the producer's next number, so that it is safe to repeat. Returns the ack.
+        """Put one item under its number, so that it is safe to repeat. Returns the ack.
 
         `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
         that hangs. The first request asks for a wait of at most `renew_s`, the others of at most RENEW_S.
@@ -67,10 +75,9 @@ class Puts:
         If the host says that the channel is full, another program has changed the policy. This put is then repeated
         with its wait, and the handle uses streams of its own from then on.
         """
-        number = numbers.next()
         if not (may_fill or self._has_been_full or PutExchange.one_at_a_time):
             try:
-                return self._put(numbers.producer_id, number, item, Wait(0.0), shares=True)
+                return self._put(put, Wait(0.0), shares=True)
             except Full:
                 self._has_been_full = True
                 if wait.seconds == 0:
@@ -81,7 +88,7 @@ class Puts:
             left = wait.after(asked_s - began_s)
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
-                return self._put(numbers.producer_id, number, item, part, shares=PutExchange.one_at_a_time)
+                return self._put(put, part, shares=PutExchange.one_at_a_time)
             except NotReplicated:  # the host recognises the repetition
                 if part is left:
                     raise
@@ -92,15 +99,15 @@ class Puts:
                     raise
             renew_s = RENEW_S
 
-    def _put(self, producer_id: int, number: int, item: SingleItem, wait: Wait, *, shares: bool) -> channel_pb.PutAck:
+    def _put(self, put: NumberedPut, wait: Wait, *, shares: bool) -> channel_pb.PutAck:
         """Put over a stream of this handle; with `shares` over a stream that all handles use."""
         seconds = wait.seconds or 0.0
         ends_s = monotonic_s() + seconds
 
         def put_at(binding: Binding, timeout_s: float) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
-            head = put_head(binding.subject_id, binding.epoch, producer_id)
-            request = put_request(head, number, item.run_parts(), left.nanos, item.tail)
+            head = put_head(binding.subject_id, binding.epoch, put.producer_id)
+            request = put_request(head, put.number, put.item.run_parts(), left.nanos, put.item.tail)
             owner = (self._open_stream, binding.target) if shares else self._handle_id
             blocks_until_s = 0.0 if shares else ends_s  # on a shared stream no put makes another one wait for room
             with self._session.put_streams.use(
