@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import threading
 
 from stampede_rt_channel_host.turns import Turns
@@ -46,3 +47,20 @@ def test_after_the_end_of_the_loop_nobody_waits_for_it() -> None:
     turns.loop_ended()
     with turns.lock:
         pass
+
+
+def test_a_signal_handler_looks_while_its_thread_looks() -> None:
+    turns = Turns()
+    looked: list[bool] = []
+
+    def look(number: int, frame: object) -> None:
+        looked.append(turns.lock.acquire(blocking=False))
+        turns.lock.release()
+
+    former = signal.signal(signal.SIGUSR1, look)
+    try:
+        with turns.lock:
+            signal.raise_signal(signal.SIGUSR1)
+    finally:
+        signal.signal(signal.SIGUSR1, former)
+    assert looked == [True]

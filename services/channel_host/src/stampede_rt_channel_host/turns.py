@@ -18,8 +18,11 @@ class Turns:
     """The turns of one loop. `loop` makes it, on the thread that runs it. Other threads take `lock` to look."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
-        """Held by the loop during its steps. Others take it by `with turns.lock`, which Ctrl-C cannot leave locked."""
+        self.lock = threading.RLock()
+        """Held by the loop during its steps. Others take it by `with turns.lock`, which Ctrl-C cannot leave locked.
+
+        A thread that looks may look again: Python can run a signal handler or `__del__` of the program meanwhile.
+        """
         self._is_awaited = False  # whether the loop waits for the lock
 
     def loop(self) -> asyncio.AbstractEventLoop:
