@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,6 +15,9 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.cluster.connecting import parse_target
+from stampede_rt.cluster.embedding import HostOptions
+from stampede_rt_channel_host.embedded import embed
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
@@ -127,6 +131,35 @@ rt.channel("embedded/6").put(b"kept", time=5)
         assert item is not None
         assert item.payload == b"kept"
         assert "rig-6" not in names_of_hosts(rt)
+
+
+def test_a_host_that_is_told_to_leave_before_its_loop_runs_leaves() -> None:
+    options = HostOptions.parse(None, None, "1GiB", "0s", False)
+    host = embed(parse_target("localhost:1", name=None, secret=None, zone=None), options)
+    host.ask_to_leave()
+    with pytest.raises(st.Unavailable, match="told to leave"):
+        host.start(LIMIT_S)
+    host.leave()
+    assert not host.is_alive
+
+
+def test_a_get_without_a_limit_ends_with_the_connection(cluster: LocalCluster) -> None:
+    failed: list[BaseException] = []
+
+    def wait(channel: st.Channel) -> None:
+        try:
+            channel.newest(timeout=None)
+        except st.StampedeError as error:
+            failed.append(error)
+
+    with st.host(cluster.address, name="rig-waits", drain="0s") as rt:
+        channel = rt.channel("embedded/waits")
+        waiting = threading.Thread(target=wait, args=[channel], daemon=True)
+        waiting.start()
+        while channel.stats().waiting_gets == 0:
+            pass  # each question is a round trip
+    waiting.join(LIMIT_S)
+    assert len(failed) == 1
 
 
 def test_a_forked_child_neither_serves_nor_keeps_the_port_nor_tells_the_directory_to_leave(

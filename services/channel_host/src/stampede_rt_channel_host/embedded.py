@@ -11,8 +11,6 @@ import contextlib
 import logging
 import os
 import re
-import socket
-import stat
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
@@ -23,13 +21,14 @@ from weakref import WeakSet
 
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.cluster.embedding import AnswerHere, HostOptions, PutHere
-from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable
 from stampede_rt.security.credentials import Credentials, SecretReader
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.channels.calls_here import newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.forked_sockets import close_copies
 from stampede_rt_channel_host.served_host import ServedHost
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_channel_host.turns import Turns
@@ -61,6 +60,8 @@ class EmbeddedHost:
         self._served: ServedHost | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
+        self._is_leaving = False  # also before the loop runs
+        self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
         self._started: Future[None] = Future()
         self._turns = Turns()
         # not a daemon: when the program ends without a close, the interpreter waits until the host has left
@@ -151,13 +152,15 @@ class EmbeddedHost:
             told.set_result(None)
             return told
         store = served.host.store
+        self._asked.add(told)
+        told.add_done_callback(self._asked.discard)
 
         def run() -> None:
             if told.cancelled():
                 return
             try:
                 perform(store, told)
-            except StampedeError as error:
+            except Exception as error:  # noqa: BLE001  # the caller raises it
                 _tell(told, error)
 
         try:
@@ -168,6 +171,7 @@ class EmbeddedHost:
 
     def ask_to_leave(self) -> None:
         """Begin to leave. Does not wait. Idempotent."""
+        self._is_leaving = True
         loop = self._loop
         if loop is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):  # the loop has closed meanwhile
@@ -179,12 +183,8 @@ class EmbeddedHost:
         Otherwise the port would stay open after the end of the parent, and its callers would wait for an answer.
         """
         served = self._served
-        if served is None:
-            return
-        port, path = served.address.rpartition(":")[2], served.local.removeprefix("unix:")
-        for descriptor in _sockets_of_this_process():
-            if _local_end(descriptor) in (port, path):
-                os.close(descriptor)
+        if served is not None:
+            close_copies(served.address, served.local.removeprefix("unix:"))
 
     def _run(self) -> None:
         try:
@@ -197,9 +197,14 @@ class EmbeddedHost:
                 logger.exception("the host in this process ended", extra={"event": "embedded_host_failed"})
         finally:
             self._turns.loop_ended()
+            _here.discard(self)  # its port may belong to others now
+            for told in [*self._asked]:  # the loop can answer them no more
+                _tell(told, None)
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
+        if self._is_leaving:
+            self._stop.set()
         served = self._served = ServedHost(self._settings, self._credentials, lambda failure: self._stop.set())
         try:
             await served.listen()
@@ -225,7 +230,7 @@ class EmbeddedHost:
 def _tell(told: Future[Any], found: object) -> None:
     """Set the result of a call. Does nothing if its caller has given up."""
     with contextlib.suppress(InvalidStateError):
-        if isinstance(found, StampedeError):
+        if isinstance(found, Exception):
             told.set_exception(found)
         else:
             told.set_result(found)
@@ -273,29 +278,6 @@ def _credentials(given: Credentials) -> Dialer:
             "cluster's secret, or a certificate of the role host"
         )
     return Dialer(secret=found, tls=load_tls(given.tls.files, Role.HOST) if given.tls else None)
-
-
-def _sockets_of_this_process() -> list[int]:
-    """The file descriptors of this process that are sockets."""
-    try:
-        descriptors = [int(name) for name in os.listdir("/dev/fd")]
-    except OSError:  # the system has no such folder: a child keeps the sockets open
-        return []
-    return [one for one in descriptors if _is_socket(one)]
-
-
-def _is_socket(descriptor: int) -> bool:
-    try:
-        return stat.S_ISSOCK(os.fstat(descriptor).st_mode)
-    except OSError:  # the descriptor with which the folder was listed
-        return False
-
-
-def _local_end(descriptor: int) -> str:
-    """The port or the path of a socket at this end."""
-    with socket.socket(fileno=os.dup(descriptor)) as copy:
-        name = copy.getsockname()
-    return str(name[1]) if isinstance(name, tuple) else str(name)
 
 
 _here: WeakSet[EmbeddedHost] = WeakSet()  # the hosts of this process
