@@ -156,3 +156,27 @@ def test_a_wait_ends_with_its_time_and_when_the_host_gives_the_channel_up(
         return slow, given_up
 
     assert asyncio.run(scenario()) == ("the disk is too slow", "the host gave the channel up")
+
+
+def put_at(channel: ChannelCore, seq: int) -> None:
+    channel.put(Offer(times=[seq], durations=None, lengths=[1]), seq, lambda first, kept, stamped: b"%d " % first)
+
+
+def test_a_disk_that_fails_for_long_costs_no_memory_for_the_puts_that_memory_has_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.PUTS_LEAST", 16)
+    channel, files = ChannelCore(Policy(max_bytes=300), incarnation=7), SegmentFiles(tmp_path / "c", {})
+    files.open(1)
+    recorder = ChannelRecorder(channel, files, ())
+    kept = []
+    for seq in range(1, 1001):
+        put_at(channel, seq)
+        recorder.note(seq)
+        kept.append(len(recorder._ends))
+    assert max(kept) <= 16
+    assert recorder.waiting_since == 1
+    parts = recorder.take().parts
+    held = [one for part in parts if isinstance(part, list) for one in part]
+    assert [one.accepted for one in held] == [one.run.first_seq for one in held]
+    assert held[-1].accepted == 1000

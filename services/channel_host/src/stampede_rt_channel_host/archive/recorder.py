@@ -17,6 +17,7 @@ RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # that wait for the archive; of more, only the latest is kept
+PUTS_LEAST = 4096  # from so many puts that wait for the archive on, those without items in memory become one
 Part = list[ArchivedRun] | SeqGap | Advances
 
 
@@ -66,6 +67,7 @@ class ChannelRecorder:
         # For each put that is not archived: the seq after its items, and the instant of their acceptance.
         self._ends: list[int] = []
         self._instants: list[int] = []
+        self._puts_max = PUTS_LEAST  # at so many the recorder looks which of them have items in memory
         self._advances: list[ArchivedAdvance] = []  # that are not archived
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
@@ -91,7 +93,17 @@ class ChannelRecorder:
         elif end_seq > (self._ends[-1] if self._ends else self.archived_to):
             self._ends.append(end_seq)
             self._instants.append(now)
+            if len(self._ends) >= self._puts_max:
+                self._forget_collected()
         return has_advance or end_seq > self.archived_to
+
+    def _forget_collected(self) -> None:
+        """Make one put of those whose items memory has lost, while the disk fails. Their first instant stays."""
+        held = next(iter(self._channel.accepted_from(self.archived_to)), None)
+        done = bisect_right(self._ends, self._channel.next_seq if held is None else held.run.first_seq)
+        del self._ends[: max(0, done - 1)]
+        del self._instants[1:done]
+        self._puts_max = max(PUTS_LEAST, 2 * len(self._ends))
 
     @property
     def waiting_since(self) -> int | None:
