@@ -101,6 +101,8 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
     channel, began = rt.channel("rig/stopped", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began, count=ITEMS - 1)
     channel.advance(began + (ITEMS - 2) * MS)
+    empty = rt.channel("rig/empty", archive="7d")
+    assert empty.newest() is None
     with channel.subscribe(start=began) as items:
         seen = [next(items) for _ in range(5)]
         for times in (1, 2):  # the second process does not even open the channel
@@ -117,6 +119,9 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
     with pytest.raises(st.TooOld, match="an advance has promised"):
         channel.put(b"late", time=began)
     check_reads(channel, began)
+    assert rt.channel("rig/empty").info.incarnation == empty.info.incarnation
+    assert empty.get(st.OLDEST, began).reason != "LOST"
+    assert empty.get(began - MS, began).reason != "LOST"
 
 
 def test_after_a_crash_only_the_last_stretch_is_lost(cluster: LocalCluster, rt: st.Connection) -> None:

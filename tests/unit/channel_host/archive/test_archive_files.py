@@ -68,6 +68,15 @@ def test_a_file_cut_at_any_byte_opens_with_the_blocks_before_the_cut_and_is_writ
         files.close(None)
 
 
+def test_a_new_file_is_on_stable_storage_with_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr("stampede_rt_channel_host.archive.segment_files.sync_folder", synced.append)
+    files, _ = opened(tmp_path / "channel")
+    write(files, 1, 1)
+    files.close(None)
+    assert synced == [tmp_path / "channel", tmp_path]  # the name of the file, and the name of its folder
+
+
 def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = opened(tmp_path)
     before = write(files, 1, 2)

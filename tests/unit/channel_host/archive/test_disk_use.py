@@ -83,8 +83,16 @@ def test_a_start_finds_the_folders_of_all_channels_and_who_made_them(folder: Arc
 
 def test_the_folder_of_a_channel_without_items_goes_with_its_channel(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "empty")
-    files.close(CleanStop(7))
+    files.close(None)
     assert [*tmp_path.iterdir()] == []
+
+
+def test_the_folder_of_a_channel_without_items_keeps_the_note_of_a_clean_stop(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path / "empty")
+    files.close(CleanStop(7))
+    found = SegmentFiles(tmp_path / "empty", {}).open(2, 7)
+    assert found.segments == ()
+    assert found.stop is not None
 
 
 def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_has_deleted(

@@ -189,6 +189,7 @@ class SegmentFiles(SegmentReads):
         self._delete_leftovers(number)
         self._file = os.open(self._path(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
         sync_folder(self._folder)
+        sync_folder(self._folder.parent)  # the folder may be new
         opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
         write_all(self._file, opening)
         if self._advance is not None:  # a segment begins with the latest advance, for reads as of an instant
@@ -251,10 +252,13 @@ class SegmentFiles(SegmentReads):
         self._epoch = max(self._epoch, epoch)
 
     def close(self, stop: CleanStop | None) -> None:
-        """End the present segment. `stop`: all accepted items are in the archive. Deletes a folder without files."""
+        """End the present segment. `stop`: all accepted items are in the archive.
+
+        Without it, deletes a folder without files. With it the folder stays, because the note must.
+        """
         self._end_segment()
-        if not self._segments:
-            with suppress(OSError):
-                self._folder.rmdir()
         if stop is not None and self._folder.is_dir():
             write_stop(self._folder, stop._replace(epoch=self._epoch))
+        elif not self._segments:
+            with suppress(OSError):
+                self._folder.rmdir()

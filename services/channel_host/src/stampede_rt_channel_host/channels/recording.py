@@ -37,6 +37,7 @@ from stampede_rt_channel_host.core.channel import (
     SubscriptionBatch,
     make_run,
 )
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -93,7 +94,7 @@ class Recording:
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
-        if channel.next_seq == 1 and opened.newest is not None:
+        if channel.next_seq == 1 and (opened.newest is not None or opened.found.stop is not None):
             _restore(channel, opened, cut)
         self.recorder = ChannelRecorder(channel, opened.files, opened.found.segments, opened.disk)
         archive.record(self.recorder)
@@ -211,20 +212,22 @@ class Recording:
 
 
 def _restore(channel: ChannelCore, opened: OpenedChannelArchive, cut: Callable[[bytes, int, int], bytes]) -> None:
-    """Take the newest archived items into memory, so that the channel goes on where its archive ends."""
-    window, segments = opened.newest, opened.found.segments
-    assert window is not None, "the archive has items"
+    """Take the newest archived items into memory, so that the channel goes on where its archive ends.
+
+    A channel that stopped before its first item has a note of the stop, and no items.
+    """
+    window, segments = opened.newest or ArchiveWindow(ChannelIndex(), None, None, None), opened.found.segments
     parts = sorted(window.items.slices(FIRST_KEY, LAST_KEY), key=lambda one: one.first_seq)
     runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
     after = window.edge
-    first = segments[0].first_seq
+    first = segments[0].first_seq if segments else 1
     if after is None and first > 1 and runs:
         after = min(min(run.times) for run in runs) - 1
     stop, loss = opened.found.stop, (span_of(segments).newest, channel.lost_before)
     channel.restore(
         runs,
         after=after,
-        next_seq=max(one.end_seq for one in segments),
+        next_seq=max((one.end_seq for one in segments), default=1),
         loss=loss if stop is None else (stop.lost_from, stop.lost_before),
         advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
     )
