@@ -91,7 +91,7 @@ from stampede_rt.values.proxying import CopyStats, DrainInfo, MoveInfo, ProxyInf
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
-from stampede_rt.values.statistics import ChannelStats, ConsumerStats
+from stampede_rt.values.statistics import ChannelStats, ConsumerStats, ReaderStats, WriterStats
 from stampede_rt.values.timeline import (
     NEWEST,
     NOW,
@@ -192,6 +192,7 @@ __all__ = [
     "QueueNotFound",
     "QueuePolicy",
     "QueueStats",
+    "ReaderStats",
     "Reason",
     "RecordedCounts",
     "RecordingGap",
@@ -208,6 +209,7 @@ __all__ = [
     "VersionMismatch",
     "Watch",
     "WatchRestart",
+    "WriterStats",
     "WrongCluster",
     "WrongEventLoop",
     "__version__",

@@ -244,6 +244,26 @@ def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
     assert stampede("ls", "no/such*").stdout == "no channel matches 'no/such*'\n"
 
 
+def test_info_names_the_readers_and_writers_and_what_a_slow_reader_missed(stampede: Run, cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = rt.channel("cli/used", max_items=100)
+        with channel.subscribe(mode="newest") as items:
+            for number in range(10):
+                channel.put(b"%d" % number)
+                next(items) if not number else None
+            next(items)
+            stats = channel.stats()
+            facts = json.loads(stampede("info", "cli/used", "-o", "json").stdout)
+            text = stampede("info", "cli/used").stdout
+        assert channel.stats().writers == stats.writers
+    [reader] = facts["readers"]
+    assert (reader["collected"], reader["skipped"], facts["dropped"], stats.dropped) == (0, 8, 8, 8)
+    assert reader["subscriber"].startswith("@localhost#")
+    assert [one["name"] for one in facts["writers"]] == ["@localhost"]
+    assert facts["writers"][0]["last_put"] == stats.writers[0].last_put <= stats.host_time
+    assert f"{reader['subscriber']} (8 skipped)" in text
+
+
 def test_put_sets_a_channel_up_for_consumers_and_gives_up_waiting_for_room(stampede: Run) -> None:
     options = ("--max-items", "1", "--on-full", "block", "--consumers", "2")
     stampede("put", "cli/consumed", "x", *options, "--max-age", "30s", "--max-age-unconsumed", "60s")

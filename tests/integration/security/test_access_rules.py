@@ -76,6 +76,24 @@ def test_a_client_that_may_put_may_open_and_put_and_nothing_else(cluster: LocalC
         assert list(rt.channels()) == []
 
 
+def test_only_a_caller_that_may_read_a_channel_sees_who_reads_and_writes_it(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    things(cluster)
+    operator.add("cam", "put", "video/*", "--kind", "channel")
+    operator.add("dash", "read", "video/*", "--kind", "channel")
+    with st.connect(cluster.address, secret=operator.token("cam")) as rt:
+        rt.channel("video/2").put(b"x")
+        hidden = rt.channel("video/2").stats()
+    with st.connect(cluster.address, secret=operator.token("dash")) as rt:
+        channel = rt.channel("video/2")
+        with channel.subscribe():
+            seen = channel.stats()
+    assert (hidden.readers, hidden.writers, hidden.accepted) == (None, None, 1)
+    assert [one.name for one in seen.writers] == ["cam"]
+    assert [one.subscriber.partition("#")[0] for one in seen.readers] == ["dash"]
+
+
 def test_nobody_finds_the_host_of_a_hidden_channel_by_opening_beside_it(
     cluster: LocalCluster, operator: Operator
 ) -> None:

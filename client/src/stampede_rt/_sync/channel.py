@@ -30,7 +30,7 @@ from stampede_rt.values.policy import parse_policy
 from stampede_rt.values.reading import RENEW_S, Wait
 from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duration, parse_instant
-from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
+from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec, with_users
 
 PERIOD_NANOS_MIN = 1_000_000  # the shortest period of `sample`
 # The wait for room that the first request of a put asks for, if the handle knows a policy without on_full="block".
@@ -158,11 +158,12 @@ class Channel(Reader):
             sent_s, sent = monotonic_s(), time_ns()
             response = endpoint.call(endpoint.channels.GetChannelStatus, request, timeout_s)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
-            return channel_stats(
+            stats = channel_stats(
                 response.status,
                 clock_offset_nanos=response.status.host_time_unix_nano - asked_at,
                 transport=self._transport(endpoint),
             )
+            return with_users(stats, response)
 
         return self._session.perform(self._state, status_at)
 

@@ -11,7 +11,7 @@ from stampede_rt.values.statistics import ChannelStats
 
 Look = Mapping[str, tuple[str, ChannelStats]]
 """By the name of each channel: its host, and its counters."""
-SORTS = ("bytes", "items", "age", "lag", "held", "refused", "name")
+SORTS = ("bytes", "items", "age", "lag", "held", "refused", "dropped", "name")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -19,7 +19,7 @@ class ChannelRates:
     """One channel between two looks. Rates are per second.
 
     `age_nanos`: of the newest item; None without an item. `lag_items`: the items that the slowest consumer or copy
-    still has to get. `refused`: items of refused puts.
+    still has to get. `refused`: items of refused puts. `dropped`: items that slow readers did not get.
     """
 
     channel: str
@@ -28,6 +28,7 @@ class ChannelRates:
     bytes_in: float
     bytes_out: float
     refused: float
+    dropped: float
     lag_items: int
     age_nanos: int | None
     held: int
@@ -51,6 +52,7 @@ def _rates(name: str, host: str, former: tuple[str, ChannelStats] | None, now: C
         bytes_in=max(0, now.accepted_bytes - then.accepted_bytes) / seconds,
         bytes_out=max(0, now.delivered_bytes - then.delivered_bytes) / seconds,
         refused=max(0, refused) / seconds,
+        dropped=max(0, now.dropped - then.dropped) / seconds,  # `dropped` falls when a slow reader leaves
         lag_items=max(waiting, default=0),
         age_nanos=None if now.newest is None else now.host_time - now.newest,
         held=now.held,
@@ -74,6 +76,7 @@ def _value(row: ChannelRates, sort: str) -> float:
         "held": float(row.held),
         "lag": float(row.lag_items),
         "refused": row.refused,
+        "dropped": row.dropped,
     }
     return values[sort]
 

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.channel_users import user_facts
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
 from stampede_rt.values.model import ChannelInfo
@@ -91,6 +92,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "frontier": None if stats.frontier is None else instant(stats.frontier),
         "consumers": _consumers(stats) if people else [asdict(one) for one in stats.consumers],
         "subscriptions": stats.subscriptions,
+        **user_facts(stats, people),
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
         "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,

@@ -24,9 +24,9 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import Connection
 
-HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S")
+HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S", "DROPS/S")
 NARROW_HEADS = ("ITEMS/S", "IN/S", "AGE")
-WIDE_COLUMNS = 84  # a narrower terminal shows NARROW_HEADS alone
+WIDE_COLUMNS = 93  # a narrower terminal shows NARROW_HEADS alone
 KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
 _ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
 
@@ -169,5 +169,9 @@ def _cells(row: ChannelRates) -> tuple[str, ...]:
     return (
         escaped(row.host), f"{row.items:.1f}", bytes_text(row.bytes_in),
         bytes_text(row.bytes_out), age, str(row.lag_items) if row.lag_items else "-", str(row.held),
-        str(row.subscriptions), f"{row.refused:.1f}" if row.refused else "-",
+        str(row.subscriptions), _rate(row.refused), _rate(row.dropped),
     )  # fmt: skip
+
+
+def _rate(count: float) -> str:
+    return f"{count:.1f}" if count else "-"

@@ -365,7 +365,35 @@ class GetChannelStatusRequest(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
 
 class GetChannelStatusResponse(_message.Message):
-    __slots__ = ("status",)
+    __slots__ = ("status", "users")
     STATUS_FIELD_NUMBER: _ClassVar[int]
+    USERS_FIELD_NUMBER: _ClassVar[int]
     status: _channel_pb2.ChannelStatus
-    def __init__(self, status: _Optional[_Union[_channel_pb2.ChannelStatus, _Mapping]] = ...) -> None: ...
+    users: ChannelUsers
+    def __init__(self, status: _Optional[_Union[_channel_pb2.ChannelStatus, _Mapping]] = ..., users: _Optional[_Union[ChannelUsers, _Mapping]] = ...) -> None: ...
+
+class ChannelUsers(_message.Message):
+    __slots__ = ("readers", "writers")
+    READERS_FIELD_NUMBER: _ClassVar[int]
+    WRITERS_FIELD_NUMBER: _ClassVar[int]
+    readers: _containers.RepeatedCompositeFieldContainer[ChannelReader]
+    writers: _containers.RepeatedCompositeFieldContainer[ChannelWriter]
+    def __init__(self, readers: _Optional[_Iterable[_Union[ChannelReader, _Mapping]]] = ..., writers: _Optional[_Iterable[_Union[ChannelWriter, _Mapping]]] = ...) -> None: ...
+
+class ChannelReader(_message.Message):
+    __slots__ = ("subscriber", "collected", "skipped")
+    SUBSCRIBER_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_FIELD_NUMBER: _ClassVar[int]
+    SKIPPED_FIELD_NUMBER: _ClassVar[int]
+    subscriber: str
+    collected: int
+    skipped: int
+    def __init__(self, subscriber: _Optional[str] = ..., collected: _Optional[int] = ..., skipped: _Optional[int] = ...) -> None: ...
+
+class ChannelWriter(_message.Message):
+    __slots__ = ("name", "last_put_unix_nano")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LAST_PUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    last_put_unix_nano: int
+    def __init__(self, name: _Optional[str] = ..., last_put_unix_nano: _Optional[int] = ...) -> None: ...

@@ -23,6 +23,32 @@ class ConsumerStats:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ReaderStats:
+    """An open subscription to a channel.
+
+    `subscriber`: its caller's verified name, or its address with "@"; then "#" and a number of its own. `collected`
+    counts the items that left the channel before the reader took them. `skipped` counts the items that a reader of the
+    newest item did not take, because a newer item came.
+    """
+
+    subscriber: str
+    collected: int
+    skipped: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WriterStats:
+    """A caller whose items a channel accepted.
+
+    `name`: its verified name, or its address with "@". `last_put`: the time of its last accepted put, in nanoseconds
+    since 1970, by the host's clock.
+    """
+
+    name: str
+    last_put: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStats:
     """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
@@ -39,6 +65,9 @@ class ChannelStats:
     - `copies`: the copies that the host feeds: proxies and replicas.
     - `replicated`: all items with a smaller seq are replicated, so that readers see them; None without replicas.
       `not_replicated`: the accepted items of puts that ended with NotReplicated.
+    - `dropped`: the items that the open subscriptions did not get, because their readers were too slow.
+    - `readers`: at most 64 open subscriptions at the channel's host, the slowest first. `writers`: the latest writers,
+      at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
     """
 
     accepted: int
@@ -64,3 +93,6 @@ class ChannelStats:
     copies: Sequence[CopyStats] = ()
     replicated: int | None = None
     not_replicated: int = 0
+    dropped: int = 0
+    readers: Sequence[ReaderStats] | None = None
+    writers: Sequence[WriterStats] | None = None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-from stampede_rt.v1 import channel_pb2, directory_pb2, replica_pb2
+from stampede_rt.v1 import channel_pb2, channel_service_pb2, directory_pb2, replica_pb2
 from stampede_rt.values.model import (
     Ack,
     Change,
@@ -17,7 +18,7 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.proxying import CopyStats, ProxyInfo
-from stampede_rt.values.statistics import ChannelStats, ConsumerStats
+from stampede_rt.values.statistics import ChannelStats, ConsumerStats, ReaderStats, WriterStats
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
@@ -189,6 +190,22 @@ def channel_stats(
         ],
         replicated=status.replicated_next_seq if status.HasField("replicated_next_seq") else None,
         not_replicated=status.counters.not_replicated,
+        dropped=status.dropped,
+    )
+
+
+def with_users(stats: ChannelStats, response: channel_service_pb2.GetChannelStatusResponse) -> ChannelStats:
+    """Return the counters with the channel's readers and writers, if the response tells them."""
+    if not response.HasField("users"):
+        return stats
+    users = response.users
+    return replace(
+        stats,
+        readers=[
+            ReaderStats(subscriber=one.subscriber, collected=one.collected, skipped=one.skipped)
+            for one in users.readers
+        ],
+        writers=[WriterStats(name=one.name, last_put=one.last_put_unix_nano) for one in users.writers],
     )
 
 

@@ -357,7 +357,7 @@ complete -c stampede -n '_shtab_stampede_using top' -s h -l help -d 'show this h
 complete -c stampede -n '_shtab_stampede_using top' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using top' -s o -l output -xka "table json jsonl" -d 'how to print; default table'
 complete -c stampede -n '_shtab_stampede_using top' -l local -d 'print instants as local time; default: UTC'
-complete -c stampede -n '_shtab_stampede_using top' -l sort -xka "bytes items age lag held refused name" -d 'what to sort by; default bytes, in and out'
+complete -c stampede -n '_shtab_stampede_using top' -l sort -xka "bytes items age lag held refused dropped name" -d 'what to sort by; default bytes, in and out'
 complete -c stampede -n '_shtab_stampede_using top' -l every -x -d 'look this often; default 1'
 complete -c stampede -n '_shtab_stampede_using top' -l count -x -d 'stop after N looks'
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a lag -d 'print how far channels, groups and queues are behind, the worst first'

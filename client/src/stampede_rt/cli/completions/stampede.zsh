@@ -1437,7 +1437,7 @@ _shtab_stampede_top_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--sort[what to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused name)"
+  "--sort[what to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused dropped name)"
   "--every[look this often\; default 1]:SECONDS:"
   "--count[stop after N looks]:N:"
   ":names, such as \"cam\/\*\":"

@@ -14,6 +14,7 @@ from grpc.aio import EOF
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import channel_status
+from stampede_rt_channel_host.channels.channel_users import users_of
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.gets.get_stream import GetStream
@@ -23,7 +24,7 @@ from stampede_rt_channel_host.channels.requests import opening_of, parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscriptions.subscription import Subscription
-from stampede_rt_runtime.access.control import check_access, check_known, own_name
+from stampede_rt_runtime.access.control import allowed_to, check_access, check_known, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
@@ -107,8 +108,11 @@ class ChannelServicer:
         else:
             hosted = self._store.find_any_epoch(request.channel_id)
         check_known(AccessKind.CHANNEL, hosted.record.name)
-        status = await self._store.scheduler.do(channel_status(hosted, self._store.now))
-        return pb.GetChannelStatusResponse(status=status)
+        name, readers = hosted.record.name, self._store.readers
+        dropped = readers.dropped_by_channel().get(name, 0)
+        status = await self._store.scheduler.do(channel_status(hosted, self._store.now, dropped))
+        may_read = allowed_to(AccessVerb.READ, AccessKind.CHANNEL)(name)
+        return pb.GetChannelStatusResponse(status=status, users=users_of(hosted, readers) if may_read else None)
 
 
 async def undecided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:

@@ -14,13 +14,15 @@ from stampede_rt_channel_host.core.channel import ConsumerStanding, Counters, Pi
 from stampede_rt_channel_host.core.replication import ReplicaState
 
 
-def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
-    """The status as of the last piece of work, made in pieces.
+def channel_status(hosted: HostedChannel, now: Callable[[], int], dropped: int) -> Pieces[channel_pb2.ChannelStatus]:
+    """The status as of the last piece of work, made in pieces. `dropped`: the items that open subscriptions missed.
 
     Only the number of items that each consumer has still to consume may be a little older.
     """
     consumers = yield from hosted.core.counting_consumers(now())
-    return _status(hosted, consumers, now())
+    status = _status(hosted, consumers, now())
+    status.dropped = dropped
+    return status
 
 
 def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: int) -> channel_pb2.ChannelStatus:

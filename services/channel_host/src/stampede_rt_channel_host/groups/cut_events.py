@@ -91,7 +91,7 @@ class CutEvents:
         reading = self._stream.spawn(self._read(group, decides=opening.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
-            with self._groups.channels.readers.reading(group.record.name) as self._drops:
+            with self._groups.channels.readers.reading(group.record.name, of_group=True) as self._drops:
                 await self._serve(group, opening)
         finally:
             reading.cancel()

@@ -335,6 +335,11 @@ def caller_name() -> str:
     return "" if caller is None else caller.name
 
 
+def shown_name() -> str:
+    """The present caller's verified name, or else its address, such as "@10.0.0.3"; empty outside a server."""
+    return intern(current_account().subject or caller_name())
+
+
 def owner_name() -> str:
     """The name under which the present caller owns things; empty for a caller whom rules do not judge."""
     caller = current_caller()

@@ -12,13 +12,15 @@ from stampede_rt_channel_host.channels.limits.memory import own_bytes
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Body, Offer, PutOutcome, ReferencedBody
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 
+LOCAL_WRITER = "@localhost"  # a put in the process of an embedded host has no credential
+
 
 class IncomingRun:
     """One run that a producer puts, until the run has its ack. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
         "_done", "_encoded", "_timer", "ack", "first_number", "items", "offer", "owner", "producer_id", "progress",
-        "wait_nanos",
+        "wait_nanos", "writer",
     )  # fmt: skip
 
     def __init__(
@@ -30,8 +32,11 @@ class IncomingRun:
         first_number: int,
         wait_nanos: int | None,
         owner: str = "",
+        writer: str = LOCAL_WRITER,
     ) -> None:
-        """`owner`: see `RetryWindow.record`. `columns`: of a run that is not encoded yet; it has one item.
+        """`owner`: see `RetryWindow.record`. `writer`: the caller's name for `Writers`.
+
+        `columns`: of a run that is not encoded yet; it has one item.
 
         Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold.
         """
@@ -45,6 +50,7 @@ class IncomingRun:
         self.first_number = first_number
         self.wait_nanos = wait_nanos
         self.owner = owner
+        self.writer = writer
         self.ack: pb.PutAck | None = None
         self._encoded = encoded
         self._done: asyncio.Future[None] | None = None

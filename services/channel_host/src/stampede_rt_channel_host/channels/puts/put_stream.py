@@ -29,7 +29,8 @@ from stampede_rt_channel_host.channels.puts.wanted_acks import check_wanted, hel
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_runtime.access.control import current_account, current_work, own_name, request_rights
+from stampede_rt_channel_host.channels.subscriptions.reader_drops import UNNAMED
+from stampede_rt_runtime.access.control import current_account, current_work, own_name, request_rights, shown_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, answer_at_once
 
@@ -83,6 +84,7 @@ class PutStream:
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._owner = own_name()
+        self._writer = shown_name() or UNNAMED
         self._rights = request_rights(_lose)
         self._work = current_work()
         self._whole = WholeRequests(context.read, store.memory.requests, self._account)
@@ -244,6 +246,7 @@ class PutStream:
             first_number=put.first_number,
             wait_nanos=wait_nanos,
             owner=self._owner,
+            writer=self._writer,
         )
 
     async def _write_acks(self) -> None:

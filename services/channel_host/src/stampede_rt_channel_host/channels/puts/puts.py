@@ -12,6 +12,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts.acks import ack_of, refused
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.writers import Writers
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Pieces
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.run_outcome import RunOutcome
@@ -56,6 +57,7 @@ class ChannelPuts:
         self._waiting_bytes = 0
         self._waiting_runs: list[IncomingRun] = []  # not a deque: an empty one takes 600 bytes
         self._timer: asyncio.TimerHandle | None = None
+        self._writers: Writers | None = None  # most channels of a large host have none
         self._overdue: list[IncomingRun] | None = None  # while the puts are held: runs whose waiting time is over
 
     def hold(self) -> None:
@@ -267,8 +269,18 @@ class ChannelPuts:
         else:
             self._arm(outcome.retry_at, now)
         if outcome.run is not None:
+            self._note_writer(run.writer, now)
             self._on_accepted(now)
         return is_done
+
+    def _note_writer(self, name: str, now: int) -> None:
+        if self._writers is None:
+            self._writers = Writers()
+        self._writers.note(name, now)
+
+    def writers(self) -> list[tuple[str, int]]:
+        """The latest writers, with the times of their last accepted puts (see `Writers.latest`)."""
+        return [] if self._writers is None else self._writers.latest()
 
     def _refuse_rest(self, run: IncomingRun, now: int) -> pb.PutAck:
         run.take_outcome(self._channel.give_up_put(run.offer), now)

@@ -1,0 +1,40 @@
+"""The readers and writers of a channel in `stampede info`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.cli.channel_users import NOT_TOLD, user_facts
+from stampede_rt.values.statistics import ReaderStats, WriterStats
+from tests.unit.client.cli.test_channel_rates import STATS, S
+
+TOLD = replace(
+    STATS,
+    dropped=7,
+    readers=[
+        ReaderStats(subscriber="dash#3", collected=5, skipped=2),
+        ReaderStats(subscriber="@localhost#1", collected=0, skipped=0),
+    ],
+    writers=[WriterStats(name="cam", last_put=98 * S)],
+)
+
+
+def test_people_see_who_missed_how_much_and_how_long_ago_a_writer_put() -> None:
+    assert user_facts(TOLD, people=True) == {
+        "dropped": 7,
+        "readers": "dash#3 (5 collected, 2 skipped), @localhost#1",
+        "writers": "cam (2 s ago)",
+    }
+
+
+def test_names_that_the_host_does_not_tell_differ_from_none() -> None:
+    assert user_facts(STATS, people=True) == {"dropped": 0, "readers": NOT_TOLD, "writers": NOT_TOLD}
+    assert user_facts(STATS, people=False) == {"dropped": 0, "readers": None, "writers": None}
+    nobody = replace(STATS, readers=(), writers=())
+    assert user_facts(nobody, people=True) == {"dropped": 0, "readers": "none", "writers": "none"}
+
+
+def test_programs_get_plain_values() -> None:
+    facts = user_facts(TOLD, people=False)
+    assert facts["readers"][0] == {"subscriber": "dash#3", "collected": 5, "skipped": 2}
+    assert facts["writers"] == [{"name": "cam", "last_put": 98 * S}]
