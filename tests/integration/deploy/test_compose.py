@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from stampede_rt_channel_host.settings import HostSettings
-from stampede_rt_frontend.app import FrontendSettings
-from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_frontend.settings import FrontendSettings
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import load_settings
 from stampede_rt_supernode.settings import SupernodeSettings
 

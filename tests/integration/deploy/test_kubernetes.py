@@ -18,13 +18,13 @@ import yaml
 
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_channel_host.supervisor import STOP_SECONDS_MAX
-from stampede_rt_frontend.app import FrontendSettings
+from stampede_rt_frontend.settings import FrontendSettings
 from stampede_rt_runtime.health import LIVENESS, READINESS
 from stampede_rt_runtime.health_check import own_address
 from stampede_rt_runtime.server import DRAIN_SECONDS
 from stampede_rt_runtime.settings import load_settings
 from stampede_rt_supernode.settings import SupernodeSettings
-from stampede_rt_web.app import WebSettings
+from stampede_rt_web.settings import WebSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "deploy/kubernetes"

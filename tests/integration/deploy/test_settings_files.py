@@ -11,13 +11,13 @@ import pytest
 
 from stampede_rt_channel_host.app import main as host
 from stampede_rt_channel_host.settings import HostSettings
-from stampede_rt_frontend.app import FrontendSettings
 from stampede_rt_frontend.app import main as frontend
+from stampede_rt_frontend.settings import FrontendSettings
 from stampede_rt_runtime.settings import load_settings
 from stampede_rt_supernode.app import main as supernode
 from stampede_rt_supernode.settings import SupernodeSettings
-from stampede_rt_web.app import WebSettings
 from stampede_rt_web.app import main as web
+from stampede_rt_web.settings import WebSettings
 
 FOLDER = Path(__file__).resolve().parents[3] / "deploy/settings"
 SERVICES: dict[str, tuple[Callable[[list[str]], int], type[Any]]] = {

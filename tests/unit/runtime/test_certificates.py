@@ -16,7 +16,7 @@ from stampede_rt.security.tls_diagnosis import check_own_certificate
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.certificates import CertificateError, describe, issue, make_authority
 from stampede_rt_runtime.identity import Identity, Role
-from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.tls import load_tls
 

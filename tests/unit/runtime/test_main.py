@@ -11,7 +11,8 @@ import pytest
 from stampede_rt.errors import Unavailable
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import check_listen
-from stampede_rt_runtime.main import ServiceSettings, announce, run_service
+from stampede_rt_runtime.main import announce, run_service
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import setting
 
 WHAT = ("", "fail", "listen", "file", "defect", "7")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_runtime.settings import HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.settings import HelpRequested, SettingsError, help_of, load_settings, setting
 from stampede_rt_runtime.values import parse_address_text, parse_duration, parse_list, parse_size, parse_target
 
 
@@ -222,3 +222,12 @@ def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> Non
     (tmp_path / "sample.toml").write_text(sample_of(Demanding))
     argv = ["--config", str(tmp_path / "sample.toml")]
     assert load_settings(Demanding, service="sample", argv=argv, environ={}).name == "rig1"
+
+
+def test_the_help_is_told_apart_from_a_run_a_wrong_flag_and_a_verb() -> None:
+    def told(*words: str) -> str | None:
+        return help_of(Sample, service="host", argv=words)
+
+    assert "usage: stampede host" in (told("--help") or "")
+    assert "[host]" in (told("--sample-settings") or "")
+    assert told() is told("--nonsense") is told("init", "--help") is None

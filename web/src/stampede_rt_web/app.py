@@ -10,7 +10,6 @@ import socket
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import uvicorn
@@ -19,66 +18,16 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
 from stampede_rt_runtime.main import announce
-from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
-from stampede_rt_runtime.values import Address, parse_address_text
+from stampede_rt_runtime.values import Address
 from stampede_rt_web.guard import TOKEN_CHARACTERS_MIN, Guard
+from stampede_rt_web.settings import WebSettings
 from stampede_rt_web.site import Site
 
 CONNECTIONS_MAX = 128  # the open connections and running requests; the server answers others with 503
 KEEP_ALIVE_SECONDS = 20
 SHUTDOWN_SECONDS = 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class WebSettings:
-    """Serves a page that shows the streams of a cluster on one time line. The page only reads."""
-
-    listen: str = field(
-        default="localhost:7581",
-        metadata=setting(
-            metavar="HOST:PORT", parse=parse_address_text, help="the address of the page; port 0: any free one"
-        ),
-    )
-    url: str = field(
-        default="",
-        metadata=setting(metavar="HOST:PORT", help="the front-ends of the cluster; default localhost:7580"),
-    )
-    secret_file: Path | None = field(
-        default=None,
-        metadata=setting(
-            metavar="FILE", help="the file of the cluster's secret; without it the page looks where all clients do"
-        ),
-    )
-    channels: str = field(
-        default="*", metadata=setting(metavar="GLOB", shared=False, help="the channels that the page lists")
-    )
-    token_file: Path | None = field(
-        default=None,
-        metadata=setting(
-            metavar="FILE",
-            shared=False,
-            help="the file of the login token, made if absent; needed on addresses beyond loopback",
-        ),
-    )
-    tls_certificate: Path | None = field(
-        default=None,
-        metadata=setting(
-            metavar="FILE", shared=False, help="the page's certificate (PEM); needed on addresses beyond loopback"
-        ),
-    )
-    tls_key: Path | None = field(
-        default=None, metadata=setting(metavar="FILE", shared=False, help="the private key (PEM) of the certificate")
-    )
-
-    def __post_init__(self) -> None:
-        if (self.tls_certificate is None) != (self.tls_key is None):
-            raise ValueError("--tls-certificate and --tls-key belong together; give both or none")
-
-    @property
-    def may_listen_anywhere(self) -> bool:
-        """Whether other machines may see the page: it has TLS and a login."""
-        return self.token_file is not None and self.tls_certificate is not None
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -84,7 +84,6 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
     # The imports are here and in _parser, not at the top, so that neither function loads the modules of the other one.
     from importlib.metadata import entry_points
 
-    import stampede_rt.grpc_quiet  # noqa: F401  # before anything imports gRPC
     from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 
     if verb == "supernode" and arguments and arguments[0] in ADMINISTRATIVE_VERBS:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stampede_rt.cluster.addresses import ADDRESSES_MAX
 from stampede_rt.values.policy import NAME_GRAMMAR
-from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_list, parse_size, parse_target
 

@@ -4,51 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 from stampede_rt.v1 import frontend_service_pb2_grpc
 from stampede_rt_frontend.metrics import FrontendMetrics
 from stampede_rt_frontend.probe import Prober
-from stampede_rt_frontend.roster import SUPERNODES_MAX, SupernodeRoster
+from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
+from stampede_rt_frontend.settings import FrontendSettings
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import CONTROL_LIMITS
-from stampede_rt_runtime.main import ServiceSettings, announce, run_service
+from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.server import ServiceServer
-from stampede_rt_runtime.settings import setting
-from stampede_rt_runtime.values import parse_address_text, parse_list, parse_target
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrontendSettings(ServiceSettings):
-    """Tells callers the addresses of the supernodes. It keeps no state: run as many as you like."""
-
-    listen: str = field(
-        default="localhost:7580",
-        metadata=setting(
-            metavar="HOST:PORT",
-            parse=parse_address_text,
-            help="the address at which the front-end listens (port 0: any free port)",
-        ),
-    )
-    supernodes: tuple[str, ...] = field(
-        metadata=setting(
-            metavar="HOST:PORT,...",
-            parse=parse_list(parse_target),
-            help="the supernodes that the front-end asks first; they name the other supernodes",
-            example="localhost:7590",
-        ),
-    )
-    zone: str = field(
-        default="",
-        metadata=setting(metavar="ZONE", help="the zone of callers that name no zone"),
-    )
-
-    def __post_init__(self) -> None:
-        if not 0 < len(self.supernodes) <= SUPERNODES_MAX:
-            raise ValueError(f"--supernodes names {len(self.supernodes)} supernodes; allowed: 1 to {SUPERNODES_MAX}")
 
 
 async def serve(settings: FrontendSettings) -> None:

@@ -181,10 +181,7 @@ def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: M
 
     `cls.__post_init__` checks rules about several settings. Its ValueErrors become SettingsErrors.
     """
-    hints = get_type_hints(cls)
-    own = vars(cls).get("__annotations__", {})  # the help shows these first, then the settings of all services
-    fields = sorted(dataclasses.fields(cls), key=lambda one: one.name not in own)
-    known = [_Setting(field, hints[field.name], service) for field in fields]
+    known = _known(cls, service)
     flags = _read_flags(cls, known, service, argv)
     file = _read_file(known, service, flags.get("config"), environ)
     values = {s.field.name: value for s in known if (value := _pick(s, flags, environ, file)) is not MISSING}
@@ -192,6 +189,31 @@ def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: M
         return cls(**values)
     except ValueError as error:
         raise SettingsError(str(error)) from error
+
+
+def help_of(cls: type[S], *, service: str, argv: Sequence[str]) -> str | None:
+    """The text if `argv` asks for the help or a sample of these settings; otherwise None.
+
+    It is also None for wrong flags, which the service reports, and if `argv` begins with the name of a verb. A command
+    asks this before it loads its service, so that the help comes at once.
+    """
+    if argv and not argv[0].startswith("-"):
+        return None
+    try:
+        _read_flags(cls, _known(cls, service), service, argv)
+    except HelpRequested as asked:
+        return str(asked)
+    except SettingsError:
+        pass
+    return None
+
+
+def _known(cls: type[S], service: str) -> list[_Setting]:
+    """The settings in the order of the help: the service's own, then those of all services."""
+    hints = get_type_hints(cls)
+    own = vars(cls).get("__annotations__", {})
+    fields = sorted(dataclasses.fields(cls), key=lambda one: one.name not in own)
+    return [_Setting(field, hints[field.name], service) for field in fields]
 
 
 def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[str]) -> dict[str, str]:

@@ -6,17 +6,19 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.cluster_ids import listed_cluster_id
-from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
-from stampede_rt_supernode.joining.founding import Founding, check_restored, read_founding
-from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
+
+if TYPE_CHECKING:
+    from stampede_rt_supernode.joining.founding import Founding
 
 DEFAULT_ID = "supernode-1"
 MEMBERS_MAX = 9  # with more members, each majority costs more than the added safety is worth
@@ -122,6 +124,9 @@ class SupernodeSettings(ServiceSettings):
         Raises StampedeError if it would begin alone in a folder that nobody has prepared and that holds no store. It
         may be a member that lost its disk. Such a member would not know its own votes and acknowledged entries.
         """
+        from stampede_rt_supernode.joining.founding import check_restored, read_founding
+        from stampede_rt_supernode.replication import holds_store
+
         if self.data_dir is not None:
             check_restored(self.data_dir)
         prepared = None if self.data_dir is None else read_founding(self.data_dir)
@@ -152,6 +157,8 @@ class SupernodeSettings(ServiceSettings):
 
         That happens when somebody starts a founder of a listed cluster without the list.
         """
+        from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, read_identity
+
         with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these
             _, member_id = read_identity(data_dir)
             if member_id != name:
@@ -166,6 +173,9 @@ class SupernodeSettings(ServiceSettings):
         The cluster id comes from the store, if there is one, because the list may change later. Without a store it
         comes from the list.
         """
+        from stampede_rt_supernode.joining.founding import Founding
+        from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
+
         cluster_id = listed_cluster_id(members)
         if self.data_dir is not None and holds_store(self.data_dir):
             with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these

@@ -13,6 +13,7 @@ from stampede_rt.cli.verbs import VERBS
 # An empty interpreter has about 35 modules.
 HELP_MODULES_MAX = 110
 VERB_MODULES_MAX = 160
+SERVICE_MODULES_MAX = 220
 
 
 def verbs(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -76,3 +77,8 @@ def modules_of(*words: str) -> int:
 def test_help_loads_few_modules_so_that_it_comes_at_once() -> None:
     assert modules_of("--help") < HELP_MODULES_MAX
     assert modules_of("get", "--help") < VERB_MODULES_MAX
+
+
+@pytest.mark.parametrize("verb", ["dev", "frontend", "supernode", "host", "web"])
+def test_the_help_of_a_service_comes_from_its_settings_without_its_modules(verb: str) -> None:
+    assert modules_of(verb, "--help") < SERVICE_MODULES_MAX

@@ -1,0 +1,22 @@
+"""The entry of `stampede supernode`. It answers `--help` from the settings alone, and loads the service to run it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from stampede_rt_runtime.settings import help_of
+from stampede_rt_supernode.settings import SupernodeSettings
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede supernode`, or print its help. Returns the exit code."""
+    words = sys.argv[1:] if argv is None else argv
+    text = help_of(SupernodeSettings, service="supernode", argv=words)
+    if text is not None:
+        sys.stdout.write(text)
+        return 0
+    import stampede_rt.grpc_quiet  # noqa: F401  # before the service imports gRPC
+    from stampede_rt_supernode.app import main as run
+
+    return run(words)
