@@ -23,10 +23,10 @@ HANDLES = (
 )
 VALUES = "timeline model policy reading grouping queueing peering codecs recording balancing"
 REFERENCE = {
-    "blocking": ("The blocking client", "stampede_rt._sync", HANDLES),
-    "await": ("The client with await", "stampede_rt._async", HANDLES),
-    "values": ("Values", "stampede_rt.values", VALUES),
-    "errors": ("Errors", "stampede_rt", "errors"),
+    "blocking": ("The blocking client", "stampede_rt", "stampede_rt._sync", HANDLES),
+    "await": ("The client with await", "stampede_rt.aio", "stampede_rt._async", HANDLES),
+    "values": ("Values", "stampede_rt", "stampede_rt.values", VALUES),
+    "errors": ("Errors", "stampede_rt", "stampede_rt", "errors"),
 }
 
 
@@ -60,9 +60,9 @@ def copy(file: Path) -> None:
 def reference() -> None:
     """Write the pages of the API reference, which mkdocstrings fills."""
     (OUT / "api").mkdir(parents=True)
-    for name, (title, package, modules) in REFERENCE.items():
+    for name, (title, public, package, modules) in REFERENCE.items():
         entries = "\n".join(f"::: {package}.{module}\n" for module in modules.split())
-        (OUT / f"api/{name}.md").write_text(f"# {title}\n\n{entries}")
+        (OUT / f"api/{name}.md").write_text(f"# {title}\n\nThe public names here are those of `{public}`.\n\n{entries}")
 
 
 def main() -> int:
