@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics images wheels docs bench bench-docs bench-moves kill-moves clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics soak-page images wheels docs bench bench-docs bench-moves kill-moves clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -108,6 +108,9 @@ robustness: setup  ## faults that really happen, for 25 minutes, with a report i
 
 soak-metrics: setup  ## Prometheus scrapes a cluster for ten minutes, while each part is killed in turn; MINUTES=1 for less
 	$(RUN)/python -m tests.robustness.soaks.scraped --minutes $${MINUTES:-10}
+
+soak-page: setup  ## Chromium shows the live page for ten minutes, while each part is killed in turn; MINUTES=1 for less
+	$(RUN)/python -m tests.robustness.soaks.watched --minutes $${MINUTES:-10}
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine
 	deploy/prove_images

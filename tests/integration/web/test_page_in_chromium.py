@@ -10,8 +10,8 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
-from tests.support.live_page import LivePage, live_page
+from tests.support.cluster import running_cluster
+from tests.support.live_page import LivePage, eventually, live_page
 
 np = pytest.importorskip("numpy")
 playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: the page is not tested")
@@ -23,7 +23,14 @@ from stampede_rt_web.png import png_of  # noqa: E402  # after the skips
 
 WAIT_MILLIS = 60_000
 SCRIPT = "<img src=x onerror=\"window.ran='payload'\"><script>window.ran='payload'</script>"
-cluster = cluster_fixture(hosts=1, supernodes=1)
+TAPED = 10
+HALF_SECOND = 500_000_000
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    with running_cluster(hosts=1, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
+        yield running
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +45,10 @@ def items(cluster: LocalCluster) -> Iterator[dict[str, st.Item]]:
         picture = camera.put(png_of(np.zeros((8, 8, 3), dtype=np.uint8)) or b"", attributes={"lens": SCRIPT})
         second = number.put({"x": 2.0, "label": "later"})
         evil.put(SCRIPT.encode())
+        tape, began = rt.channel("tape", max_items=3, archive="forever"), st.now() - 7200 * 10**9
+        for taped in range(TAPED):
+            tape.put(f"taped {taped}".encode(), time=began + taped * HALF_SECOND)
+        eventually(lambda: tape.stats().held == 3)
         yield {"first": first, "second": second, "picture": picture}
 
 
@@ -82,7 +93,7 @@ def tab(browser: Any, page_server: LivePage) -> Iterator[Tab]:
 
 
 def test_the_page_shows_each_channel_and_its_newest_item(tab: Tab) -> None:
-    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "evil", "imu"]
+    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "evil", "imu", "tape"]
     tab.page.wait_for_function("document.querySelector('.card img').naturalWidth === 8")
     tab.page.wait_for_selector("text=x 2")
     assert tab.page.locator("#trouble").is_hidden()
@@ -115,6 +126,39 @@ def test_a_click_on_the_time_line_shows_what_every_channel_held_then(tab: Tab) -
     tab.page.locator(".row canvas").first.click(position={"x": 3, "y": 10})
     tab.page.wait_for_selector("article[aria-label='cam/left'].none")
     assert tab.page.locator("#live").get_attribute("aria-pressed") == "false"
+
+
+def test_home_goes_to_the_oldest_item_of_the_archive_and_the_row_shows_how_far_it_reaches(tab: Tab) -> None:
+    page = tab.page
+    page.locator(".row h3", has_text="tape").click()
+    page.keyboard.press("Home")
+    page.wait_for_selector("article[aria-label=tape] >> text=taped 0")
+    page.wait_for_selector("text=/archive 2.00 h/")
+    first, memory, edge = page.wait_for_function(ARCHIVE_LINE).json_value()
+    assert first == pytest.approx(0.5, abs=0.02)  # the chosen instant is in the middle of the window of 10 s
+    assert edge == pytest.approx(0.5 + (TAPED - 3) * 0.05, abs=0.02)
+    assert memory == "Memory begins here"
+
+
+# Where the violet line begins and ends, as parts of the row, and what the page says at the line's end.
+ARCHIVE_LINE = """() => {
+  const row = [...document.querySelectorAll(".row")].find((one) => one.querySelector("h3").textContent === "tape");
+  const canvas = row.querySelector("canvas");
+  const y = Math.round(canvas.height - 2 * devicePixelRatio - 1);
+  const pixels = canvas.getContext("2d").getImageData(0, y, canvas.width, 1).data;
+  const paint = document.createElement("canvas").getContext("2d");
+  paint.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--archive").trim();
+  paint.fillRect(0, 0, 1, 1);
+  const wanted = paint.getImageData(0, 0, 1, 1).data;
+  const found = [];
+  const isLine = (x) => [0, 1, 2].every((at) => Math.abs(pixels[4 * x + at] - wanted[at]) < 3);
+  for (let x = 0; x < canvas.width; x++) if (isLine(x)) found.push(x);
+  if (!found.length) return null;
+  const box = canvas.getBoundingClientRect();
+  const end = found.at(-1) / canvas.width;
+  canvas.dispatchEvent(new MouseEvent("mousemove", { clientX: box.left + end * box.width, clientY: box.top + 5 }));
+  return [found[0] / canvas.width, canvas.title.split(":")[0], end];
+}"""
 
 
 def test_through_a_group_the_page_hides_what_the_group_hides(tab: Tab) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import ssl
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,18 +13,27 @@ from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_ope
 import pytest
 
 import stampede_rt as st
+from stampede_rt import aio
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.identity import Role
+from stampede_rt_web import following
 from stampede_rt_web.app import main
+from stampede_rt_web.drawing import Window
 from stampede_rt_web.png import png_of
-from tests.support.cluster import cluster_fixture
+from tests.support.cluster import running_cluster
 from tests.support.live_page import ANSWER_SECONDS, LivePage, eventually, live_page
 
 np = pytest.importorskip("numpy")
 
 SECOND = 1_000_000_000
-cluster = cluster_fixture(hosts=1, supernodes=1)
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    with running_cluster(hosts=1, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
+        yield running
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +95,54 @@ def test_the_time_line_has_each_item_and_marks_a_late_one(rt: st.Connection, pag
     assert [one[2] for one in found["items"]] == [2, 1, 3]
     assert [mark["kind"] for mark in found["marks"]] == ["late"]
     assert found["marks"][0]["at"] == pytest.approx(15e6)
+
+
+def recorded(rt: st.Connection, name: str, count: int) -> tuple[st.Channel, int]:
+    """Return a recorded channel whose memory holds its last three items, and the time of the first of `count` items."""
+    channel, began = rt.channel(name, max_items=3, archive="forever"), st.now() - 3600 * SECOND
+    for number in range(count):
+        channel.put(b"%d" % number, time=began + number * MS)
+    eventually(lambda: channel.stats().held == 3)
+    return channel, began
+
+
+def test_the_time_line_of_a_recorded_channel_reaches_into_its_archive(rt: st.Connection, page: LivePage) -> None:
+    channel, began = recorded(rt, "tape/a", 10)
+    found = drawing(page, "tape/a", began)
+    assert found["archive_oldest"] == str(began) == str(channel.oldest().time)
+    assert [one[2] for one in found["items"]] == list(range(1, 11))
+    _, answer = page.ask("at", channel="tape/a", at=began + 4 * MS)
+    assert answer["items"][0]["preview"]["text"] == "4"
+    assert page.ask("step", channel="tape/a", at=-(2**63))[1] == {"time": str(began)}
+
+
+def test_a_channel_that_is_not_recorded_has_no_archive(rt: st.Connection, page: LivePage) -> None:
+    item = rt.channel("tape/none", max_age="10m").put(b"x")
+    assert "archive_oldest" not in drawing(page, "tape/none", item.time)
+
+
+def test_a_window_before_the_track_is_read_beside_it(
+    rt: st.Connection, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel, began = recorded(rt, "tape/long", 30)
+    monkeypatch.setattr(following, "PAGE_ITEMS", 4)
+    monkeypatch.setattr(following, "REFRESH_NANOS", 0)
+    window = Window(start=began + MS, end=began + 10 * MS, width=100)
+    at_the_start = Window(start=began, end=began + 2 * MS, width=100)
+
+    async def look() -> list[tuple[list[int], bool]]:
+        async with aio.connect(cluster.address) as connection:
+            followed = following.FollowedChannel(await connection.channel(channel.name, create=False))
+            seen = []
+            for one in (window, at_the_start):
+                await followed.refresh(one, None)
+                track = followed.track_for(one)
+                seen.append((list(track.seqs), track.ends_early))
+            assert list(followed.track.seqs) == [27, 28, 29, 30]
+            assert followed.failure == ""
+            return seen
+
+    assert asyncio.run(look()) == [([2, 3, 4, 5], True), ([1, 2, 3], False)]
 
 
 def test_an_instant_shows_the_item_of_then_and_why_there_is_none(rt: st.Connection, page: LivePage) -> None:

@@ -36,6 +36,8 @@ def draw(track: ItemTrack, window: Window, *, overlap_nanos: int = 0) -> dict[st
     """
     inside = track.between(window.start, window.end)
     drawing: dict[str, Any] = {"count": _count(track, window), "marks": _marks(track, window)}
+    if track.ends_early:
+        drawing["ends"] = window.offset_micros(track.times[-1])  # no item after this one was read
     if len(inside) * PIXELS_FOR_ITEM_MIN <= window.width:
         drawing["items"] = [_item(track, index, window, overlap_nanos) for index in inside]
     else:

@@ -14,29 +14,40 @@ from collections.abc import Iterable
 from stampede_rt import ChannelNotFound, ChannelStats, Items, StampedeError, aio
 from stampede_rt.values.timeline import NEWEST, OLDEST
 from stampede_rt_web.drawing import Window
+from stampede_rt_web.stretches import Stretches
 from stampede_rt_web.track import ITEMS_MAX, ItemTrack, Mark, TrackItem
 
 PAGE_ITEMS = 4096  # the most items of one read
 TRACKS_MAX = 64
 REFRESH_NANOS = 150_000_000  # the least time between two reads of one channel
+REACH_NANOS = 5_000_000_000  # the least time between two reads of a recorded channel's oldest item
 
 
 class FollowedChannel:
-    """One channel's handle and track, and the state of the reads that fill the track."""
+    """One channel's handle and track, and the state of the reads that fill the track.
+
+    `archive_oldest` is the time of a recorded channel's oldest item, in its archive or in memory. It is None if the
+    channel is not recorded, or has no item.
+    """
 
     def __init__(self, channel: aio.Channel) -> None:
         self.channel = channel
         self.track = ItemTrack()
         self.failure = ""
+        self.archive_oldest: int | None = None
         self.is_gone = False  # the channel was deleted; a new channel of the same name needs another handle
         self._lock = asyncio.Lock()
         self._read_at = 0
         self._newest: int | None = None  # None: the first read has not come yet
         self._reaches_oldest = False
+        self._stretches = Stretches()
+        self._reach_due = 0
         self._refused: dict[str, int] | None = None
 
     async def refresh(self, window: Window, stats: ChannelStats | None) -> None:
         """Read the new items, and older ones if the window begins before the track.
+
+        Of a window that ends before the track, only the first PAGE_ITEMS items are read, and kept beside the track.
 
         Does nothing within REFRESH_NANOS after the last call that read. If a read fails, the track stays as it is, and
         `failure` says why.
@@ -48,13 +59,26 @@ class FollowedChannel:
             self._read_at = now
             try:
                 await self._read_newer(now, stats)
-                if self._begins_after(window.start):
+                if self._is_after(window):
+                    await self._read_stretch(window, now)
+                elif self._begins_after(window.start):
                     await self._read_older()
+                await self._read_reach(now, stats)
                 self.failure = ""
             except StampedeError as error:
                 self.failure, self.is_gone = error.message, isinstance(error, ChannelNotFound)
         if stats is not None:
             self._note_refusals(stats)
+
+    def track_for(self, window: Window) -> ItemTrack:
+        """Return the track that has the items of the window."""
+        stretch = self._stretches.track_of(window) if self._is_after(window) else None
+        return self.track if stretch is None else stretch
+
+    def _is_after(self, window: Window) -> bool:
+        track = self.track
+        has_older = not self._reaches_oldest or len(track) >= ITEMS_MAX
+        return bool(track) and has_older and track.times[0] > window.end
 
     def _begins_after(self, start: int) -> bool:
         track = self.track
@@ -99,6 +123,24 @@ class FollowedChannel:
         )
         self.track.prepend(reversed(list(_facts(older))))
         self._reaches_oldest = not older.more
+
+    async def _read_stretch(self, window: Window, now: int) -> None:
+        if not self._stretches.is_due(window, now):
+            return
+        found = await self.channel.get(window.start, window.end, limit=PAGE_ITEMS, payloads=False)
+        stretch = ItemTrack()
+        stretch.prepend(_facts(found))
+        stretch.ends_early = found.more
+        self._stretches.keep(window, stretch, now)
+
+    async def _read_reach(self, now: int, stats: ChannelStats | None) -> None:
+        policy = self.channel.info.policy if stats is None else stats.policy
+        if not policy.is_recorded:
+            self.archive_oldest = None
+        elif now >= self._reach_due:
+            self._reach_due = now + REACH_NANOS
+            found = await self.channel.get(OLDEST, NEWEST, match="start", limit=1, payloads=False)
+            self.archive_oldest = found[0].time if found else None
 
     def _note_refusals(self, stats: ChannelStats) -> None:
         rejected = dict(stats.rejected)

@@ -110,7 +110,9 @@ class Site:
         if followed.is_gone:
             self._followed.forget(name)
         overlap_nanos = followed.channel.info.policy.overlap_nanos or 0
-        drawing = draw(followed.track, window, overlap_nanos=overlap_nanos)
+        drawing = draw(followed.track_for(window), window, overlap_nanos=overlap_nanos)
+        if followed.archive_oldest is not None:
+            drawing["archive_oldest"] = str(followed.archive_oldest)
         return drawing | ({"failure": followed.failure} if followed.failure else {})
 
     async def _answer_at(self, request: Request) -> Response:

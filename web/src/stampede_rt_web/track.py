@@ -47,7 +47,8 @@ class Mark:
 class ItemTrack:
     """The items of one channel, in the order of their times.
 
-    `seq_max` is the highest seq that the channel has accepted, as far as the track knows.
+    `seq_max` is the highest seq that the channel has accepted, as far as the track knows. `ends_early` says that the
+    track is of a stretch of the past, and that the stretch has more items than were read.
     """
 
     def __init__(self) -> None:
@@ -58,6 +59,7 @@ class ItemTrack:
         self.marks: deque[Mark] = deque(maxlen=MARKS_MAX)
         self.incarnation: int | None = None
         self.seq_max = 0
+        self.ends_early = False
         self._missing: set[int] = set()
 
     def __len__(self) -> int:

@@ -1,6 +1,6 @@
 // The page: what is shown, what is asked of the server, and the keys.
 
-import { bytesText, clockText, durationText, element, globPattern, rateText } from "./format.js";
+import { bytesText, clockText, durationText, element, globPattern, instantText, rateText } from "./format.js";
 import { Card } from "./cards.js";
 import { drawAxis, drawTrack, readColours } from "./tracks.js";
 import { fillState } from "./panels.js";
@@ -9,7 +9,8 @@ import { ask, repeat } from "./requests.js";
 const ROWS_MAX = 40;
 const SHOWN_FIRST = 6;
 const SHOWN_MAX = 24;
-const WINDOWS_SECONDS = [2, 10, 30, 120, 600, 3600];
+const WINDOWS_SECONDS = [2, 10, 30, 120, 600, 3600, 21_600, 86_400];
+const BEFORE_ALL = -(2n ** 63n); // an instant before all items
 const FORESIGHT = 0.04; // the part of the window after now, in live mode
 
 const by = (id) => document.getElementById(id);
@@ -76,7 +77,7 @@ function syncRows() {
   if (!names.has(state.selected)) select(channels[0]?.name ?? null);
   const total = state.overview.channels_total;
   by("legend").textContent = total
-    ? `${channels.length} of ${total} channels. Ticks are items, bars their spans; pale items have left memory. Red marks: late, refused or lost items.`
+    ? `${channels.length} of ${total} channels. Ticks are items, bars their spans; pale items have left memory. A violet line: the archive has them. Red marks: late, refused or lost items.`
     : "No channel yet. `stampede put cam/left hello` makes one.";
   syncCards();
 }
@@ -100,17 +101,33 @@ function markAt(name, part) {
   const { start, length } = view();
   const micros = Number(start - BigInt(track.base)) / 1000 + (length / 1000) * part;
   const near = length / 1000 / 150;
-  return track.marks.filter((mark) => Math.abs(mark.at - micros) < near).map((mark) => mark.text).join("\n");
+  const texts = track.marks.filter((mark) => Math.abs(mark.at - micros) < near).map((mark) => mark.text);
+  return [...texts, ...edgesAt(name, start + BigInt(Math.round(length * part)), length / 150)].join("\n");
+}
+
+function edgesAt(name, instant, near) {
+  const oldest = state.overview.channels.find((one) => one.name === name)?.oldest;
+  const archived = state.tracks[name].archive_oldest;
+  const isAt = (edge) => edge && Math.abs(Number(BigInt(edge) - instant)) < near;
+  return [
+    isAt(oldest) && `Memory begins here: ${instantText(BigInt(oldest), 3)}.`,
+    isAt(archived) && `The archive begins here: ${instantText(BigInt(archived), 3)}.`,
+  ].filter(Boolean);
 }
 
 function fillRow(row, channel) {
   const refused = Object.values(channel.rejected ?? {}).reduce((sum, one) => sum + one, 0);
   const failure = !channel.alive ? `host ${channel.host} is lost` : state.tracks[channel.name]?.failure;
   const age = channel.age_nanos === null || channel.age_nanos === undefined ? "empty" : `${durationText(channel.age_nanos)} ago`;
-  row.facts.textContent = failure || [rateText(channel.rate), bytesText(channel.held_bytes), age, refused ? `${refused} refused` : ""].filter(Boolean).join(" · ");
+  row.facts.textContent = failure || [rateText(channel.rate), bytesText(channel.held_bytes), age, archiveText(channel.name), refused ? `${refused} refused` : ""].filter(Boolean).join(" · ");
   row.facts.className = failure || refused ? "bad" : "";
   row.facts.title = `${channel.policy}; ${channel.held} items; ${channel.subscriptions} subscriptions; host ${channel.host}`;
   row.element.classList.toggle("shown", state.shown.has(channel.name));
+}
+
+function archiveText(name) {
+  const oldest = state.tracks[name]?.archive_oldest;
+  return oldest ? `archive ${durationText(Number(now() - BigInt(oldest)))}` : "";
 }
 
 function select(name) {
@@ -191,8 +208,7 @@ async function readItems() {
   for (const one of answer.items) state.cards.get(one.channel)?.fill(one);
 }
 
-async function stepItem(direction) {
-  const from = state.chosen ?? now();
+async function stepItem(direction, from = state.chosen ?? now()) {
   const answer = await ask("step", { channel: state.selected, at: from, direction, group: by("group").value });
   if (answer.time !== null) choose(BigInt(answer.time));
 }
@@ -223,7 +239,7 @@ function paint(time) {
     const hiddenFrom = members.has(name) ? (group.cut === null ? seen.start : BigInt(group.cut)) : null;
     drawTrack(row.canvas, state.tracks[name], channel, seen, hiddenFrom);
   }
-  by("instant").textContent = state.chosen === null ? clockText(now(), 1) : clockText(state.chosen, 6);
+  by("instant").textContent = state.chosen === null ? clockText(now(), 1) : instantText(state.chosen, 6);
 }
 requestAnimationFrame(paint);
 
@@ -255,6 +271,7 @@ const keys = {
   " ": () => choose(state.chosen === null ? now() : null),
   ArrowLeft: (event) => (event.shiftKey ? nudge(-0.1) : stepItem("previous").catch(told("step"))),
   ArrowRight: (event) => (event.shiftKey ? nudge(0.1) : stepItem("next").catch(told("step"))),
+  Home: () => stepItem("next", BEFORE_ALL).catch(told("step")),
   ArrowUp: () => move(-1),
   ArrowDown: () => move(1),
   Enter: () => state.selected && toggle(state.selected),

@@ -1,7 +1,7 @@
 // The items of the shown channels at the chosen instant: pictures, wave forms, plots, text and bytes.
 
 import uPlot from "./vendor/uPlot.esm.js";
-import { bytesText, clockText, colour, durationText, element } from "./format.js";
+import { bytesText, colour, durationText, element, instantText } from "./format.js";
 
 const HISTORY_MAX = 200;
 const PLOT_HEIGHT = 130;
@@ -107,7 +107,7 @@ function newPlot(parent, xs, columns, isTime) {
 
 function facts(item, others) {
   const rows = [
-    ["time", clockText(BigInt(item.time), 6)],
+    ["time", instantText(BigInt(item.time), 6)],
     ["span", item.end === null ? "open" : durationText(Number(BigInt(item.end) - BigInt(item.time)))],
     ["seq", String(item.seq)],
     ["payload", `${bytesText(item.bytes)}${item.content_type ? `, ${item.content_type}` : ""}`],

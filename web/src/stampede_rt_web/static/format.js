@@ -9,6 +9,14 @@ export function clockText(nanos, digits = 3) {
   return digits ? `${time}.${fraction.slice(0, digits)}` : time;
 }
 
+// The time of day, and the date before it unless it is today.
+export function instantText(nanos, digits) {
+  const date = new Date(Number(nanos / MILLI));
+  if (date.toDateString() === new Date().toDateString()) return clockText(nanos, digits);
+  const day = [date.getFullYear(), date.getMonth() + 1, date.getDate()].map((n) => String(n).padStart(2, "0")).join("-");
+  return `${day} ${clockText(nanos, digits)}`;
+}
+
 export function durationText(nanos) {
   if (nanos === null || nanos === undefined) return "–";
   const sign = nanos < 0 ? "−" : "";
@@ -18,7 +26,8 @@ export function durationText(nanos) {
     rest /= size;
   }
   if (rest < 120) return `${sign}${trim(rest)} s`;
-  return rest < 7200 ? `${sign}${trim(rest / 60)} min` : `${sign}${trim(rest / 3600)} h`;
+  if (rest < 7200) return `${sign}${trim(rest / 60)} min`;
+  return rest < 172_800 ? `${sign}${trim(rest / 3600)} h` : `${sign}${trim(rest / 86_400)} days`;
 }
 
 export function bytesText(count) {

@@ -2,12 +2,12 @@
 
 import { clockText, colour } from "./format.js";
 
-const STEPS_SECONDS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600, 1200, 3600];
+const STEPS_SECONDS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600, 1200, 3600, 7200, 14400, 21600];
 let colours = {};
 
 export function readColours() {
   colours = Object.fromEntries(
-    ["ink", "dim", "line", "span", "tick", "gone", "cut", "hidden", "bad", "accent"].map((name) => [name, colour(name)]),
+    ["ink", "dim", "line", "span", "tick", "gone", "cut", "hidden", "bad", "accent", "archive"].map((name) => [name, colour(name)]),
   );
 }
 
@@ -33,7 +33,7 @@ export function pixelOf(instant, view, width) {
 export function drawAxis(canvas, view) {
   const [context, width, height] = fitted(canvas);
   const seconds = view.length / 1e9;
-  const step = STEPS_SECONDS.find((one) => (width / seconds) * one >= 90) || 3600;
+  const step = STEPS_SECONDS.find((one) => (width / seconds) * one >= 90) || 21600;
   const stepNanos = BigInt(Math.round(step * 1e9));
   context.fillStyle = colours.dim;
   context.strokeStyle = colours.line;
@@ -56,14 +56,22 @@ export function drawTrack(canvas, track, channel, view, hiddenFrom) {
     const shift = Number(BigInt(track.base) - view.start) / 1000;
     const scale = (width * 1000) / view.length;
     const x = (micros) => (micros + shift) * scale;
-    const edge = channel?.oldest ? pixelOf(BigInt(channel.oldest), view, width) : -Infinity;
+    const edge = memoryEdge(channel, view, width);
     if (track.items) drawItems(context, track.items, x, edge, height);
     if (track.density) drawDensity(context, track, x, edge, height);
+    if (track.ends !== undefined) drawUnread(context, x(track.ends), width, height);
+    if (track.archive_oldest) drawArchive(context, pixelOf(BigInt(track.archive_oldest), view, width), edge, width, height);
     drawMarks(context, track.marks, x, height);
     if (Number.isFinite(edge) && edge > 0 && edge < width) drawEdge(context, edge, height);
   }
   if (hiddenFrom !== null) drawHidden(context, pixelOf(hiddenFrom, view, width), width, height);
   if (view.chosen !== null) drawChosen(context, view, width, height);
+}
+
+// The pixel of the oldest item in memory. If memory has none, all items are before it.
+function memoryEdge(channel, view, width) {
+  if (channel?.oldest) return pixelOf(BigInt(channel.oldest), view, width);
+  return channel?.held === 0 ? Infinity : -Infinity;
 }
 
 function drawItems(context, items, x, edge, height) {
@@ -115,6 +123,22 @@ function drawEdge(context, left, height) {
   context.lineTo(left, height);
   context.stroke();
   context.setLineDash([]);
+}
+
+// A line below the items that the archive has and memory has not. A post stands where the archive begins.
+function drawArchive(context, left, edge, width, height) {
+  const [from, to] = [Math.max(0, left), Math.min(width, edge)];
+  if (to <= from) return;
+  context.fillStyle = colours.archive;
+  context.fillRect(from, height - 4, to - from, 3);
+  if (left >= 0) context.fillRect(left, 4, 2, height - 5);
+}
+
+// Of a window with very many items of the past, the server reads only the first.
+function drawUnread(context, left, width, height) {
+  context.fillStyle = colours.dim;
+  context.font = '11px system-ui, "DejaVu Sans", sans-serif';
+  context.fillText("more items: shorten the window", Math.min(left + 6, width - 170), height / 2 + 4);
 }
 
 function drawHidden(context, left, width, height) {

@@ -1,0 +1,39 @@
+"""Unit tests of `stampede_rt_web.stretches`: the windows of the past that pages showed last."""
+
+from __future__ import annotations
+
+from stampede_rt_web.drawing import Window, draw
+from stampede_rt_web.stretches import STRETCH_NANOS, STRETCHES_MAX, Stretches
+from stampede_rt_web.track import ABSENT, ItemTrack, TrackItem
+
+
+def window(start: int, width: int = 100) -> Window:
+    return Window(start=start, end=start + 1_000_000, width=width)
+
+
+def test_a_window_is_read_once_and_again_after_a_while() -> None:
+    stretches, track = Stretches(), ItemTrack()
+    assert stretches.is_due(window(1), now=0)
+    assert stretches.track_of(window(1)) is None
+    stretches.keep(window(1), track, now=0)
+    assert stretches.track_of(window(1, width=50)) is track
+    assert not stretches.is_due(window(1), now=STRETCH_NANOS - 1)
+    assert stretches.is_due(window(1), now=STRETCH_NANOS)
+
+
+def test_only_the_windows_that_were_read_last_are_kept() -> None:
+    stretches = Stretches()
+    for start in range(STRETCHES_MAX):
+        stretches.keep(window(start), ItemTrack(), now=start)
+    stretches.keep(window(0), ItemTrack(), now=STRETCHES_MAX)
+    stretches.keep(window(99), ItemTrack(), now=STRETCHES_MAX)
+    assert stretches.track_of(window(0)) is not None
+    assert stretches.track_of(window(1)) is None
+
+
+def test_a_stretch_with_more_items_than_were_read_tells_where_the_read_ends() -> None:
+    track = ItemTrack()
+    track.prepend([TrackItem(2_000, ABSENT, 1, 10), TrackItem(3_000, ABSENT, 2, 10)])
+    assert "ends" not in draw(track, window(1_000))
+    track.ends_early = True
+    assert draw(track, window(1_000))["ends"] == 2.0

@@ -1,0 +1,38 @@
+"""Stretches of time before a track, whose items the page has read for a window of the past. Pure."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from stampede_rt_web.drawing import Window
+from stampede_rt_web.track import ItemTrack
+
+STRETCHES_MAX = 4  # of one channel
+STRETCH_NANOS = 5_000_000_000  # a stretch that was read before is read again: late items may have come
+
+
+class Stretches:
+    """The tracks of the stretches that pages showed last, by their window's interval.
+
+    Beyond STRETCHES_MAX, forgets the stretch that was read first.
+    """
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[int, int], tuple[int, ItemTrack]] = OrderedDict()
+
+    def keep(self, window: Window, track: ItemTrack, now: int) -> None:
+        """Keep the track of a window, read at `now` (Unix nanoseconds)."""
+        self._kept.pop((window.start, window.end), None)
+        self._kept[window.start, window.end] = (now, track)
+        while len(self._kept) > STRETCHES_MAX:
+            self._kept.popitem(last=False)
+
+    def track_of(self, window: Window) -> ItemTrack | None:
+        """Return the track of a window; None if no read of this window is kept."""
+        kept = self._kept.get((window.start, window.end))
+        return None if kept is None else kept[1]
+
+    def is_due(self, window: Window, now: int) -> bool:
+        """Whether the window has to be read: for the first time, or again."""
+        kept = self._kept.get((window.start, window.end))
+        return kept is None or now - kept[0] >= STRETCH_NANOS
