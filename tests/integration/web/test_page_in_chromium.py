@@ -40,6 +40,7 @@ def items(cluster: LocalCluster) -> Iterator[dict[str, st.Item]]:
         camera = rt.channel("cam/left", max_age="1h", content_type="image/png")
         number = rt.channel("imu", max_age="1h", codec="json")
         evil = rt.channel("evil", max_age="1h", content_type="text/html")
+        rt.channel("constructor", max_age="1h").put(b"a name that every object of JavaScript has")
         rt.group("rig", [camera, number])
         first = number.put({"x": 1.0, "label": SCRIPT})
         picture = camera.put(png_of(np.zeros((8, 8, 3), dtype=np.uint8)) or b"", attributes={"lens": SCRIPT})
@@ -93,7 +94,7 @@ def tab(browser: Any, page_server: LivePage) -> Iterator[Tab]:
 
 
 def test_the_page_shows_each_channel_and_its_newest_item(tab: Tab) -> None:
-    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "evil", "imu", "tape"]
+    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "constructor", "evil", "imu", "tape"]
     tab.page.wait_for_function("document.querySelector('.card img').naturalWidth === 8")
     tab.page.wait_for_selector("text=x 2")
     assert tab.page.locator("#trouble").is_hidden()

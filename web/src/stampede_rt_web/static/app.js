@@ -15,7 +15,7 @@ const FORESIGHT = 0.04; // the part of the window after now, in live mode
 
 const by = (id) => document.getElementById(id);
 const state = {
-  overview: null, findings: null, tracks: {}, rows: new Map(), cards: new Map(), shown: new Set(), touched: false,
+  overview: null, findings: null, tracks: Object.create(null), rows: new Map(), cards: new Map(), shown: new Set(), touched: false,
   selected: null, seconds: 10, chosen: null, ahead: 0n, troubles: new Map(),
 };
 
