@@ -98,7 +98,7 @@ function newPlot(parent, xs, columns, isTime) {
   const axis = { stroke: colour("dim"), grid: { stroke: colour("line") }, ticks: { stroke: colour("line") }, font: "10px sans-serif" };
   const options = {
     width: Math.max(160, parent.clientWidth), height: PLOT_HEIGHT, cursor: { show: false }, legend: { show: false },
-    scales: { x: { time: isTime } },
+    scales: { x: { time: isTime, range: (_, least, most) => (least < most ? [least, most] : [least - 1, most + 1]) } },
     axes: [{ ...axis, size: 24 }, { ...axis, size: 44 }],
     series: [{}, ...columns.map((_, at) => ({ stroke: colours[at % colours.length], width: 1.2, points: { show: columns[at].length < 3 } }))],
   };

@@ -43,7 +43,8 @@ export function drawAxis(canvas, view) {
     const x = pixelOf(at, view, width);
     context.moveTo(x, height - 5);
     context.lineTo(x, height);
-    context.fillText(clockText(at, step < 1 ? 1 : 0), x + 3, height - 8);
+    const text = clockText(at, step < 1 ? 1 : 0);
+    if (x >= 0 && x + 3 + context.measureText(text).width <= width) context.fillText(text, x + 3, height - 8);
   }
   context.stroke();
   if (view.chosen !== null) drawChosen(context, view, width, height);
