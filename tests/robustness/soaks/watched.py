@@ -34,7 +34,7 @@ TOLD = "a/told"
 """The channel of the item that comes after each kill. It is the page's first row, so the page shows its card."""
 BACK_SECONDS_MAX = 60.0
 PAGE_BYTES_MAX = 200 * 2**20
-"""The most resident memory of the page's server. Without tabs it has about 90 MiB."""
+"""The most resident memory of the page's server. With one tab it has about 70 MiB."""
 SHOWS_THE_TRUTH = """([name, text, hosts]) => {
   const card = [...document.querySelectorAll(".card")].find((one) => one.getAttribute("aria-label") === name);
   const panels = [...document.querySelectorAll(".panel")];
