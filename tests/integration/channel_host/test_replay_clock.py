@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 from typing import Any
 
@@ -125,6 +126,23 @@ def test_a_clock_of_steps_moves_only_when_it_is_told_to(rt: st.Connection) -> No
         reader.join(10)
         assert [item.payload for item in found] == [b"one"]
         assert replay.now == end
+
+
+@pytest.mark.parametrize("closes", ["replay", "connection"])
+def test_a_close_ends_a_read_that_waits_for_the_clock(cluster: LocalCluster, closes: str) -> None:
+    with st.connect(cluster.address, secret=cluster.secret.text) as rt, ThreadPoolExecutor(1) as pool:
+        channel = rt.channel(f"clock/close/{closes}", max_age="60s", archive="7d")
+        start = channel.stats().host_time
+        channel.put(b"one")
+        replay = rt.replay(start, step=True)
+        seen = replay.channel(f"clock/close/{closes}")
+        waits, entered = replay._clock._left_s, threading.Event()
+        replay._clock._left_s = lambda instant: (entered.set(), waits(instant))[1]  # type: ignore[method-assign]
+        reading = pool.submit(seen.newest, timeout=None)
+        assert entered.wait(30)
+        (replay if closes == "replay" else rt).close()
+        with pytest.raises(st.Unavailable, match="closed"):
+            reading.result(30)
 
 
 def test_a_replay_ends_where_it_is_told_to(rt: st.Connection) -> None:

@@ -233,7 +233,7 @@ class Connection(Files, Reference):
         Its clock moves only while the program waits: `speed` times as fast as real time, 0: without pauses; with
         `step=True` only by `step`. `end`: the last instant; None: of the last change. Raises InvalidArgument.
         """
-        return ReplayedConnection(self, self._session.check, *parse_replay(start, end, speed, step), step=step)
+        return ReplayedConnection(self, self._session, *parse_replay(start, end, speed, step), step=step)
 
     async def cross_section(
         self,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Protocol
 
@@ -12,6 +12,7 @@ from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.replayed_channel import ReplayedChannel
 from stampede_rt._sync.replayed_matches import ReplayedMatches
+from stampede_rt._sync.session import Session
 from stampede_rt._sync.virtual_clock import VirtualClock
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.codecs import CodecLike
@@ -46,12 +47,12 @@ class ReplayedConnection:
     order in each replay, at any speed.
     """
 
-    def __init__(
-        self, opener: Opener, check: Callable[[], None], start: int, end: int, speed: float, *, step: bool
-    ) -> None:
+    def __init__(self, opener: Opener, session: Session, start: int, end: int, speed: float, *, step: bool) -> None:
         self._connection = opener
+        self._session = session
         self._end = end
-        self._clock = VirtualClock(start, speed, step, check)
+        self._clock = VirtualClock(start, speed, step)
+        session.attach(self._clock)
 
     def __repr__(self) -> str:
         return f"<ReplayedConnection at {self.now}>"
@@ -65,8 +66,9 @@ class ReplayedConnection:
         self.close()
 
     def close(self) -> None:
-        """Wake the calls that wait for the clock. The connection stays open."""
+        """End the replay: waiting and later reads raise Unavailable. The connection stays open."""
         self._clock.close()
+        self._session.detach(self._clock)
 
     @property
     def now(self) -> int:

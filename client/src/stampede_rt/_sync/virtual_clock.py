@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+from stampede_rt.errors import Unavailable
 from stampede_rt.transports.concurrency_sync import Signal, monotonic_s
 
 
@@ -12,23 +11,28 @@ class VirtualClock:
     """An instant that moves forward to the instants for which a program waits.
 
     `speed` 2.0: a wait of 1 s takes half a second of real time; 0: none. With `step` the instant moves only by `step`.
-    `check` raises an error once the connection is closed; a wait calls it.
+    A connection ends its clocks when it closes (`SessionTask`).
     """
 
-    def __init__(self, start: int, speed: float, step: bool, check: Callable[[], None]) -> None:
+    def __init__(self, start: int, speed: float, step: bool) -> None:
         self.now = start
         self._start, self._speed, self._step = start, speed, step
         self._began_s = monotonic_s()
-        self._check = check
+        self._closed = False
         self._moved = Signal()  # is set, and replaced, whenever the instant moves
 
     def reach(self, instant: int) -> None:
-        """Wait until the clock is at `instant`. Returns at once if it is already there."""
-        while self.now < instant:
-            self._check()
-            moved, left_s = self._moved, self._left_s(instant)
+        """Wait until the clock is at `instant`. Returns at once if it is already there.
+
+        Raises Unavailable once the replay or its connection is closed.
+        """
+        while True:
+            moved = self._moved
+            if self._closed:
+                raise Unavailable("this replay, or its connection, is closed; call replay() again")
             if self.now >= instant:
                 return
+            left_s = self._left_s(instant)
             if left_s is not None and left_s <= 0:
                 self.move(instant)
             else:
@@ -49,5 +53,10 @@ class VirtualClock:
         moved.set()
 
     def close(self) -> None:
-        """Wake the waiting calls, so that they notice that the connection is closed."""
+        """End the waiting calls and all later ones with an error."""
+        self._closed = True
         self.move(self.now)
+
+    def end(self) -> None:
+        """Close: the connection closes."""
+        self.close()
