@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from stampede_rt.wire.runs import encode_run, seal_run
-from stampede_rt_channel_host import app
+from stampede_rt_channel_host import app, served_host
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
 from stampede_rt_channel_host.core.channel import Offer
@@ -118,7 +118,7 @@ def _lags_ms(host: ChannelHost, group_id: bytes) -> list[float]:
 def main() -> int:
     """Run the host; returns its exit code."""
     Messages.count()
-    app.ChannelHost = FedHost  # type: ignore[misc]
+    served_host.ChannelHost = FedHost  # type: ignore[misc]
     return app.main(sys.argv[1:])
 
 

@@ -25,7 +25,7 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_bench.clusters import SECRET_VARIABLE, running
 from stampede_rt_bench.tables import Table
-from stampede_rt_channel_host import app
+from stampede_rt_channel_host import app, served_host
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
@@ -113,7 +113,7 @@ def measure(steps: Sequence[int], seconds: float, runs: int) -> Table:
 def main() -> int:
     """Print the table, or be the host. Returns the exit code."""
     if AS_HOST in sys.argv:
-        app.ChannelHost = FilledHost  # type: ignore[misc]
+        served_host.ChannelHost = FilledHost  # type: ignore[misc]
         return app.main([one for one in sys.argv[1:] if one != AS_HOST])
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--channels", type=int, default=100_000, help="the most channels (default: 100000)")

@@ -22,7 +22,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=1, supernodes=1)
-SECONDS = 30
+SECONDS = 90
 STAMPEDE = [sys.executable, "-m", "stampede_rt.cli"]
 
 
