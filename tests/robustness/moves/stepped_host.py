@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 from stampede_rt_channel_host.app import main
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
-from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
@@ -33,7 +32,7 @@ class Step(NamedTuple):
 DESTINATION_STEPS = {
     "destination: feeds itself": Step(MoveFeed, "_begin", is_after=True),
     "destination: asks the source to hold": Step(MoveFeed, "hold"),
-    "destination: has everything": Step(IncomingMoves, "_commit"),
+    "destination: has everything": Step(MoveDirectory, "commit"),
     "destination: is the owner": Step(MoveDirectory, "commit", is_after=True),
     "destination: tells the source": Step(MoveFeed, "committed", is_after=True),
     "destination: has removed the heir": Step(MoveDirectory, "remove_heir", is_after=True),

@@ -39,6 +39,7 @@ class ReplayedChannel(Reader):
 
     def __init__(self, channel: Channel, clock: VirtualClock, end: int) -> None:
         super().__init__(channel._session, channel._state)
+        self._channel = channel
         self._clock = clock
         self.end = end
         """The instant at which the replay ends."""
@@ -79,8 +80,15 @@ class ReplayedChannel(Reader):
         return min((one for one in found if instant < one <= self.end), default=None)
 
     async def read_as_of(self, query: ReadQuery, as_of: int) -> Items:
-        """Return the answer as of an instant. Raises VersionMismatch if the host does not know the past."""
-        items = await read(self._session, self._state, replace(query, as_of=as_of))
+        """Return the answer as of an instant, or as of the host's clock if that is earlier.
+
+        Raises VersionMismatch if the host does not know the past.
+        """
+        try:
+            items = await read(self._session, self._state, replace(query, as_of=as_of))
+        except InvalidArgument:  # a wait has moved the replay's clock ahead of the host's
+            known = min(as_of, (await self._channel.stats()).host_time)
+            items = await read(self._session, self._state, replace(query, as_of=known))
         if items.past is None:
             raise VersionMismatch(f"the host of channel {self.name!r} knows no as_of; upgrade it")
         return items

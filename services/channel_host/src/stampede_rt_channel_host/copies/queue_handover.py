@@ -10,6 +10,8 @@ import asyncio
 import logging
 import secrets
 
+from grpc.aio import InternalError
+
 from stampede_rt.errors import InvalidArgument, Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
@@ -60,6 +62,8 @@ class QueueHandovers:
             is_committed = await self._hand_over(hosted, context)
         except TimeoutError:
             raise Overloaded(f"the move of queue {display_name(hosted.record)} took too long; move it again") from None
+        except InternalError:
+            pass  # the caller has gone; the queue stays
         finally:
             self._slots.give_back(hosted.record)
             end = self._end(hosted, opening.host_id, is_committed=is_committed)
