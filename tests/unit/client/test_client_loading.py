@@ -63,7 +63,6 @@ def test_the_awaited_surface_comes_without_the_blocking_one() -> None:
         "import stampede_rt.transports.stubs",
         "import stampede_rt._sync.endpoints",
         "from stampede_rt.cli.main import main; main(['ls', '--url', 'localhost:x'])",
-        "from stampede_rt.cli.main import main; main(['frontend', '--help'])",
         *(
             f"import runpy; sys.argv = ['x', '--help']; runpy.run_module('stampede_rt_{service}', run_name='__main__')"
             for service in ("frontend", "supernode", "channel_host")
