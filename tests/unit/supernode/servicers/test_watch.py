@@ -235,10 +235,12 @@ async def test_a_watch_that_is_far_behind_looks_at_one_page_of_changes_in_a_turn
         await node.open(f"cam/{number}")
     turn = 0
     turns_with_pages: list[int] = []
+    begun = asyncio.Event()
     read = change_ring.ChangeRing.read
 
     def counted(ring: change_ring.ChangeRing, position: int, changes_max: int) -> change_ring.ChangePage | None:
         turns_with_pages.append(turn)
+        begun.set()
         return read(ring, position, changes_max)
 
     async def count_turns() -> None:
@@ -251,6 +253,7 @@ async def test_a_watch_that_is_far_behind_looks_at_one_page_of_changes_in_a_turn
     counting = asyncio.create_task(count_turns())
     stream = begin(node, after_index=start, name_glob="mic")
     await stream.read()
+    await begun.wait()
     await until_idle(turns_with_pages)
     counting.cancel()
     assert (len(turns_with_pages), len(set(turns_with_pages))) == (11, 11)
