@@ -48,6 +48,6 @@ async def open_queue_near(
     if session.here is not None and create and host is None:
         try:
             return await open_queue(session, name, stated, session.here.name, create)
-        except QueueExists:
+        except QueueExists:  # at another host, or with another policy
             pass
     return await open_queue(session, name, stated, host, create)

@@ -47,6 +47,6 @@ def open_queue_near(session: Session, name: str, stated: QueuePolicy, host: str 
     if session.here is not None and create and host is None:
         try:
             return open_queue(session, name, stated, session.here.name, create)
-        except QueueExists:
+        except QueueExists:  # at another host, or with another policy
             pass
     return open_queue(session, name, stated, host, create)
