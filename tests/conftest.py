@@ -69,10 +69,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 # Clients and services read a secret from the user's folder of settings, and `stampede dev` writes one there. The suite
-# uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it.
+# uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it. Nor does it tell
+# commands the size of a terminal that is not theirs: pytest-xdist sets COLUMNS for its workers.
 _settings_folder = tempfile.TemporaryDirectory(prefix="stampede-tests-")
 os.environ["XDG_CONFIG_HOME"] = _settings_folder.name
-for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL"):
+for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL", "COLUMNS", "LINES"):
     os.environ.pop(variable, None)
 
 # The suite starts hundreds of Python processes. Where bytecode files are forbidden (as in many container images)
