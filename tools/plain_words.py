@@ -1,4 +1,4 @@
-"""Prove that no docstring begins with a clause without its noun, such as "What was collected".
+"""Prove that no docstring and no name of a test begins with a clause without its noun, such as "What was collected".
 
 The rule is one of those under "Plain prose" in CONTRIBUTING, and the only one that a program can check exactly. A
 docstring may be a question ("Who leads?").
@@ -18,17 +18,29 @@ GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _a
 
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of)\b(?![^.:]*\?)")
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b")
+TEST_NAMES = re.compile(
+    r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"
+    r"|test_\w*_(whoever)(?:_|$)"
+)
 
 
 def complaints(path: str, source: str) -> Iterator[str]:
-    """Yield a line for each docstring that breaks the rule."""
+    """Yield a line for each docstring and each name of a test that breaks the rule."""
     for node in ast.walk(ast.parse(source)):
-        if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
-            continue
-        text = node.value.value
-        found = (FIRST_WORDS.match(text) or PHRASES.search(text)) if isinstance(text, str) else None
-        if found is not None:
-            yield f'{path}:{node.lineno}: name the noun instead of "{found[1]}", see "Plain prose" in CONTRIBUTING.md'
+        if found := _headless_words(node):
+            line = getattr(node, "lineno", 1)
+            yield f'{path}:{line}: name the noun instead of "{found}", see "Plain prose" in CONTRIBUTING.md'
+
+
+def _headless_words(node: ast.AST) -> str | None:
+    match node:
+        case ast.Expr(value=ast.Constant(value=str(text))):
+            found = FIRST_WORDS.match(text) or PHRASES.search(text)
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+            found = TEST_NAMES.match(name)
+        case _:
+            found = None
+    return found and (found[1] or found[2])
 
 
 def modules() -> Iterable[Path]:
@@ -40,7 +52,7 @@ def modules() -> Iterable[Path]:
 
 
 def main() -> int:
-    """Print the docstrings that break the rule. Returns the exit status."""
+    """Print the docstrings and names that break the rule. Returns the exit status."""
     found = [line for path in modules() for line in complaints(str(path.relative_to(ROOT)), path.read_text())]
     for line in found:
         print(line)

@@ -76,7 +76,7 @@ async def test_a_duration_ends_a_span_before_the_next_item(surface: Surface) -> 
     assert shown(await channel.at(base + 10 * MS)) == []
 
 
-async def test_where_items_overlap_a_later_item_does_not_cut_a_duration(surface: Surface) -> None:
+async def test_a_later_item_does_not_cut_a_duration_where_items_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", overlap="400ms")
     base = st.now() - 2_000 * MS
     await channel.put(b"scene", time=base, duration="300ms")
@@ -95,7 +95,7 @@ async def test_where_items_overlap_a_later_item_does_not_cut_a_duration(surface:
     assert shown(await channel.get(base + 250 * MS, base + 260 * MS, limit=1, newest_first=True)) == ["talk"]
 
 
-async def test_where_items_overlap_an_item_left_out_of_an_answer_still_ends_a_span(surface: Surface) -> None:
+async def test_an_item_left_out_of_an_answer_still_ends_a_span_where_items_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", overlap="90ms")
     base = st.now() - 2_000 * MS
     await channel.put(b"open", time=base)
@@ -113,7 +113,7 @@ async def test_where_items_overlap_an_item_left_out_of_an_answer_still_ends_a_sp
     assert [(shown([item])[0], item.end and item.end - base) for item in found] == [("scene", 90 * MS), ("later", None)]
 
 
-async def test_where_items_overlap_ages_count_from_the_longest_that_an_item_may_last(surface: Surface) -> None:
+async def test_ages_count_from_the_longest_possible_end_where_items_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="1s", overlap="3600s")
     base = st.now() - 3_000 * MS
     for number in range(3):

@@ -51,7 +51,7 @@ def test_the_judge_says_what_the_simple_one_says(
 
 
 @given(RULES, NAMES, st.sampled_from(AccessKind), NAMES)
-def test_one_may_know_of_what_one_may_do_anything_with(
+def test_a_caller_may_know_of_each_thing_that_it_may_use(
     rules: list[AccessRule], who: str, kind: AccessKind, name: str
 ) -> None:
     knows = any(oracle(rules, who, verb, kind, name) for verb in VERBS_OF[kind])

@@ -172,7 +172,7 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
     return Offer(times=times, durations=durations, lengths=[8] * len(times))
 
 
-def test_who_takes_a_lost_place_starts_at_the_newest_item_of_a_bucket_that_is_half_consumed() -> None:
+def test_a_consumer_on_a_lost_place_starts_at_the_newest_item_of_a_half_consumed_bucket() -> None:
     """Earlier, a late item reversed the rest of the bucket, so that an older item counted as the newest one.
 
     The next consumer of the place then owed this item, too. 3 of 49,549 scenarios found it.
@@ -187,7 +187,7 @@ def test_who_takes_a_lost_place_starts_at_the_newest_item_of_a_bucket_that_is_ha
     pair.check()
 
 
-def test_who_takes_a_lost_place_owes_nothing_of_the_runs_before_the_newest_item() -> None:
+def test_a_consumer_on_a_lost_place_owes_no_item_before_the_newest() -> None:
     pair = ChannelPair(Policy(consumers=2, max_future_nanos=8), FIRST_CLOCK)
     pair.put(_timed(FIRST_CLOCK + 1))
     pair.consume(4, [1], 40)
@@ -224,7 +224,7 @@ def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_
     pair.check()
 
 
-def test_what_everybody_has_consumed_goes_by_consumption_once_bytes_took_what_stood_before_it() -> None:
+def test_consumed_items_go_by_consumption_once_bytes_took_the_items_before_them() -> None:
     """Such items did not leave by age later, even if nothing read the channel meanwhile.
 
     2 of 36,000 scenarios; the oracle was wrong.
@@ -240,7 +240,7 @@ def test_what_everybody_has_consumed_goes_by_consumption_once_bytes_took_what_st
     assert pair.oracle.collected == {"age": 2, "count": 0, "bytes": 3, "consumption": 1}
 
 
-def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_has_consumed_it() -> None:
+def test_an_item_that_the_byte_limit_made_first_goes_by_age_if_it_is_old_though_consumed() -> None:
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.consume(3, [], 3)
@@ -252,7 +252,7 @@ def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_h
     assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 1, "consumption": 0}
 
 
-def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_what_was_used_up() -> None:
+def test_the_rest_of_a_bucket_goes_by_age_at_once_if_it_ends_before_the_consumed_part() -> None:
     """Earlier, the next read returned it, and the read after that collected it. 1 of 20,000 scenarios found it."""
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)

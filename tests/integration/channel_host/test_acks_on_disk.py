@@ -85,7 +85,7 @@ class Putting:
         self._thread.join(60)
 
 
-def test_all_that_was_acknowledged_is_there_after_each_of_many_kills(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_each_acknowledged_item_is_there_after_each_of_many_kills(cluster: LocalCluster, rt: st.Connection) -> None:
     channel = rt.channel("kill/many", max_items=50, archive="forever", ack="disk")
     putting = Putting(channel)
     try:

@@ -131,13 +131,13 @@ async def test_all_are_asked_at_once_and_the_nearest_is_taken(ask: Ask) -> None:
     assert called(made) == ["b1"]
 
 
-async def test_one_of_the_same_zone_is_taken_before_a_nearer_one(ask: Ask) -> None:
+async def test_a_supernode_of_the_same_zone_is_taken_before_a_nearer_one(ask: Ask) -> None:
     async with places(a1=2 * LATER_SECONDS, a2=LATER_SECONDS, b1=0.0) as (frontend, made):
         await ask(frontend, "a")
     assert called(made) == ["a2"]
 
 
-async def test_one_that_does_not_answer_in_time_is_passed_over_even_in_the_same_zone(
+async def test_a_supernode_that_does_not_answer_in_time_is_passed_over_even_in_the_same_zone(
     ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (async_directory, sync_directory):

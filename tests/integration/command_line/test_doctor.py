@@ -47,7 +47,7 @@ def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
-def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end(
+def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a_front_end(
     cluster: LocalCluster, doctor: Doctor
 ) -> None:
     code, said = doctor("--url", cluster.address)

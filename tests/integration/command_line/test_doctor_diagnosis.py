@@ -58,7 +58,7 @@ def test_a_removed_supernode_does_not_count_for_the_majority() -> None:
     assert found([*WELL, gone], "supernode s0").state == "no member"
 
 
-def test_one_that_is_missing_from_a_majority_is_to_be_started_or_replaced() -> None:
+def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() -> None:
     quorum = found(changed("s2", failure="nobody is there"), "quorum")
     assert quorum.state == "2 of 3 serve"
     assert quorum.advice.startswith("start s2 again with its data folder, or, if that is lost, replace it")

@@ -82,7 +82,7 @@ def test_the_status_of_a_group_names_the_channel_that_holds_it_back(run: Command
     assert shown.count("rig/left") == shown.count("rig/right") == 2
 
 
-def test_why_a_group_shows_nothing_is_told_for_each_channel(run: Command, rt: st.Connection) -> None:
+def test_a_group_that_shows_nothing_tells_the_reason_for_each_channel(run: Command, rt: st.Connection) -> None:
     for name, host in zip(("early", "late"), sorted(host.name for host in rt.hosts()), strict=True):
         rt.channel(name, max_age="60s", host=host).put(b"first")
     run("create", "young", "early", "late")

@@ -87,7 +87,7 @@ async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice
     assert await resumed.take(2) == [t + 1, t + 4]
 
 
-async def test_what_becomes_visible_at_once_is_gone_on_behind_only_when_all_of_it_was_sent(
+async def test_a_cursor_comes_only_after_all_runs_that_became_visible_together(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(subscription, "MESSAGE_BYTES_MAX", 1)  # one run in each

@@ -82,7 +82,7 @@ def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
     return clock is not None and abs(clock.offset_nanos - nanos) <= clock.uncertainty_nanos
 
 
-def test_a_participant_whose_clock_is_off_is_seen_by_all_whoever_leads(
+def test_a_participant_whose_clock_is_off_is_seen_by_all_under_any_leader(
     cluster: LocalCluster, robot: Callable[[str, int], Robot], capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = robot("robot/late", -7200 * SECOND)

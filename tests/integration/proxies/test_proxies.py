@@ -64,7 +64,7 @@ def test_a_get_that_waits_at_a_proxy_gets_the_next_item(rt: Any, channel: Any) -
         assert channel.newest(after=first, timeout=20, max_staleness="10s").seq > first.seq
 
 
-def test_one_adds_the_same_proxy_twice_and_has_one(rt: Any, channel: Any) -> None:
+def test_a_proxy_that_is_added_twice_exists_once(rt: Any, channel: Any) -> None:
     rt.proxy(channel, "h2")
     assert rt.proxy(channel.name, "h2").host == "h2"
     assert [one.host for one in rt.proxies(channel)] == ["h2"]

@@ -56,7 +56,7 @@ def test_a_value_is_sent_with_a_codec_and_read_with_the_same(cluster: LocalClust
         plain.ack()
 
 
-def test_messages_come_in_order_to_whoever_iterates(cluster: LocalCluster) -> None:
+def test_messages_come_in_order_to_an_iterating_caller(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="reader") as reader, st.connect(cluster.address, name="writer") as writer:
         seqs = [writer.send("reader", str(number).encode()) for number in range(5)]
         assert seqs == sorted(seqs)
@@ -110,7 +110,7 @@ def test_a_peer_that_left_and_came_back_is_found_again(cluster: LocalCluster) ->
             assert payload_of(second.mailbox.get(timeout=10)) == b"2"
 
 
-def test_closing_the_connection_wakes_whoever_waits_at_its_mailbox(cluster: LocalCluster) -> None:
+def test_closing_the_connection_wakes_the_caller_that_waits_at_its_mailbox(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address, name="waiter")
     told: list[st.Unavailable] = []
 

@@ -261,7 +261,7 @@ async def test_a_malformed_message_ends_the_stream_and_not_the_member() -> None:
         assert int(await proposed(cluster.all[0], b"still here")) > 1
 
 
-async def test_why_there_is_no_link_is_said_once(
+async def test_a_replica_logs_once_why_it_has_no_link(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attempts: list[str] = []

@@ -307,7 +307,7 @@ def serves(world: World, member: SimMember, within: float = 10.0) -> bool:
     "rules",
     [PreVoteElections, pytest.param(ForgetsWhoLedItIn, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
 )
-def test_a_member_joins_after_all_whom_the_snapshot_names_were_replaced(rules: type) -> None:
+def test_a_member_joins_after_all_members_of_the_snapshot_were_replaced(rules: type) -> None:
     world = with_snapshot(rules)
     replaced(world, ["m0", "m1", "m2"], 3)
     newcomer = world.volunteer(leading(world).replica.status().members)  # type: ignore[union-attr]

@@ -62,7 +62,7 @@ async def test_blocked_gets_are_ended_in_pieces(rig: Rig) -> None:
         assert response.error.message == "gone"
 
 
-async def test_all_who_wait_for_a_channel_that_is_deleted_are_told_and_its_items_are_let_go(rig: Rig) -> None:
+async def test_each_waiting_caller_of_a_deleted_channel_is_told_and_its_items_are_freed(rig: Rig) -> None:
     channel = await rig.open()
     hosted = rig.host.store.find(channel.channel_id, channel.epoch)
     await channel.put(*(run_of(b"x", number=number) for number in range(1, 2001)))

@@ -20,7 +20,7 @@ def test_a_healthy_one_comes_before_a_near_one() -> None:
     assert ids([node("near", healthy=False, trip=1), node("far", trip=1000)]) == ["far", "near"]
 
 
-def test_one_of_the_callers_zone_comes_before_a_near_one() -> None:
+def test_a_supernode_of_the_callers_zone_comes_before_a_near_one() -> None:
     assert ids([node("near", zone="b", trip=1), node("same", zone="a", trip=1000)], "a") == ["same", "near"]
 
 

@@ -217,7 +217,7 @@ EVENTS = st.one_of(
 
 
 @given(st.lists(EVENTS, max_size=30))
-def test_whatever_happens_seeds_are_probed_ids_are_told_once_and_health_is_what_the_last_probe_said(
+def test_seeds_stay_probed_ids_are_told_once_and_health_follows_the_last_probe_after_any_events(
     events: list[tuple[Any, ...]],
 ) -> None:
     roster = SupernodeRoster(("s1:1", "s9:1"))

@@ -64,7 +64,7 @@ def test_the_loss_of_the_majority_and_its_return_are_told_once_each() -> None:
     assert [(note.is_well, note.is_return) for note in journal.changes(roster, LATER_S)] == [(True, True), (True, True)]
 
 
-def test_that_one_can_serve_at_last_is_no_return_of_what_never_was_missed() -> None:
+def test_the_first_ready_answer_of_a_supernode_is_no_return() -> None:
     roster, journal = started()
     roster.answered("a:1", answer(ready=True))
     assert [note.is_return for note in journal.changes(roster, 101.0)] == [False, False]

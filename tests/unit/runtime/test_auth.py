@@ -163,7 +163,7 @@ async def test_a_call_without_the_right_secret_is_refused_and_told_where_it_lies
 
 
 @pytest.mark.parametrize("value", ["right", "bearer right", "Bearer right ", "Bearer ", "Bearer righ"])
-async def test_nothing_but_the_exact_form_is_let_in(value: str) -> None:
+async def test_only_the_exact_form_of_the_authorization_is_admitted(value: str) -> None:
     async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
         call = health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=LIMIT_S, metadata=(("authorization", value),))
         with pytest.raises(grpc.aio.AioRpcError):

@@ -66,7 +66,7 @@ def test_long_collections_come_sooner_and_short_ones_later() -> None:
     assert pace.interval_s == INTERVAL_SECONDS_MAX
 
 
-def test_what_comes_in_a_burst_after_an_idle_time_is_collected_in_small_portions() -> None:
+def test_objects_of_a_burst_after_an_idle_time_are_collected_in_small_portions() -> None:
     """1000 streams that all write a message replace some 600 objects in each ms, and do not change their number."""
     pace, objects_per_second, seconds_per_object = CollectionPace(0.0), 600_000, 1.5e-7
     for _ in range(100):

@@ -141,7 +141,7 @@ async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_tu
     assert {*done} == {b"request" if operation == "read" else None}
 
 
-def test_all_else_of_a_context_is_left_as_it_is() -> None:
+def test_the_other_methods_of_a_context_stay_as_they_are() -> None:
     assert PacedContext(Stream(), TurnGate(), TurnGate()).peer() == "ipv4:1.2.3.4:5"  # type: ignore[arg-type]
 
 

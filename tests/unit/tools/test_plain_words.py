@@ -1,4 +1,4 @@
-"""The check for docstrings that begin with a clause without its noun."""
+"""The check for docstrings and names of tests that begin with a clause without its noun."""
 
 from __future__ import annotations
 
@@ -18,6 +18,25 @@ def test_a_docstring_without_its_noun_is_found(text: str) -> None:
 @pytest.mark.parametrize("text", ["The collected items.", "Who leads?", "Whatsoever.", "Offers an item."])
 def test_other_docstrings_pass(text: str) -> None:
     assert list(complaints("a.py", f'"""{text}"""\n')) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("test_what_goes_is_counted", "what"),
+        ("test_who_waits_is_served", "who"),
+        ("test_one_that_is_missing_is_replaced", "one_that"),
+        ("test_messages_come_to_whoever_asks", "whoever"),
+    ],
+)
+def test_a_name_of_a_test_without_its_noun_is_found(name: str, words: str) -> None:
+    (line,) = complaints("a.py", f"async def {name}(): ...\n")
+    assert line.startswith(f'a.py:1: name the noun instead of "{words}"')
+
+
+@pytest.mark.parametrize("name", ["test_an_item_that_goes_is_counted", "test_one_owner_keeps_it", "what_goes"])
+def test_other_names_pass(name: str) -> None:
+    assert list(complaints("a.py", f"def {name}(): ...\n")) == []
 
 
 def test_all_modules_pass() -> None:

@@ -95,7 +95,7 @@ async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() 
         assert not result.HasField("error")
 
 
-async def test_what_is_said_of_a_delivery_of_a_former_incarnation_settles_nothing_of_the_next(rig: QueueRig) -> None:
+async def test_an_ack_of_a_former_incarnation_settles_no_delivery_of_the_next(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"before")
     (former,) = await (await queue.take(taker_id=5, credit=1).open()).items(1)

@@ -12,7 +12,7 @@ WITH_CERTIFICATES = ("frontend",)  # the others bring the secret here; `--tls` h
 
 
 @pytest.mark.parametrize("port", PORTS)
-async def test_no_call_of_whatever_kind_breaks_a_port(port: str) -> None:
+async def test_no_call_of_any_kind_breaks_a_port(port: str) -> None:
     outcome = await run(port, seed=11, inputs=INPUTS[port], tls=port in WITH_CERTIFICATES, commands=False)
     print(outcome)
     assert outcome.findings == []

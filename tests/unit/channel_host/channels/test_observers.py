@@ -71,7 +71,7 @@ async def test_of_many_each_turn_wakes_a_few_in_their_order() -> None:
     assert book.woken == [*range(MANY)]
 
 
-async def test_whoever_was_woken_before_another_change_is_woken_again_behind_the_others() -> None:
+async def test_an_observer_that_was_woken_before_another_change_is_woken_again_after_the_others() -> None:
     book = Book(MANY)
     book.change()
     book.change()
@@ -124,7 +124,7 @@ async def test_an_observer_that_has_gone_does_not_listen_again() -> None:
     assert book.woken == [0]
 
 
-async def test_whoever_has_gone_is_neither_woken_nor_ended() -> None:
+async def test_an_observer_that_has_gone_is_neither_woken_nor_ended() -> None:
     book = Book(MANY)
     book.change()
     ending = book.observers.ending(Unavailable("gone"))

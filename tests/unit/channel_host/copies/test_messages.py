@@ -23,14 +23,14 @@ EMPTY = Collection(FIRST_KEY, 0, "age", None, None, "age", None, None)
 
 
 @pytest.mark.parametrize("collection", [FULL, EMPTY])
-def test_what_retention_has_taken_comes_back_as_it_was(collection: Collection) -> None:
+def test_a_feed_state_keeps_its_collection_through_the_codec(collection: Collection) -> None:
     state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6), 0)
     clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
     assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped
     assert (cleared_of(state), advance_of(state), state.first_seq, state.next_seq) == ((1, 2), 6, 2, 8)
 
 
-def test_what_has_not_changed_is_left_out() -> None:
+def test_a_feed_state_leaves_out_unchanged_fields() -> None:
     state = state_to(FeedPart(2, None, (), 2, None, None), 0)
     assert (cleared_of(state), collection_of(state), advance_of(state)) == (None, None, None)
 

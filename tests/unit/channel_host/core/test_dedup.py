@@ -92,7 +92,7 @@ def test_only_the_last_runs_of_a_producer_are_kept() -> None:
     assert [one.first_seq for one in found if one is not None] == list(range(RUNS_MAX + 1, 2 * RUNS_MAX + 1))
 
 
-def test_all_that_a_producer_has_in_flight_is_recognised_however_long_its_runs_are() -> None:
+def test_each_run_in_flight_of_a_producer_is_recognised_however_long_its_runs_are() -> None:
     """A producer whose connection broke sends up to 64 runs of 256 items again: they were doubled once, all but the
     last four, because the window was counted in numbers."""
     window = RetryWindow()
@@ -141,7 +141,7 @@ def test_the_window_has_a_bound_in_bytes_for_which_the_longest_silent_producers_
     assert window.find(1, 1, 1, now=0) is None
 
 
-def test_what_is_kept_of_one_producer_has_a_bound_however_many_refusals_it_is_told() -> None:
+def test_the_memory_of_one_producer_has_a_bound_for_any_number_of_refusals() -> None:
     window = RetryWindow()
     refusals = [ItemRefusal(place, ChannelFull("full " * 100)) for place in range(1, 256)]
     for run in range(50):
@@ -183,7 +183,7 @@ def test_producer_zero_asks_for_nothing_to_be_recognised() -> None:
     assert len(window) == 0
 
 
-def test_what_is_remembered_goes_to_another_owner_as_values() -> None:
+def test_a_retry_window_goes_to_another_owner_as_values() -> None:
     window = RetryWindow()
     window.record(2, 1, accepted(1, 1, now=KEPT_NANOS))
     window.record(PRODUCER, 1, accepted(3, 2, now=10))

@@ -186,7 +186,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over
     assert b"cancelled" not in b"".join(put.run.payloads for sent in stream.sent for put in sent.puts)
 
 
-async def test_what_a_final_failure_left_is_sent_by_whoever_puts_after_it() -> None:
+async def test_the_next_call_sends_the_runs_that_a_final_failure_left() -> None:
     """Earlier, a failure was reported for ever, and runs without an ack were never sent again."""
     place = Place()
     producer = await three_in_flight(place)

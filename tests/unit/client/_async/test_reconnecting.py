@@ -119,7 +119,7 @@ async def test_a_call_that_took_too_long_is_an_outage_like_others(clock: Clock) 
     assert one.reconnects == 1
 
 
-async def test_who_stops_it_meanwhile_hears_nothing_more(clock: Clock) -> None:
+async def test_a_stop_during_an_attempt_ends_the_reconnecting_without_a_sign(clock: Clock) -> None:
     one = made(held=True)
 
     async def opening(timeout_s: float) -> None:

@@ -176,7 +176,7 @@ async def test_as_much_is_asked_for_as_is_waited_for() -> None:
     assert host.attached == []
 
 
-async def test_those_for_whom_nothing_could_be_asked_yet_are_served_when_others_were() -> None:
+async def test_callers_beyond_the_credit_limit_are_served_after_the_others() -> None:
     """Earlier, the client asked for no message for the 1025th waiting caller, which waited for ever beside available
     messages.
     """
@@ -192,7 +192,7 @@ async def test_those_for_whom_nothing_could_be_asked_yet_are_served_when_others_
     await taker.end()
 
 
-async def test_what_comes_while_a_wait_that_is_over_is_drained_is_still_its_own() -> None:
+async def test_a_message_that_comes_during_the_drain_still_belongs_to_the_ended_wait() -> None:
     host = Host()
     taker = taker_at(host)
     get = asyncio.ensure_future(taker.get(Wait(0)))
@@ -204,7 +204,7 @@ async def test_what_comes_while_a_wait_that_is_over_is_drained_is_still_its_own(
     assert host.given_back == []
 
 
-async def test_who_still_waits_is_served_by_the_next_stream_when_one_was_drained_for_another() -> None:
+async def test_the_next_stream_serves_a_waiting_caller_after_the_drain_for_another_caller() -> None:
     host = Host()
     taker = taker_at(host)
     waiting = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -278,7 +278,7 @@ async def test_a_poll_that_gets_what_another_had_asked_for_is_answered_at_once()
     assert await seq_of(poll) == 1
 
 
-async def test_what_waits_ahead_is_extended_as_long_as_others_are_taken_and_goes_back_when_none_is() -> None:
+async def test_prefetched_messages_are_extended_while_others_are_taken_and_go_back_when_none_is() -> None:
     """Prefetched messages were lost to their leases while their taker worked on those before them."""
     host = Host()
     taker = taker_at(host, prefetch=3)

@@ -63,7 +63,7 @@ def test_the_refusal_names_both_clusters_and_the_way_out_and_shows_no_endless_id
     assert error.metadata == {"cluster_id": "y"}
 
 
-def test_one_of_another_cluster_counts_like_one_that_does_not_answer() -> None:
+def test_a_supernode_of_another_cluster_counts_like_a_silent_one() -> None:
     answering = Unavailable("no majority of the supernodes answered", reason="NO_QUORUM")
     told = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
     assert told is answering
@@ -71,7 +71,7 @@ def test_one_of_another_cluster_counts_like_one_that_does_not_answer() -> None:
     assert "1 of 3 supernodes answer, 2 must answer (b is of another cluster, c is of another cluster)" in told.message
 
 
-def test_that_all_are_of_another_cluster_is_told_as_such() -> None:
+def test_a_client_whose_supernodes_all_belong_to_another_cluster_is_told_so() -> None:
     failures: dict[str, StampedeError] = {"a": STRANGER, "b": STRANGER}
     assert why_unserved(failures, 2) is STRANGER
     assert why_unserved({"a": STRANGER}, 1) is STRANGER

@@ -19,7 +19,7 @@ def told(failures: dict[str, StampedeError], supernodes: int = 3) -> str:
     return f"{error.reason}: {error.message}"
 
 
-def test_that_too_few_answer_is_told_as_the_loss_of_the_majority_whoever_was_asked_last() -> None:
+def test_too_few_answers_mean_a_lost_majority_in_any_order_of_the_answers() -> None:
     for failures in (
         {"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")},
         {"b": NO_MAJORITY, "a": gone("a"), "c": gone("c")},
@@ -31,7 +31,7 @@ def test_that_too_few_answer_is_told_as_the_loss_of_the_majority_whoever_was_ask
         assert "address" not in said
 
 
-def test_one_that_is_down_beside_two_that_run_does_not_hide_what_those_say() -> None:
+def test_a_supernode_that_is_down_does_not_hide_the_answers_of_two_that_run() -> None:
     assert told({"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")}, 5).startswith("NO_QUORUM: no majority of the")
     assert told({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
 

@@ -24,7 +24,7 @@ def test_ids_that_are_no_text_or_too_long_are_refused_in_few_words(
     assert len(caught.value.message) < 400
 
 
-def test_none_stands_for_no_text() -> None:
+def test_none_as_an_id_or_a_reason_becomes_an_empty_text() -> None:
     assert (parse_message_id(None), parse_reason(None)) == ("", "")
 
 

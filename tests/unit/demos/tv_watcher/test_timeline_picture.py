@@ -45,7 +45,7 @@ def spans() -> list[PictureSpan]:
     return picture_spans(record)
 
 
-def test_what_is_shown_survives_the_line_to_the_orchestrator(spans):
+def test_the_drawn_data_survives_the_line_to_the_orchestrator(spans):
     second = spans[1]
     assert (second.start, second.end, second.text) == (SECOND, 2 * SECOND, "00:01.00 caption number 1")
     assert (len(second.frames), len(second.motion), len(second.sound), len(second.loudness)) == (25, 25, 8, 8)

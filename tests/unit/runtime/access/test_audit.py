@@ -34,7 +34,7 @@ def test_a_line_tells_who_did_what_from_where(caplog: pytest.LogCaptureFixture) 
     }
 
 
-def test_one_who_is_denied_again_and_again_gets_a_line_a_second_and_all_are_counted(
+def test_a_caller_that_is_denied_again_and_again_gets_one_line_a_second_and_each_denial_counts(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     clock = Clock()
@@ -48,7 +48,9 @@ def test_one_who_is_denied_again_and_again_gets_a_line_a_second_and_all_are_coun
     assert log.denials == 1002
 
 
-def test_one_without_a_proof_is_told_by_its_machine_not_by_each_of_its_ports(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_caller_without_a_proof_is_named_by_its_machine_not_by_each_of_its_ports(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     log = AuditLog(Clock())
     for port in range(100):
         log.denied(None, f"ipv4:10.0.0.4:{port}", "DirectoryService/OpenChannel", "")

@@ -97,7 +97,7 @@ async def ended(call: Any) -> Exception:
     raise AssertionError(f"it did not end with an error: {await call.code()}")
 
 
-async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_judge(
+async def test_a_port_that_has_not_heard_of_the_rules_serves_no_caller_that_they_judge(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.01)

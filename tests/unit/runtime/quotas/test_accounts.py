@@ -120,7 +120,7 @@ def test_changes_are_counted_by_the_second_on_the_average_of_ten() -> None:
     assert used(one) == {}
 
 
-def test_what_callers_without_a_name_have_made_has_no_limit_unless_one_is_set() -> None:
+def test_callers_without_a_name_have_no_limit_unless_one_is_set() -> None:
     accounts = Accounts()
     accounts.set_default(Quota.BYTES_HELD, 100)
     limits = {name: accounts.of(name).limit(Quota.BYTES_HELD) for name in ("cam", "@clients", "@cluster", "@anyone")}

@@ -89,7 +89,7 @@ async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: in
     CallerWork(account).received(grpc.aio.EOF)
 
 
-async def test_what_nobody_is_bound_by_never_waits() -> None:
+async def test_a_caller_without_a_limit_never_waits() -> None:
     work = CallerWork(unlimited())
     work.spend(CALL_NANOS)
     assert not work.must_wait

@@ -193,7 +193,7 @@ async def test_a_close_cancels_a_method_at_once_that_takes_no_more_messages(port
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
-async def test_what_nobody_reads_stays_with_the_caller_and_is_read_later(port: Open) -> None:
+async def test_unread_bytes_stay_with_the_caller_and_are_read_later(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(READ_LATER)
         await one.streams.held.acquire()

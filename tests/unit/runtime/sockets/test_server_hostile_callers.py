@@ -132,7 +132,7 @@ async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
         assert (await second.status()).code == OVERLOADED
 
 
-async def test_nothing_but_the_opening_is_read_of_a_caller_who_is_not_admitted_yet(
+async def test_the_port_reads_only_the_opening_of_a_caller_that_is_not_admitted_yet(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "OPENED_PER_TURN", 0)

@@ -63,7 +63,7 @@ def test_a_caller_makes_as_many_channels_as_its_quota_and_what_it_deletes_makes_
     assert not isinstance(log.apply(by("cam", open_channel("c13"))), Refused)
 
 
-def test_what_is_there_is_opened_whatever_the_quota_and_others_are_not_counted() -> None:
+def test_an_existing_channel_opens_under_any_quota_and_channels_of_others_do_not_count() -> None:
     log = log_with_a_host()
     log.apply(by("cam", open_channel("mine"), 1))
     assert not isinstance(log.apply(by("cam", open_channel("mine"), 1)), Refused)

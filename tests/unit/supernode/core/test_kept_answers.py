@@ -123,7 +123,7 @@ def test_a_command_that_was_under_way_while_time_was_marked_twice_is_refused_and
     assert isinstance(log.apply(open_channel("late"), as_of_index=log.directory.applied_index), ChannelOpened)
 
 
-def test_nothing_that_is_forgotten_is_done_again() -> None:
+def test_a_forgotten_command_is_not_done_again() -> None:
     """Tries all moments at which a repetition is taken in and applied, up to 40 s of marks after the first time."""
     for applied_after in range(2 * MARKS_KEPT):
         for taken_in_after in range(min(applied_after + 1, MARKS_KEPT - 2)):
@@ -150,7 +150,7 @@ def test_another_leaders_mark_and_a_repeated_one_are_without_effect() -> None:
     assert len(log.directory.kept_answers.marks) == 1
 
 
-def test_what_cannot_be_remembered_is_refused_and_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_whose_answer_cannot_be_kept_is_refused_and_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept_answers, "BYTES_MAX", 4 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(register(1))

@@ -112,7 +112,7 @@ def test_nothing_is_granted_or_ended_without_a_tenure(table: LeaseTable) -> None
 AHEAD = ClockOffset(offset_nanos=7, uncertainty_nanos=1, supernode="s1")
 
 
-def test_what_a_holder_told_last_of_its_clock_is_kept_beside_its_lease(table: LeaseTable) -> None:
+def test_the_last_clock_reading_of_a_holder_is_kept_beside_its_lease(table: LeaseTable) -> None:
     assert table.clock(host(1)) is None
     assert table.renew(host(1), SECOND, AHEAD)
     assert (table.clock(host(1)), table.clock(host(2)), table.clock(host(3))) == (AHEAD, None, None)

@@ -87,7 +87,7 @@ def test_all_channels_are_written_when_there_were_too_many_changes(log: Log) -> 
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 
 
-def test_one_that_was_never_encoded_does_no_harm(log: Log) -> None:
+def test_a_view_that_was_never_encoded_does_no_harm(log: Log) -> None:
     writer = SnapshotWriter()
     writer.begin(log.directory)()
     log.apply(open_channel("d", host="host-1"))

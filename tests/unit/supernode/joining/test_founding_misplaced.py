@@ -57,7 +57,7 @@ def test_a_folder_in_which_a_restore_was_cut_off_says_so(tmp_path: Path) -> None
     check_unused(tmp_path / "untouched")
 
 
-def test_what_cannot_be_restored_from_is_called_what_it_is(tmp_path: Path) -> None:
+def test_the_refusal_of_a_restore_names_what_is_wrong_with_the_folder(tmp_path: Path) -> None:
     with pytest.raises(StoreRefused, match="nowhere does not exist"):
         restore_from(tmp_path / "nowhere", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="c")
     with pytest.raises(StoreRefused, match="is not the data folder of a supernode that has ever run"):

@@ -52,7 +52,7 @@ async def test_a_shared_read_lasts_as_long_as_the_most_patient_of_its_callers() 
     assert await patient == 5
 
 
-async def test_one_that_goes_away_leaves_the_others_their_answer() -> None:
+async def test_a_reader_that_goes_away_leaves_the_others_their_answer() -> None:
     rig = Rig()
     first, second = await rig.ask(), await rig.ask()
     first.cancel()

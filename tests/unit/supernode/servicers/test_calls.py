@@ -91,7 +91,7 @@ async def test_a_supernode_that_lags_behind_checks_the_owner_of_a_peer_of_which_
             await calls.check_peer(CONTEXT, id_of(7))
 
 
-async def test_what_is_known_is_checked_without_a_confirmed_read_and_what_is_missing_is_let_through(log: Log) -> None:
+async def test_a_known_thing_is_checked_without_a_confirmed_read_and_an_unknown_thing_passes(log: Log) -> None:
     calls, behind = calls_of(log)
     async with called_by("client", ALL):
         queue_id = log.directory.tables.queues.ids["jobs"]

@@ -227,7 +227,7 @@ async def test_an_update_without_a_proper_request_id_is_refused(node: Node, meth
         ("DeregisterHost", pb.DeregisterHostRequest(host_id=b"x" * 100_000)),
     ],
 )
-async def test_what_cannot_be_meant_is_refused_as_an_argument(node: Node, method: str, request_: Any) -> None:
+async def test_a_request_without_a_meaning_is_refused_as_an_argument(node: Node, method: str, request_: Any) -> None:
     if "request_id" in request_.DESCRIPTOR.fields_by_name:
         request_.request_id = id_of(1)
     if isinstance(request_, pb.OpenChannelRequest):

@@ -44,7 +44,7 @@ def test_a_token_lets_in_until_it_is_over() -> None:
 
 
 @pytest.mark.parametrize("text", ["", ".", "sj3...", "sj1.3e8.00.1", "sj3.3e8.00.1.2", "\u20ac.\u20ac.\u20ac.\u20ac"])
-def test_what_is_no_token_is_refused(text: str) -> None:
+def test_a_text_that_is_no_token_is_refused(text: str) -> None:
     with pytest.raises(PermissionDenied, match="not one of this cluster"):
         TOKENS.check(text, NEW, now_unix_nano=1)
 
@@ -161,7 +161,7 @@ async def test_a_newcomer_whose_release_knows_less_than_the_clusters_level_is_no
     await stub.AddSupernode(await addition(stub, highest_feature_level=3), timeout=10)
 
 
-async def test_one_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(rig: tuple[Node, Any]) -> None:
+async def test_a_supernode_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     node.log.diverged_at = 7
     for stale_ok in (False, True):

@@ -142,7 +142,7 @@ def gathered(parts: int) -> SlicesInParts:
     return SlicesInParts(deque([Slice(OneRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
 
 
-async def test_what_was_not_sent_of_a_call_that_is_dropped_or_of_a_stream_that_ends_is_let_go_of_in_pieces() -> None:
+async def test_unsent_items_of_a_dropped_call_or_an_ended_stream_are_freed_in_pieces() -> None:
     box, one, other = Box(), gathered(5), gathered(7)
     box.outbox.add(1, answer(1, 1), box.count, slices=one)
     box.outbox.add(2, answer(2, 1), box.count, slices=other)

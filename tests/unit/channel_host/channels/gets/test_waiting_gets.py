@@ -195,7 +195,7 @@ async def test_an_advance_is_looked_at_by_those_whose_interval_it_ends() -> None
     assert blocked.channel.polls == 2
 
 
-async def test_those_who_come_into_reach_together_end_in_the_order_of_their_arrival() -> None:
+async def test_gets_that_one_put_ends_end_in_the_order_of_their_arrival() -> None:
     blocked = Blocked()
     for number, ahead in enumerate((9, 5, 7, 5, 60, 2)):
         blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
@@ -204,7 +204,7 @@ async def test_those_who_come_into_reach_together_end_in_the_order_of_their_arri
     assert blocked.released == [0, 1, 2, 3, 5, 6]
 
 
-async def test_a_duration_that_reaches_ahead_of_the_clock_releases_those_whom_it_reaches() -> None:
+async def test_a_duration_that_reaches_ahead_of_the_clock_releases_the_gets_that_it_reaches() -> None:
     blocked = Blocked()
     for number, ahead in enumerate((4, 6)):
         blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
@@ -229,7 +229,7 @@ async def test_cancelled_gets_leave_nothing_behind() -> None:
     assert blocked.released == []
 
 
-async def test_there_is_a_most_and_who_leaves_makes_room() -> None:
+async def test_the_number_of_waiting_gets_has_a_limit_and_a_cancelled_get_makes_room() -> None:
     blocked = Blocked()
     gets = [blocked.block(number, NEWEST) for number in range(WAITING_GETS_MAX)]
     with pytest.raises(Overloaded, match="20000 gets wait at the channel already"):

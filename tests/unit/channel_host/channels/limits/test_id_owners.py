@@ -47,7 +47,7 @@ def test_a_number_belongs_to_the_caller_that_used_it_first(caller: list[str]) ->
     use(owners, QUEUE, 7, "taker")
 
 
-def test_what_members_use_is_nobody_elses(caller: list[str]) -> None:
+def test_an_id_that_members_use_belongs_to_no_other_caller(caller: list[str]) -> None:
     owners = IdOwners()
     caller.append("")
     use(owners, QUEUE, 7, "consumer")

@@ -29,7 +29,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
     return count_slices(monkeypatch)
 
 
-def test_what_very_many_consumers_have_consumed_out_of_order_goes_after_a_bounded_number_of_looks_at_them() -> None:
+def test_items_that_many_consumers_consumed_out_of_order_go_after_a_bounded_number_of_looks() -> None:
     """Earlier, 1024 consumers were all looked at for each of 64 slices."""
     consumers, items = 300, 40
     channel = a_channel(consumers=consumers)
@@ -63,7 +63,7 @@ def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: S
     assert [one.waiting for one in channel.consumers(CLOCK)] == [ITEMS - 100]
 
 
-def test_what_goes_while_new_consumers_learn_what_had_gone_is_owed_by_nobody() -> None:
+def test_no_consumer_owes_items_that_go_while_new_consumers_learn_of_gone_items() -> None:
     channel = backwards(3000)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12), CLOCK)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12, consumers=1), CLOCK)
@@ -106,7 +106,7 @@ def test_the_status_of_consumers_that_have_consumed_much_out_of_order_is_counted
     assert {one.waiting for one in channel.consumers(CLOCK)} == {2 * pieces.STEPS_PER_PIECE}
 
 
-def test_what_is_kept_of_a_consumer_is_bounded_by_what_is_held() -> None:
+def test_the_state_of_a_consumer_is_bounded_by_the_held_items() -> None:
     channel = a_channel(consumers=2, max_items=100)
     put(channel, CLOCK + 10**6)  # is never consumed
     for time in range(5000):
@@ -151,7 +151,7 @@ def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() ->
     assert done.below == end
 
 
-def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> None:
+def test_consumers_learn_of_items_that_went_before_them_in_small_steps() -> None:
     consumers, end = Consumers(1), 40_001
     for seq in range(2, end, 2):
         consumers.note_collected(seq, seq + 1)

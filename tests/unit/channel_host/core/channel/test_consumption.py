@@ -138,7 +138,7 @@ def test_a_late_item_is_taken_below_what_consumption_took() -> None:
     assert channel.frontier is None
 
 
-def test_what_is_left_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_in_below_it() -> None:
+def test_the_rest_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_below_it() -> None:
     """Trimmed, the first entry of the bucket once came behind the others: reads then gave 7 to 12 before 3 to 6."""
     channel = a_channel(consumers=1)
     put(channel, *[100] * 6)
@@ -286,7 +286,7 @@ def test_a_late_item_within_the_prolonged_window_is_taken_and_one_behind_it_is_n
     assert [one.error.reason for one in put(channel, CLOCK - 1500, durations=[0]).rejections] == ["TOO_OLD"]
 
 
-def test_what_is_still_to_come_is_not_called_collected_once_the_last_item_was_consumed() -> None:
+def test_a_future_interval_is_not_called_collected_once_the_last_item_was_consumed() -> None:
     """An item of long duration, collected beside others of its time, once put the frontier years ahead."""
     channel = a_channel(consumers=1, max_items=1)
     put(channel, 10, 10, durations=[10**15, 0])
@@ -333,7 +333,7 @@ def test_one_slow_consumer_among_a_thousand_costs_what_it_consumes() -> None:
     assert retention.consumers.looked_at - before <= 800
 
 
-def test_what_age_takes_is_owed_by_nobody_and_a_thousand_consumers_are_not_told_one_by_one() -> None:
+def test_no_consumer_owes_items_that_age_took_and_the_channel_does_not_tell_each_of_a_thousand() -> None:
     channel = a_channel(consumers=1000, max_age_nanos=100)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None
@@ -365,7 +365,7 @@ def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_i
     assert [one.waiting for one in channel.consumers(CLOCK)] == [8]
 
 
-def test_what_consumers_have_consumed_out_of_order_counts_as_memory_of_the_channel_until_it_is_needed_no_more() -> None:
+def test_seqs_consumed_out_of_order_count_as_memory_of_the_channel_as_long_as_it_keeps_them() -> None:
     """Earlier, it counted nowhere: 30,000 separate seqs of each of 1024 consumers took 4 GB for 60,000 empty items."""
     channel = a_channel(consumers=2)
     put(channel, *range(10, 2010, 10))

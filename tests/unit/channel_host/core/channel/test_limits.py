@@ -51,6 +51,6 @@ def test_blocking_is_taken_with_an_age_by_which_it_ends() -> None:
     assert ChannelLimits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
 
 
-def test_blocking_is_taken_with_consumers_by_whom_it_ends() -> None:
+def test_a_policy_may_block_if_consumers_can_end_the_blocking() -> None:
     limits = ChannelLimits.of(Policy(max_items=4, consumers=2, on_full="block"))
     assert (limits.on_full, limits.max_age_nanos) == ("block", None)

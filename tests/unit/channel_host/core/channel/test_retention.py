@@ -71,7 +71,7 @@ def test_a_late_item_may_come_between_what_was_collected_and_what_is_held() -> N
     assert times_of(get(channel, 10, 19).slices) == [15]
 
 
-def test_what_is_outdated_is_never_returned_though_its_memory_is_freed_in_small_parts() -> None:
+def test_an_outdated_item_is_never_returned_though_its_memory_is_freed_in_small_parts() -> None:
     channel = a_channel(max_age_nanos=1000)
     for time in range(CLOCK, CLOCK + 500):
         put(channel, time, now=time)
@@ -113,7 +113,7 @@ def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:
     return looked
 
 
-def test_age_counts_what_it_outdates_however_late_it_came_and_whatever_went_before() -> None:
+def test_age_counts_each_item_that_it_outdates_however_late_the_item_came() -> None:
     rng = random.Random(5)
     channel = a_channel(max_age_nanos=1_000_000, max_items=4500)
     held: list[int] = []
@@ -157,7 +157,7 @@ def test_a_clock_that_is_told_an_earlier_time_stays_where_it_was() -> None:
     assert get(channel, OLDEST, NOW, now=CLOCK).interval.end == CLOCK + 5  # type: ignore[union-attr]
 
 
-def test_what_is_still_to_come_is_not_called_collected_once_a_limit_took_the_last_item() -> None:
+def test_a_future_interval_is_not_called_collected_once_a_limit_took_the_last_item() -> None:
     channel = a_channel(max_items=1)
     put(channel, 10, durations=[10**15])
     channel.configure(Policy(max_bytes=64), CLOCK)

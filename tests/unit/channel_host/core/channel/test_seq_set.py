@@ -29,7 +29,7 @@ def test_it_holds_what_was_put_in_and_says_what_was_new(ranges: list[tuple[int, 
 
 
 @given(RANGES)
-def test_its_ranges_are_apart_so_that_in_order_there_is_none(ranges: list[tuple[int, int]]) -> None:
+def test_ranges_never_touch_and_seqs_in_order_make_no_range(ranges: list[tuple[int, int]]) -> None:
     seqs = SeqSet()
     for first, items in ranges:
         seqs.add(first, first + items)

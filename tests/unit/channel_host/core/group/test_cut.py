@@ -138,7 +138,7 @@ def test_a_member_of_a_host_that_is_not_heard_of_holds_the_cut_though_it_may_be_
     assert cut.cut == 110
 
 
-def test_what_another_host_has_shown_counts_and_nothing_is_shown_before_that_is_known() -> None:
+def test_the_cut_of_another_host_counts_and_no_item_is_shown_before_it_is_known() -> None:
     board = TimesBoard()
     board.enter_own(A, at(100), 0)
     cut = GroupCut(GroupDefinition(members=frozenset((A,))), board)
@@ -202,7 +202,7 @@ def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
     assert cut.cut == 95
 
 
-def test_the_lowest_of_many_is_found_however_they_move_and_whoever_begins_anew() -> None:
+def test_the_lowest_of_many_channels_is_found_however_they_move_and_begin_anew() -> None:
     draw, ids = random.Random(3), [bytes([number]) for number in range(9)]
     board, known = TimesBoard(), dict.fromkeys(ids, at(0))
     cut = GroupCut(GroupDefinition(members=frozenset(ids[:6])), board)

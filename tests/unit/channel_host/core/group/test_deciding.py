@@ -182,7 +182,7 @@ def test_a_reader_who_resumes_hears_that_something_was_used_up_meanwhile() -> No
     assert (loss.before, loss.is_exact) == (21, False)
 
 
-def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is_told() -> None:
+def test_the_reported_loss_covers_items_lost_between_the_return_and_the_first_step() -> None:
     made = channel(10, 20, 30, policy=Policy(max_items=2))
     follower = CutFollower(made, 5, NOW, next_seq=1, incarnation=INCARNATION)
     for time in (40, 50):
@@ -229,7 +229,7 @@ def test_the_span_of_what_an_event_brings_ends_at_the_next_visible_item_alone() 
     assert ([one.next_time for one in step.late], [one.next_time for one in step.slices]) == ([20], [None])
 
 
-def test_what_was_used_up_is_counted_though_a_late_item_then_came_in_below() -> None:
+def test_consumed_items_are_counted_though_a_late_item_then_came_in_below_them() -> None:
     made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
     follower = CutFollower(made, 5, NOW)
     made.consume(1, [1, 2], NOW)

@@ -146,13 +146,13 @@ def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> 
     assert gap.items == 1
 
 
-def test_an_item_at_the_very_time_of_the_cut_is_hidden_from_whoever_asks_for_it() -> None:
+def test_an_item_at_the_very_time_of_the_cut_is_hidden_from_a_caller_that_asks_for_it() -> None:
     view = VisibleChannel(channel(10, 20, 30, 30))
     assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(30), CLOCK).slices) == [10, 20]
     assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(31), CLOCK).slices) == [10, 20, 30, 30]
 
 
-def test_what_the_cut_hides_behind_a_limit_is_no_reason() -> None:
+def test_items_that_the_cut_hides_beyond_the_limit_give_no_reason() -> None:
     view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 40), limit=1)
     answer = view.read(query, horizon(25), CLOCK)
@@ -190,7 +190,7 @@ def test_a_key_that_no_item_has_is_counted_from_as_exactly() -> None:
     assert gap.items == 2
 
 
-def test_what_a_subscription_is_owed_begins_with_what_is_hidden() -> None:
+def test_the_lowest_owed_seq_of_a_subscription_is_that_of_a_hidden_item() -> None:
     made = channel(10, 40, 20, 30)
     reader = VisibleAll(made, horizon(15), CLOCK)
     assert reader.lowest_owed_seq(CLOCK) == 2

@@ -90,7 +90,7 @@ def test_room_for_many_runs_that_wait_is_given_to_some_by_each_call_in_order() -
     assert core.queue.next_deadline() is None
 
 
-def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the_put_waits() -> None:
+def test_a_smaller_limit_drops_the_excess_in_many_calls_while_the_put_waits() -> None:
     core = Core(max_items=20_000, on_full="drop_oldest")
     core.put(*[1] * 10_000)
     core.queue.configure(QueueLimits(max_items=10, on_full="drop_oldest"), core.now)

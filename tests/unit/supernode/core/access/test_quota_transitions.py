@@ -52,7 +52,7 @@ def test_a_snapshot_holds_the_settings() -> None:
     assert encode_snapshot(restored) == encode_snapshot(log.directory)
 
 
-def test_there_are_so_many_settings_and_no_more() -> None:
+def test_the_number_of_quota_settings_has_a_limit() -> None:
     log = Log()
     for at in range(0, SETTINGS_MAX, 100):
         log.apply(SetQuotas(settings=tuple(QuotaSetting(str(at + n), Quota.STREAMS, 1) for n in range(100))))
@@ -73,6 +73,6 @@ def test_there_are_so_many_settings_and_no_more() -> None:
         RemoveQuotas(who=""),
     ],
 )
-def test_what_cannot_be_meant_is_refused(operation: SetQuotas | RemoveQuotas) -> None:
+def test_an_operation_without_a_meaning_is_refused(operation: SetQuotas | RemoveQuotas) -> None:
     with pytest.raises(InvalidArgument):
         check_operation(operation)

@@ -55,7 +55,7 @@ def test_rules_are_a_set_and_each_change_is_a_version() -> None:
     assert len(changes(log)) == 3
 
 
-def test_there_are_so_many_rules_and_no_more() -> None:
+def test_the_number_of_access_rules_has_a_limit() -> None:
     log = Log()
     for number in range(RULES_MAX):
         log.apply(AddAccessRule(rule=replace(PUT, who=str(number))))
@@ -142,7 +142,7 @@ def test_nobody_else_who_is_judged_takes_the_place_of_a_peer_whatever_its_proof(
         assert isinstance(log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner=owner)), PeerRegistered)
 
 
-def test_what_a_rule_would_do_is_told_for_the_things_there_are() -> None:
+def test_the_effects_of_a_rule_are_told_for_each_existing_thing() -> None:
     log = Log()
     log.apply(register(1))
     for name in ("video/1", "video/2", "audio"):

@@ -75,7 +75,7 @@ def test_the_word_of_the_leader_or_of_most_ends_an_old_release_with_a_vote_and_a
     assert not links.refusals.by
 
 
-def test_what_two_members_say_of_two_things_does_not_add_up() -> None:
+def test_refusals_of_two_members_for_two_reasons_do_not_add_up() -> None:
     links = Links3()
     links.hear("s1", refused(knows=1, cluster=2))
     links.hear("s3", refused(term=0))

@@ -42,14 +42,14 @@ def test_the_leader_or_most_of_the_others_confirm_a_refusal(
     assert not any(outcomes[:-1])
 
 
-def test_what_is_confirmed_names_who_says_so() -> None:
+def test_a_confirmed_refusal_names_the_members_that_say_it() -> None:
     refusals = Refusals()
     for name in "bc":
         refusals.refused(name, COPY, others="bc", leader_id=None)
     assert refusals.why == f"{COPY} (says b, c)"
 
 
-def test_who_takes_the_store_again_refuses_it_no_more() -> None:
+def test_a_member_that_accepts_the_store_again_no_longer_refuses_it() -> None:
     refusals = Refusals()
     refusals.refused("b", COPY, others="bc", leader_id=None)
     assert refusals.accepted("b")

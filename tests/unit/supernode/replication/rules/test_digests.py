@@ -77,7 +77,7 @@ def test_a_state_from_a_snapshot_without_a_digest_goes_on_from_the_leaders_and_h
     assert restored.digest() == leader_at(5).digest(), "its own snapshots carry one"
 
 
-def test_what_differs_after_the_first_digest_that_follows_is_found() -> None:
+def test_a_difference_after_the_first_following_digest_is_found() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.digests.compare(*leader_at(2).digest())
     follower.apply(3, UNKNOWN)
@@ -124,7 +124,7 @@ def polled(asked: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPol
         ({"a": OTHER, "b": OTHER, "x": OTHER}, 3, b""),
     ],
 )
-def test_what_more_than_half_of_all_voters_hold_is_right_whoever_leads(
+def test_the_state_of_more_than_half_of_all_voters_is_right_under_any_leader(
     answers: dict[str, bytes], voters: int, of_most: bytes
 ) -> None:
     assert polled(ONE, answers, voters=voters).of_most("abcdef"[:voters])[1] == of_most

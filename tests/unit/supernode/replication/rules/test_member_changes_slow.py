@@ -60,7 +60,7 @@ def test_a_slow_newcomer_is_given_up_after_a_time_in_all_and_told_why(leader: Le
     assert leader.changes.is_idle
 
 
-def test_one_that_was_too_slow_makes_room_at_once_when_it_tries_again_and_another_one_wants_to_come(
+def test_a_joiner_that_was_too_slow_makes_room_at_once_if_another_wants_to_come(
     leader: Leader,
 ) -> None:
     leader.add(SLOW)

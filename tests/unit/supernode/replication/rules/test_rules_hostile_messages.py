@@ -101,7 +101,7 @@ def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader(
     assert "x" not in lone.node.peers
 
 
-def test_who_is_locked_out_hears_strangers_until_it_follows_somebody_whom_it_knows() -> None:
+def test_a_locked_out_replica_hears_strangers_until_it_follows_a_known_leader() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)

@@ -20,13 +20,13 @@ def test_a_member_is_admitted_with_the_store_that_it_came_with_first_also_after_
     assert (again.admits("b", "one"), again.admits("b", "two"), again.admits("c", "two")) == (True, False, True)
 
 
-def test_one_that_never_had_a_store_is_admitted_without_and_with_one(tmp_path: Path) -> None:
+def test_a_member_that_never_had_a_store_is_admitted_without_and_with_one(tmp_path: Path) -> None:
     stores = KnownStores.open(tmp_path, had_store=False)
     stores.note("b", "", "abc")
     assert (stores.admits("b", ""), stores.admits("b", "one")) == (True, True)
 
 
-def test_one_that_came_with_a_store_before_is_refused_without_one(tmp_path: Path) -> None:
+def test_a_member_that_came_with_a_store_before_is_refused_without_one(tmp_path: Path) -> None:
     stores = KnownStores.open(tmp_path, had_store=False)
     stores.note("c", "one", "abc")
     assert not stores.admits("c", "")
@@ -45,7 +45,7 @@ def test_a_new_store_is_another_one_even_if_the_note_of_the_former_is_left(tmp_p
     assert new.admits("b", "two")
 
 
-def test_one_that_keeps_nothing_has_no_store_and_remembers_none() -> None:
+def test_a_member_in_memory_has_no_store_and_remembers_none() -> None:
     stores = KnownStores.open(None, had_store=False)
     stores.note("b", "one", "abc")
     assert (stores.own, stores.admits("b", "two")) == ("", True)

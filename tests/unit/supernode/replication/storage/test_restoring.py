@@ -29,7 +29,7 @@ async def done(ask: Callable[[], Awaitable[object]]) -> None:
             return
 
 
-async def test_one_of_three_becomes_a_cluster_of_one_that_holds_everything_it_held(tmp_path: Path) -> None:
+async def test_one_supernode_of_three_becomes_a_cluster_of_one_that_holds_its_whole_state(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path / "old", snapshot_every=10) as cluster:
         survivor = cluster.all[0]
         for number in range(25):
