@@ -147,7 +147,7 @@ def main() -> int:
     stale = [path for path, text in made.items() if not path.is_file() or path.read_text() != text]
     for path in stale:
         if check:
-            print(f"{path.relative_to(ROOT)} is not what its source generates; run: make stubs")
+            print(f"{path.relative_to(ROOT)} differs from the text that its source generates; run: make stubs")
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(made[path])

@@ -74,7 +74,7 @@ def main() -> int:
         generate_sync(Path(folder))
         stale = differences(Path(folder))
     for name in stale:
-        print(f"{name} is not what its source generates; run: make stubs")
+        print(f"{name} differs from the text that its source generates; run: make stubs")
     return 1 if stale else 0
 
 

@@ -79,7 +79,7 @@ def _too_long(kind: str, found: Mapping[str, int], allowed: Mapping[str, int], m
         now, listed = found.get(name, 0), allowed.get(name, 0)
         if now > max(most, listed):
             lines.append(
-                f"the {kind} {name} has {now} lines, allowed {max(most, listed)}; split it by what its parts do"
+                f"the {kind} {name} has {now} lines, allowed {max(most, listed)}; split it by the tasks of its parts"
             )
         elif listed and now < listed:
             lines.append(

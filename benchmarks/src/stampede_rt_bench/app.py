@@ -136,7 +136,7 @@ def _add_paper(kinds: Any) -> None:
 
 
 def _add_limits(kinds: Any) -> None:
-    text = "what bare grpcio, raw sockets and a copy in memory can do on this machine"
+    text = "the figures of bare grpcio, raw sockets and a copy in memory on this machine"
     limits = kinds.add_parser("limits", help=text, description=f"Measure {text}.")
     _add_effort(limits, Path("out/bench"))
     limits.set_defaults(run=measure_limits)

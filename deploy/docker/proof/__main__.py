@@ -1,4 +1,4 @@
-"""Runs a compose project without a container engine, from its real images, and checks what it promises.
+"""Runs a compose project without a container engine, from its real images, and checks its promises.
 
     unshare --net --mount --pid --mount-proc --fork \\
         python deploy/docker/proof --project project.json --images images.json --work FOLDER

@@ -107,8 +107,9 @@ class Cluster:
     def parts_behind(self, version: int, *, of_rules: bool = False) -> dict[str, str]:
         """Wait until all parts apply `version` of access (see `in_force.parts_behind`).
 
-        Returns the parts that do not apply this version yet, each with the reason. With `of_rules` leaves front-ends
-        out, because no rule concerns them. Raises PermissionDenied if the change revoked this caller's own credential.
+        Returns the parts that do not apply this version yet, each with the reason. With `of_rules` the list leaves
+        out front-ends, because no rule concerns them. Raises PermissionDenied if the change revoked this caller's own
+        credential.
         """
         try:
             judges = self._parts(with_frontends=not of_rules)

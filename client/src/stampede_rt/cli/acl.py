@@ -128,7 +128,7 @@ def _warnings(rpc: str, *, changed: bool, rules: int) -> list[str]:
 def _print_effects(who: str, effects: Sequence[dict[str, Any]]) -> None:
     if not effects:
         return
-    print(f"\nWith what there is now, this changes for {who}:\n")
+    print(f"\nFor the things that exist now, this changes for {who}:\n")
     print_rows(effects[:EFFECTS_SHOWN], "table", none="")
     if len(effects) > EFFECTS_SHOWN:
         print(f"and {len(effects) - EFFECTS_SHOWN} more at least (-o json)")

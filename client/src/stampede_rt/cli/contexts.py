@@ -112,10 +112,10 @@ def write_private(path: Path, data: bytes) -> None:
 def context_applied(environ: MutableMapping[str, str], *, has_url: bool) -> Iterator[None]:
     """Put the fields of the chosen context into the environment of this process, for the duration of the block.
 
-    `$STAMPEDE_CONTEXT` chooses for one command, and counts more than other variables. Else `stampede context use` has
-    chosen, and variables that are set count more. A command with an address of its own (`has_url`, or `$STAMPEDE_URL`)
-    uses no context, so that no cluster gets the secret of another one. Raises InvalidArgument if there is no context of
-    that name.
+    `$STAMPEDE_CONTEXT` names the context of one command. Its fields override other variables. Without it the context is
+    that of `stampede context use`. Variables of the environment override the fields of that one. A command with
+    an address of its own (`has_url`, or `$STAMPEDE_URL`) uses no context, so that no cluster gets the secret of another
+    one. Raises InvalidArgument if there is no context of that name.
     """
     before = {variable: environ.get(variable) for variable in VARIABLES.values()}
     for variable, value in _chosen(environ, has_url).items():

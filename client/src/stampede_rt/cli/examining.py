@@ -247,7 +247,7 @@ def _levels(response: Any) -> dict[str, Any]:
 
 
 def _load(response: Any) -> dict[str, Any]:
-    """Return the fields of an observation for the memory and archive of a host, and for what it refused."""
+    """Return the fields of an observation for the memory and archive of a host, and for the refused calls."""
     return {
         "refused_items": response.refused_items,
         "refused_ago_nanos": _optional(response, "refused_ago_nanos"),

@@ -28,7 +28,7 @@ FORMATS = ("mcap", "parquet", "csv")
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
     export = add_verb(
-        subparsers, "export", "write what channels hold, or a file, as MCAP, Parquet or CSV", run_export, output=False
+        subparsers, "export", "write items of channels, or of a file, as MCAP, Parquet or CSV", run_export, output=False
     )
     export.add_argument("sources", nargs="+", metavar="SOURCE", help="channels or globs such as 'rig/*', or one file")
     export.add_argument(

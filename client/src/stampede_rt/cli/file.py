@@ -30,12 +30,12 @@ def add_verbs(subparsers: Any) -> None:
     text = "MCAP files: look at them, verify, recover, cut and merge them"
     noun = subparsers.add_parser("file", help=text, description=text)
     verbs = noun.add_subparsers(dest="file_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    info = _verb(verbs, "info", "say what a file has, by its index", run_info)
+    info = _verb(verbs, "info", "print the contents of a file, by its index", run_info)
     info.add_argument("path", metavar="FILE", help="an MCAP file")
     verify = _verb(verbs, "verify", "read a whole file, check every checksum, and compare with its summary", run_verify)
     verify.add_argument("path", metavar="FILE", help="an MCAP file")
     recover = _verb(
-        verbs, "recover", "copy what can be read of a torn or damaged file, and name what is lost", run_recover
+        verbs, "recover", "copy the readable part of a torn or damaged file, and name the lost items", run_recover
     )
     recover.add_argument("path", metavar="FILE", help="an MCAP file")
     cut = _verb(verbs, "cut", "copy the items of a stretch of time, or of some channels", run_cut)

@@ -162,7 +162,7 @@ class _Stream:
             self._changed.notify_all()
 
     def _read_incarnation(self, name: str, start: Bound | None) -> bool:
-        """Read until the channel's items are lost with its host. Return whether to read what comes after."""
+        """Read until the channel's items are lost with its host. Return whether to read later items."""
         channel = self._rt.channel(name, create=False)
         with channel.subscribe(start, payloads=self._payloads) as subscription:
             try:

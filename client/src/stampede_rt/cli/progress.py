@@ -18,7 +18,7 @@ Progress = tuple[float | None, str]
 
 @contextmanager
 def shown_progress(look: Callable[[], Progress]) -> Iterator[None]:
-    """Show what `look` returns, again and again, until the end of the block. Then erase the line.
+    """Show the text that `look` returns, again and again, until the end of the block. Then erase the line.
 
     `look` runs on a thread of its own. If it fails, the line stays as it is.
     """

@@ -27,7 +27,7 @@ VERBS = {
     "record": ("record", "record channels to an MCAP file, until Ctrl-C"),
     "replay": ("replay", "play an MCAP file, or channels, into channels"),
     "import": ("replay", "put the items of a file into channels"),
-    "export": ("export", "write what channels hold, or a file, as MCAP, Parquet or CSV"),
+    "export": ("export", "write items of channels, or of a file, as MCAP, Parquet or CSV"),
     "file": ("file", "MCAP files: look at them, verify, recover, cut and merge them"),
     "doctor": ("doctor", "check every part of the cluster, and say what to fix"),
     "acl": ("acl", "rules of access, which say who may do what; for operators and holders of the cluster's secret"),

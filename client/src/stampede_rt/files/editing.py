@@ -62,7 +62,7 @@ def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lam
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:
-    """Copy everything that can be read of a torn or damaged file to `output`, with an index, and name what is lost.
+    """Copy the readable part of a torn or damaged file to `output`, with an index, and name the lost items.
 
     A file that was cut off at any byte loses at most its last chunk. Raises FileError.
     """
@@ -233,7 +233,7 @@ def intact_contents(reader: FileReader) -> Iterator[Content]:
         if isinstance(part, Damage):
             raise FileError(
                 f"the file {reader.path!r} is damaged at byte {part.offset}: {part.detail}; "
-                "`stampede file recover` saves what can be read"
+                "`stampede file recover` saves the readable part"
             )
         if isinstance(part, Content):
             yield part

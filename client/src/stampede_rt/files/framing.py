@@ -108,7 +108,7 @@ class RecordFile:
     def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
         """Yield the records from the byte `offset` on, and the stretches that are none. Ends at the end mark.
 
-        A file that ends without the end mark ends with a Damage of what is left, perhaps of no bytes.
+        A file that ends without the end mark ends with a Damage of the rest, perhaps of no bytes.
         """
         while True:
             frame = self.frame_at(offset)

@@ -12,7 +12,7 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, parse_duration
 
 SHIFT_NOW = "now"
 SPEED_MAX = 1e6
-MARGIN_NANOS = 10_000_000_000  # what a new channel keeps in excess of the replay's own delay
+MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time in excess of the replay's own delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def parse_speed(speed: object) -> float:
 def target_policy(recorded: Mapping[str, Any], shifted: bool, lag_nanos: int) -> dict[str, Any]:
     """Return the policy of a channel that a replay creates, as arguments of `Connection.channel`.
 
-    It is the recorded one, without what belongs to consumers. Without a shift it has no max_age, which would refuse
+    It is the recorded one, without the fields about consumers. Without a shift it has no max_age, which would refuse
     the items; with one it keeps them longer by the lag.
     """
     policy: dict[str, Any] = {name: _count(recorded.get(name)) for name in ("max_bytes", "max_items")}

@@ -49,7 +49,7 @@ def opened_new(path: str | os.PathLike[str], *, overwrite: bool) -> IO[bytes]:
 def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
     """Return the error for a file that cannot be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    advice = "free space; what is in the file so far can be read with `stampede file recover`" if full else (
+    advice = "free space; `stampede file recover` reads the items that are in the file so far" if full else (
         "name a file in a folder that exists and that you may write to"
     )  # fmt: skip
     return FileError(f"the file {os.fspath(path)!r} cannot be written: {error.strerror}; {advice}")
@@ -140,7 +140,7 @@ class FileWriter:
         self._closed = True
         try:
             self._stream.close()
-        except OSError:  # the disk is full: what it has stays
+        except OSError:  # the disk is full: the bytes in the file stay
             return
 
     def _attempt(self, step: Callable[[], None]) -> None:

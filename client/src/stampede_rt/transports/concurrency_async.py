@@ -161,7 +161,7 @@ class EventLoopCheck:
     def check_thread(self) -> None:
         """Raise WrongEventLoop on another thread than the one that runs the loop at present.
 
-        asyncio does not notice such a call, and may go on without a look at what it has changed.
+        asyncio does not notice such a call, and may go on without a look at the changes of that call.
         """
         try:
             running = asyncio.get_running_loop()

@@ -46,7 +46,7 @@ def live_thread_ids() -> set[int | None]:
 
 
 def wait_in_parts(wait: Callable[[float | None], bool], timeout_s: float | None) -> bool:
-    """Call `wait` until it returns True, for at most `timeout_s`. Returns what `wait` has returned last.
+    """Call `wait` until it returns True, for at most `timeout_s`. Returns the last value that `wait` returned.
 
     Only the main thread runs handlers of signals, such as that of Ctrl-C, and it runs none inside a wait for a lock.
     The system ends that wait for a signal, but not if the signal comes just before the wait begins, or at another

@@ -55,7 +55,7 @@ def check_granted(items: int, granted: int) -> None:
 
 
 def malformed(what: str) -> StampedeError:
-    """Return the error for a run that a host sent. `what` says what is wrong with its columns."""
+    """Return the error for a run that a host sent. `what` names the fault of its columns."""
     return StampedeError(f"a host sent a run with {what}; it is defective, or not of this product: replace it")
 
 

@@ -67,7 +67,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
 
 
 def ack_to_wire(ack: Ack | None) -> channel_pb2.Ack:
-    """Return the number for what a put waits for. None: the put does not state it."""
+    """Return the number of an ack in the contract. None: the put does not state an ack."""
     return _ACKS[ack] if ack else channel_pb2.ACK_UNSPECIFIED
 
 

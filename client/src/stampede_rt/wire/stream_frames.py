@@ -101,9 +101,9 @@ class FrameReader:
         self._partial, self._came_bytes = bytearray(), 0
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
-        """Take the next bytes, and return the frames that are complete now. Copies what it keeps of a view.
+        """Take the next bytes, and return the frames that are complete now. Copies the bytes that it keeps.
 
-        Raises InvalidArgument for a frame of another kind, or of a longer body, than may come.
+        Raises InvalidArgument for a frame of a kind that may not come, and for a body that is too long for its kind.
         """
         frames: list[Frame] = []
         at = self._complete(data, frames) if self._partial else 0

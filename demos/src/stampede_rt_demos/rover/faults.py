@@ -18,7 +18,7 @@ LOOK_SECONDS = 0.05
 
 
 class Faults:
-    """Runs on a thread beside the roles. `events`: nanoseconds since the start, and what happened then."""
+    """Runs on a thread beside the roles. `events`: nanoseconds since the start, and a text about the event."""
 
     def __init__(self, cluster: LocalCluster, rt: st.Connection, start: int, length: int) -> None:
         self._cluster, self._rt = cluster, rt
@@ -66,7 +66,7 @@ class Faults:
         self._note(f"{owner} is killed")
 
     def _spread(self) -> None:
-        """Give each camera's channel a host of its own: a host that stays must know what readers saw of the group."""
+        """Give each camera's channel a host of its own: a host that stays must know the cut that readers saw."""
         owner = self._rt.channel(Side.LEFT.value, create=False).host
         other = next(host.name for host in self._rt.hosts() if host.name not in (owner, RIG))
         if self._rt.channel(Side.RIGHT.value, create=False).host == owner:

@@ -17,7 +17,7 @@ class RoverReport:
     `puts`: for each frame its time since the start and how long its put took, in nanoseconds. `by_reference`: the reads
     in the rover's process that returned the very object that was put. `measured`: for each pair its time since the
     start and the disparity in pixels. `commands`: sent by the planner, received by the rover, and not sent because the
-    mailbox was at the lost host. `events`: nanoseconds since the start, and what happened then.
+    mailbox was at the lost host. `events`: nanoseconds since the start, and a text about the event.
     """
 
     seconds: int

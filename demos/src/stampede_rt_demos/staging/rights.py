@@ -1,4 +1,4 @@
-"""Gives each role a client token or certificate of its own, and makes rules that allow only what the role does."""
+"""Gives each role a client token or certificate of its own, and makes rules that allow only the calls of the role."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class ServiceSettings:
         default=None,
         metadata=setting(
             metavar="FILE",
-            help="the file of the clients' secret; a caller with this secret may do what clients do, but not join",
+            help="the file of the clients' secret; a caller with this secret may make clients' calls, but not join",
         ),
     )
     allow_insecure_anywhere: bool = field(

@@ -110,7 +110,7 @@ class ChannelDiskUse:
 
 
 def folders_of_channels(path: Path) -> Iterator[FoundFolder]:
-    """The folders of channels in `path`. Blocks. Leaves out what is no folder of a channel."""
+    """The folders of channels in `path`. Blocks. Leaves out all other entries."""
     with os.scandir(path) as entries:
         for entry in entries:
             try:

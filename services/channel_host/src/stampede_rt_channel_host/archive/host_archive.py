@@ -49,7 +49,7 @@ class HostArchive:
         self._making_room: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="archive-reader")
-        self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with what to call after the write
+        self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with the function to call after the write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
         self._hurry = asyncio.Event()  # somebody waits for stable storage
@@ -98,7 +98,7 @@ class HostArchive:
         self._news.set()
 
     def hurry(self) -> None:
-        """Somebody waits for stable storage: write at once what there is. What comes meanwhile goes together."""
+        """Write at once, because a put waits for stable storage. Items that come during a write share the next one."""
         self._hurry.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:

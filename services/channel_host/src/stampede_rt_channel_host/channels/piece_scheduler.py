@@ -41,7 +41,7 @@ class PieceScheduler:
     async def finish(self, pieces: Pieces[Result]) -> Result:
         """Perform the remaining pieces, each when the caller has its turn, and return the result.
 
-        Raises the errors of the pieces. After a cancellation, only frees what the remaining pieces hold, in pieces.
+        Raises the errors of the pieces. After a cancellation, only frees the memory of the remaining pieces, in pieces.
         """
         return await self._finish(pieces, current_work())
 

@@ -1,4 +1,4 @@
-"""The recording of one hosted channel: what it accepts goes to the archive, and reads find it there."""
+"""The recording of one hosted channel: accepted items go to the archive, and reads find them there."""
 
 from __future__ import annotations
 

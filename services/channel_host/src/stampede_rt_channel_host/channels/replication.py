@@ -1,4 +1,4 @@
-"""The replicas of one channel at its owner: what they have, what readers see, and the acks that wait for them."""
+"""The replicas of one channel at its owner: their items, the items that readers see, and the acks that wait."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Replication:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that the channel takes beside that of `core`: the index of what readers see, and unseen items."""
+        """The memory of the channel beside that of `core`: the index of items that readers see, and unseen items."""
         return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES + self._unseen_bytes
 
     @property
@@ -139,7 +139,7 @@ class Replication:
             )
 
     def collect(self, now: int) -> bool:
-        """Free memory of what readers see no more, and show what has left the channel. Returns True if more is left."""
+        """Free items that readers no longer see, and show which items have left. Returns True if more is left."""
         self.accepted(now)
         return self._view.shown.collect(now)
 
@@ -231,7 +231,7 @@ class Replication:
         self._view.close()
 
     def _go_on(self, now: int) -> None:
-        """Show what is replicated, and release those who wait for it."""
+        """Show the replicated items to readers, and release the calls that wait for them."""
         if self._is_filled and self._view.show(self._in_sync.replicated, now):
             self._on_shown(now)
         self._wake()

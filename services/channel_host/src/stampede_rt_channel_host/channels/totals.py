@@ -35,7 +35,7 @@ class ChannelTotals:
     def add_counts(self, hosted: HostedChannel, counted: Counters) -> None:
         """Add only the counters, of a channel that leaves.
 
-        Leaves out what the sums of other hosts have: the items of a copy, and those of a channel before it moved here.
+        Leaves out items that other hosts count: those of a copy, and those of a channel before it moved here.
         """
         self.add_delivered(hosted)
         if hosted.copy is None:
@@ -44,7 +44,7 @@ class ChannelTotals:
                 self.counts.subtract(dict(_counts_of_items(hosted.counted_before)))
 
     def add_delivered(self, hosted: HostedChannel) -> None:
-        """Add what was sent to readers of the channel."""
+        """Add the items that were sent to readers of the channel."""
         self.counts.update(dict(_counts_of_readers(hosted)))
 
     def not_below(self, former: ChannelTotals) -> None:

@@ -1,4 +1,4 @@
-"""Moves what a host owns away: before the host stops, or because an operator asks (paper, section 4.1)."""
+"""Moves all channels and queues away from a host that stops, or that an operator drains (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -91,7 +91,10 @@ class _OwnQueue:
 
 
 class Draining:
-    """Moves what one host owns away. `groups_of` returns the groups of a channel, `dial` opens connections."""
+    """Moves the channels and queues of one host away.
+
+    `groups_of` returns the groups of a channel, `dial` opens connections.
+    """
 
     def __init__(
         self, store: ChannelStore, queues: QueueStore, directory: MoveDirectory,
@@ -104,7 +107,7 @@ class Draining:
         self._dial = dial
 
     async def run(self, seconds: float) -> Drained:
-        """Move all channels and queues away. Ends after `seconds`, with what has moved by then. Raises nothing."""
+        """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing."""
         own = self._own()
         left = {one.name: "the time was over" for one in own.values()}
         if own:

@@ -95,7 +95,7 @@ class FeedStream:
         if len([*hosted.fed]) >= FEEDS_MAX:
             raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
         if opening.owner_facts and hosted.copy is not None:
-            raise refusals.copy_cannot(hosted.record.name, "does not know what only the owner knows")
+            raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
         if opening.move_id:
             self._moves.check(hosted)  # first, because the feed of a replica that begins anew clears its flag
         feed = await self._begin(hosted, opening)

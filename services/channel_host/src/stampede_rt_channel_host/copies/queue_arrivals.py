@@ -95,7 +95,7 @@ class QueueArrivals:
             logger.info("a move of a queue has failed", extra={"event": "move_failed", "why": str(failure)})
 
     async def _move(self, record: RecordedQueue, target: str) -> MovedQueue:
-        self._queues.forget(record.queue_id, moved(record))  # what an earlier ownership has left
+        self._queues.forget(record.queue_id, moved(record))  # the file of an earlier ownership
         began = time.monotonic_ns()
         channel = self._dial(target)
         call = migration_service_pb2_grpc.MigrationServiceStub(channel).HandOverQueue()

@@ -200,7 +200,7 @@ class RetryWindow:
             self.record(run.producer_id, run.first_number, run.outcome, run.owner)
 
     def keep_up_to(self, next_seq: int) -> None:
-        """Forget what the window knows of items with the seq `next_seq` or a later one, because they are lost.
+        """Forget the entries about items with the seq `next_seq` or a later one, because they are lost.
 
         If a run has earlier items, too, it counts as judged up to them, so that a retry continues there.
         """

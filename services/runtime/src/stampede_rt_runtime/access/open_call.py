@@ -110,7 +110,7 @@ class OpenCall:
         if without := self.caller.revoked_among(state.revoked_serials):
             self.end(revoked(without))
             return
-        for grant in tuple(self._granted):  # what the call uses meanwhile is judged by the new rules
+        for grant in tuple(self._granted):  # the new rules judge the things that the call uses meanwhile
             if not state.rules.judge(self.caller, *grant).allowed:
                 self.end(self.denial(grant, state.rules))
                 return

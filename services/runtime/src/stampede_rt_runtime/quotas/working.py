@@ -58,7 +58,7 @@ def usable_time(
     """A clock, in nanoseconds, of the time that the calling thread can use.
 
     It stands still while the thread waits for a processor, because other programs run. So a share of this time is a
-    share of what the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
+    share of the time that the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
     """
     ask = waited_nanos or _waited_nanos
     now = waited = ask_again_at = 0
@@ -135,17 +135,17 @@ class CallerWork:
             self._loop_share.spend(nanos)
 
     def spend_read(self) -> None:
-        """Count what the transport takes to read a message, at the end of the present step."""
+        """Count the time that the transport takes to read a message, at the end of the present step."""
         if self._loop_share is not None:
             self._loop_share.owe(self._costs.read_nanos)
 
     def spend_write(self) -> None:
-        """Count what the transport takes to write a message, at the end of the present step."""
+        """Count the time that the transport takes to write a message, at the end of the present step."""
         if self._loop_share is not None:
             self._loop_share.owe(self._costs.write_nanos)
 
     def spend_bytes(self, count: int) -> None:
-        """Count what the transport takes to read so many bytes."""
+        """Count the time that the transport takes to read so many bytes."""
         self.spend(count * self._costs.kib_nanos >> 10)
 
     def received(self, message: Any) -> None:

@@ -91,7 +91,7 @@ class SocketServer:
         return len(self._streams)
 
     def register(self, add_to: Callable[[Any], object]) -> None:
-        """Serve what `add_to` adds to a grpc.aio.Server."""
+        """Serve the methods that `add_to` adds to a grpc.aio.Server."""
         add_to(self)
 
     def add_generic_rpc_handlers(self, handlers: Sequence[Any]) -> None:

@@ -277,7 +277,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         return self._is_lost or self._transport.is_closing()
 
     def _answer(self, kind: int, body: bytes) -> bool:
-        """Let `at_once` take a message if the method waits for one, and the peer takes what is written.
+        """Let `at_once` take a message if the method waits for one, and the peer takes the written bytes.
 
         So most requests with short work need no other turn of the loop, and no switch of tasks.
         """

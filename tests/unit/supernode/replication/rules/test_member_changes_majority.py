@@ -16,7 +16,7 @@ ALIVE_SECONDS = 2.0
 
 
 class Leader(LoneNode):
-    """Member `a` leads. Only those that a test names have answered it in its term."""
+    """Member `a` leads. Only the members that a test names have answered it in its term."""
 
     def __init__(self, *answering: str, size: int = 3) -> None:
         super().__init__(size=size)

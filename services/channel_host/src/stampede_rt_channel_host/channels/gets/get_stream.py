@@ -162,7 +162,7 @@ class GetStream:
             self._answer(get, found, now)
 
     async def _read_archive(self, get: OpenGet) -> None:
-        """Answer a get over the archive and memory, or let it wait until memory has what it waits for."""
+        """Answer a get over the archive and memory, or let it wait until memory has the items that it needs."""
         try:
             await self._outbox.room()
             found = await read_recorded(get, self._store.scheduler, self._store.now)

@@ -1,4 +1,4 @@
-"""The acks that tell a producer what happened to its runs. Channels and queues use the same acks."""
+"""The acks that tell a producer the outcome of its runs. Channels and queues use the same acks."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[
 
     Returns None for a short request, and for any other form, which protobuf decodes or refuses. But protobuf does not
     decode a large request: it would copy up to 20 MiB in one step, while all other callers wait. Raises
-    InvalidArgument for such a request, and for bytes that are no message. `name`: what errors call the message.
+    InvalidArgument for such a request, and for bytes that are no message. `name`: the name of the message in errors.
     """
     found = _read(raw, head, run, name) if len(raw) > SHORT_BYTES else None
     if found is None and len(raw) > MESSAGE_BYTES_MAX:

@@ -61,7 +61,7 @@ class ChannelPuts:
         self._overdue: list[IncomingRun] | None = None  # while the puts are held: runs whose waiting time is over
 
     def hold(self) -> None:
-        """Let all puts wait until `release`, because the channel moves. The retry window gets what was judged."""
+        """Let all puts wait until `release`, because the channel moves. The retry window gets the known outcomes."""
         self._overdue = []
         now = self._now()
         for run in self._waiting_runs:

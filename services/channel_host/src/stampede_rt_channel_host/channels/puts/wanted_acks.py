@@ -46,7 +46,7 @@ def _check_disk(hosted: HostedChannel) -> None:
 
 
 def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float) -> pb.PutAck | HeldAck:
-    """The ack, or what holds it back. `received_s`: when the put came, monotonic."""
+    """The ack, or the write or replica that holds it back. `received_s`: when the put came, monotonic."""
     if not ack.HasField("first_seq"):
         return ack
     name, recording, replication = hosted.record.name, hosted.recording, hosted.replication

@@ -21,7 +21,7 @@ TOKENS_LEVEL = 2  # below this level no replica keeps a key for client tokens
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
-    """Begin a leader's tenure, and set what the state lacks: the cluster's id, its keys, and the TTL of its leases.
+    """Begin a leader's tenure, and set missing parts of the state: the cluster's id, its keys, the TTL of its leases.
 
     `state.tenure` does not fall if the entry comes from a leader that was already replaced.
     """

@@ -51,7 +51,7 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
 def load_permille(tables: Tables, host: HostRecord) -> int:
     """The estimated load in thousandths: of a core, or of the memory, whichever is more.
 
-    A host without a report counts with what the choice assumes for each thing that it owns.
+    A host without a report counts with an assumed load for each thing that it owns.
     """
     load = host.load or HostLoad()
     new = max(0, _owned(tables, host) - load.owned)

@@ -105,7 +105,7 @@ class RaftServicer:
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
             logger.error(
                 "%s: this breaks the protocol, and this supernode refuses the member for %.0f s; if it happens again, "
-                "stop the member, remove it (stampede supernode remove %s), and find out what runs there",
+                "stop the member, remove it (stampede supernode remove %s), and find out which program runs there",
                 *(why, EXPELLED_SECONDS, member_id),
                 extra={"event": "member_expelled"},
             )

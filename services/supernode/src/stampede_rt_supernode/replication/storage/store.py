@@ -24,7 +24,7 @@ class Promise(NamedTuple):
     held: int
 
     def is_kept_by(self, term: int, last_index: int) -> bool:
-        """Whether a store with this term and this last entry holds what was promised."""
+        """Whether a store with this term and this last entry holds all promised entries."""
         return term >= self.term and last_index >= self.held
 
 
