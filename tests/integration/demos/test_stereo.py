@@ -23,14 +23,14 @@ SECONDS, RUNS_MAX = 4, 3
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    """A run with certificates in which no role lagged for longer than the others wait.
+    """A run with certificates in which the mapper answered within the planner's patience.
 
-    A busy machine needs more than one for that.
+    A busy machine needs more than one for that. Lost pairs are no reason to run again.
     """
     for _ in range(RUNS_MAX - 1):
         with contextlib.suppress(DemoFailed):
             outcome = conduct(SECONDS, Progress(io.StringIO()), certificates=True)
-            if outcome.report.pairs == outcome.report.pairs_possible and not outcome.report.unanswered:
+            if not outcome.report.unanswered:
                 return outcome
     return conduct(SECONDS, Progress(io.StringIO()), certificates=True)
 

@@ -13,7 +13,7 @@ from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.stereo.programme import Side
 from stampede_rt_local.cluster import LocalCluster
 
-SYNC_SECONDS = 20.0
+SYNC_SECONDS = 60.0
 LOOK_SECONDS = 0.05
 
 

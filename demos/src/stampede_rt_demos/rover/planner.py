@@ -6,10 +6,9 @@ import json
 import sys
 
 import stampede_rt as st
-from stampede_rt_demos.rover.programme import CATCH_UP_SECONDS, PLANNER_JOINS, RIG
+from stampede_rt_demos.rover.programme import PLANNER_JOINS, RIG
 from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.staging.role import Stage, run_role
-from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.stereo.matching import Pair, pairs_of, take_pairs
 from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, DISPARITY_MAX, GROUP, Side
 
@@ -23,8 +22,7 @@ def play(stage: Stage) -> dict[str, object]:
     with st.connect(stage.settings.address, name="planner") as rt:
         depth = rt.channel(DEPTH_CHANNEL, codec="json", create=False)
         start = stage.wait_for_start()
-        drive_nanos = stage.settings.length_nanos - CATCH_UP_SECONDS * NANOS_PER_SECOND
-        wait_until(start + round(drive_nanos * PLANNER_JOINS))
+        wait_until(start + round(stage.settings.length_nanos * PLANNER_JOINS))
 
         def steer(_pair: Pair) -> None:
             nonlocal sent, unsent, pairs
@@ -40,7 +38,7 @@ def play(stage: Stage) -> dict[str, object]:
                 unsent += 1
 
         with pairs_of(rt.group(GROUP), Side.LEFT, payloads=False) as matches:
-            account = take_pairs(matches, Side.LEFT, start + stage.settings.length_nanos, steer)
+            account = take_pairs(matches, Side.LEFT, steer)
     return {**account.as_record(), "sent": sent, "unsent": unsent}
 
 

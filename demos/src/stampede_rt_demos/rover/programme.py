@@ -7,8 +7,6 @@ RIG = "rig"
 SECONDS_MIN = 16
 """A lost host stops its channels for its lease, about 6 s; the rest of the run must be long enough to go on."""
 STREAM_MAX_AGE = "60s"
-CATCH_UP_SECONDS = 10
-"""The consumers listen, and the rover stays, for this time after the last frame is due, because frames may be late."""
 
 PLANNER_JOINS = 0.2
 DRAIN = 0.3

@@ -12,13 +12,12 @@ import numpy as np
 from PIL import Image
 
 import stampede_rt as st
-from stampede_rt_demos.rover.programme import CATCH_UP_SECONDS, RIG, STREAM_MAX_AGE, is_taken
+from stampede_rt_demos.rover.programme import RIG, STREAM_MAX_AGE, is_taken
 from stampede_rt_demos.staging.clip import EncodedVideo
 from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.staging.role import Stage, run_role
-from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.staging.thumbnails import encode_jpeg, luma_thumbnail
-from stampede_rt_demos.stereo.camera import NUMBER_ATTRIBUTE, clip
+from stampede_rt_demos.stereo.camera import NUMBER_ATTRIBUTE, clip, put_end
 from stampede_rt_demos.stereo.programme import GROUP, HEIGHT, JPEG_QUALITY, Frame, Side, planned, true_disparity
 from stampede_rt_demos.stereo.scene import WIDE, view
 
@@ -26,7 +25,7 @@ LOOK_SECONDS = 0.2
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Put every frame that is not lost, when it is due, until the end. Then promise that no frame follows."""
+    """Put every frame that is not lost, when it is due, until the end. Then tell the consumers that it was the last."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     speeds: list[int] = []
@@ -51,8 +50,7 @@ def play(stage: Stage) -> dict[str, object]:
             stage.tell_progress(items=len(took))
         wait_until(start + stage.settings.length_nanos)
         for camera in cameras.values():
-            camera.advance(start + stage.settings.length_nanos)
-        wait_until(start + stage.settings.length_nanos + CATCH_UP_SECONDS * NANOS_PER_SECOND)
+            put_end(camera, start + stage.settings.length_nanos)
         ended.set()
         obeying.join()
     return {"put": took, "by_reference": by_reference, "speeds": speeds}

@@ -16,7 +16,15 @@ from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.staging.role import Stage
 from stampede_rt_demos.staging.statistics import percentile
 from stampede_rt_demos.staging.thumbnails import encode_jpeg, luma_thumbnail
-from stampede_rt_demos.stereo.programme import HEIGHT, JPEG_QUALITY, Side, planned, true_disparity
+from stampede_rt_demos.stereo.programme import (
+    END_NANOS,
+    END_NUMBER,
+    HEIGHT,
+    JPEG_QUALITY,
+    Side,
+    planned,
+    true_disparity,
+)
 from stampede_rt_demos.stereo.scene import WIDE, Picture, view
 
 NUMBER_ATTRIBUTE = "frame"
@@ -35,7 +43,7 @@ def picture_of(jpeg: bytes) -> Picture:
 
 
 def film(stage: Stage, side: Side) -> dict[str, object]:
-    """Put every frame that is not lost, when it is due, until the end. Then promise that no frame follows."""
+    """Put every frame that is not lost, when it is due, until the end. Then tell the consumers that it was the last."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     length = stage.settings.length_nanos
@@ -56,8 +64,14 @@ def film(stage: Stage, side: Side) -> dict[str, object]:
             took.append((frame.time, time.perf_counter_ns() - began))
             stage.tell_progress(items=len(took))
         wait_until(start + length)
-        channel.advance(start + length)
+        put_end(channel, start + length)
     return {"put": len(took), **_put_times(took, start + length // 2)}
+
+
+def put_end(channel: st.Channel, end: int) -> None:
+    """Put an item without a picture behind the last frame. The advance lets its match come at once."""
+    channel.put(b"", time=end + END_NANOS, attributes={NUMBER_ATTRIBUTE: str(END_NUMBER)})
+    channel.advance(end + 2 * END_NANOS)
 
 
 def _put_times(took: Sequence[tuple[int, int]], middle: int) -> dict[str, object]:

@@ -35,11 +35,10 @@ def play(stage: Stage) -> dict[str, object]:
             last[:] = [pair]
             stage.tell_progress(items=len(measured))
 
-        until = start + stage.settings.length_nanos
         threads = stack.enter_context(ThreadPoolExecutor(1))
-        of_right = threads.submit(take_pairs, by_right, Side.RIGHT, until, ignore)
-        of_left = take_pairs(by_left, Side.LEFT, until, handle)
-        depth.advance(until)
+        of_right = threads.submit(take_pairs, by_right, Side.RIGHT, ignore)
+        of_left = take_pairs(by_left, Side.LEFT, handle)
+        depth.advance(start + stage.settings.length_nanos)
         records = {"left": of_left.as_record(), "right": of_right.result().as_record()}
     stage.tell("picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair])
     return {**records, "measured": measured}

@@ -17,7 +17,7 @@ def play(stage: Stage) -> dict[str, object]:
         start = stage.wait_for_start()
         wait_until(start + stage.settings.length_nanos // 2)
         with pairs_of(rt.group(GROUP), Side.LEFT, payloads=True) as matches:
-            account = take_pairs(matches, Side.LEFT, start + stage.settings.length_nanos, ignore)
+            account = take_pairs(matches, Side.LEFT, ignore)
     return account.as_record()
 
 

@@ -1,19 +1,14 @@
-"""Takes pairs from the group until the end of the programme, and counts every frame without a partner."""
+"""Takes pairs from the group until the cameras have put their ends, and counts every frame without a partner."""
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import stampede_rt as st
-from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.stereo.camera import NUMBER_ATTRIBUTE
-from stampede_rt_demos.stereo.programme import TOLERANCE, Side
-
-GRACE_SECONDS = 2.0
+from stampede_rt_demos.stereo.programme import END_NUMBER, TOLERANCE, Side
 
 Pair = tuple[st.Item, st.Item]
 
@@ -37,16 +32,15 @@ def pairs_of(group: st.Group, per: Side, *, payloads: bool) -> st.MatchSubscript
     return group.match(per.value, TOLERANCE, partial=True, payloads=payloads)
 
 
-def take_pairs(matches: st.MatchSubscription, per: Side, until: int, handle: Callable[[Pair], None]) -> PairAccount:
-    """Pass every pair to `handle`. Blocks until all frames before `until` must have been matched."""
+def take_pairs(matches: st.MatchSubscription, per: Side, handle: Callable[[Pair], None]) -> PairAccount:
+    """Pass every pair to `handle`. Blocks until the cameras have put their ends, and all frames have been matched."""
     account = PairAccount()
-    patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
-    end = threading.Timer(max(0.0, patience), matches.close)
-    end.daemon = True
-    end.start()
     for matched in matches:
+        number = number_of(matched[per.value])
+        if number == END_NUMBER:
+            break
         if matched.missing:
-            account.alone.append(number_of(matched[per.value]))
+            account.alone.append(number)
             continue
         pair = matched[Side.LEFT.value], matched[Side.RIGHT.value]
         account.pairs += 1

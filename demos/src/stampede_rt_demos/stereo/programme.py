@@ -25,6 +25,10 @@ STREAM_MAX_AGE = "10s"
 GROUP = "stereo/pair"
 DEPTH_CHANNEL = "stereo/depth"
 PLANNER, MAPPER = "planner", "mapper"
+END_NUMBER = -1
+"""The number of the item that each camera puts after its last frame."""
+END_NANOS = 100_000_000
+"""The time of that item after the end of the programme: more than the tolerance, so that no frame is its partner."""
 
 
 class Side(Enum):
