@@ -46,11 +46,14 @@ async def test_a_socket_that_has_the_number_of_a_closed_one_stays_watched() -> N
     hangups.close()
 
 
-@pytest.mark.parametrize("method", [ECHO, HOLD])
+@pytest.mark.parametrize(("method", "unread"), [(ECHO, b""), (ECHO, b"an answer"), (HOLD, b"")])
 async def test_a_caller_that_ends_with_many_streams_has_a_few_of_them_closed_in_each_turn_of_the_loop(
-    port: Open, monkeypatch: pytest.MonkeyPatch, method: str
+    port: Open, monkeypatch: pytest.MonkeyPatch, method: str, unread: bytes
 ) -> None:
-    """This holds also for streams that the service reads at the moment (ECHO), so that it sees the end of each."""
+    """This holds also for streams that the service reads at the moment (ECHO), so that it sees the end of each.
+
+    A connection with bytes that the caller has not read breaks (ECONNRESET) instead of ending.
+    """
     lost_in: Counter[int] = Counter()
     turn, lose, loop = 0, server.SocketServer.lost, asyncio.get_running_loop()
 
@@ -73,6 +76,10 @@ async def test_a_caller_that_ends_with_many_streams_has_a_few_of_them_closed_in_
         await until(lambda: len(served) == 40 and all(found.task is not None for found in served.values()))
         await until(lambda: all(found._is_paused is (method == HOLD) for found in served))
         count_turns()
+        for stream in streams:
+            stream.writer.transport.pause_reading()
+        for found in served if unread else ():
+            found._write_message(unread)
         for stream in streams:
             stream.writer.transport.abort()
         await until(lambda: not served)

@@ -146,14 +146,23 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._hangups.gone(self._transport.close)
         return True  # asyncio must not close it at once: thousands may end in one turn of the loop
 
-    def connection_lost(self, _error: Exception | None) -> None:
-        """The peer has gone, or the connection was closed here."""
+    def connection_lost(self, error: Exception | None) -> None:
+        """The peer has gone, or the connection was closed here.
+
+        A broken connection ends its stream in a later turn of the loop: thousands may break in one turn.
+        """
         self._is_lost = self._has_ended = True
         self.at_once = None  # it refers to the method, and the method to this connection
         self._hangups.forget(self.socket)
         self._drop_frame()
         if self._deadline is not None:
             self._deadline.cancel()
+        if error is None:
+            self._end_stream()
+        else:
+            self._hangups.gone(self._end_stream)
+
+    def _end_stream(self) -> None:
         _wake(self._came)
         _wake(self._room)
         self._owner.lost(self)
