@@ -17,7 +17,7 @@ from tests.support.socket_port import until
 
 
 class HeldTransport:
-    """The transport and the socket of a stream. Keeps the bytes that the host writes."""
+    """The transport and the socket of a stream. Keeps the frames that the host writes, without signs of life."""
 
     def __init__(self) -> None:
         self.frames: list[tuple[int, bytes]] = []
@@ -25,7 +25,7 @@ class HeldTransport:
         self.is_closed = False
 
     def write(self, data: bytes) -> None:
-        self.frames += self._reader.feed(data)
+        self.frames += [frame for frame in self._reader.feed(data) if frame[0] != FrameKind.ALIVE]
 
     def get_extra_info(self, _name: str) -> HeldTransport:
         return self
