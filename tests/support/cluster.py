@@ -26,12 +26,13 @@ def cluster_fixture(
 ) -> Callable[..., Iterator[LocalCluster]]:
     """Return a fixture with a running LocalCluster, made with `settings`. Clients in this process find its secret.
 
-    A test that kills a part of it needs its own cluster: scope="function".
+    A test that kills a part of it needs its own cluster: scope="function". A cluster of the whole session runs beside
+    those of other files. Clients find its secret only after `find_secret_of`.
     """
 
     @pytest.fixture(scope=scope)
     def cluster() -> Iterator[LocalCluster]:
-        with running_cluster(**settings) as made:
+        with running_cluster(is_found=scope != "session", **settings) as made:
             yield made
 
     return cluster
@@ -73,18 +74,22 @@ def with_rules(cluster: LocalCluster, folder: Path) -> Path:
 
 
 @contextmanager
-def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Iterator[LocalCluster]:
+def running_cluster(
+    planned: LocalCluster | None = None, *, is_found: bool = True, **settings: Any
+) -> Iterator[LocalCluster]:
     """Yield a running LocalCluster, `planned` or made with `settings`.
 
-    While it runs, `$STAMPEDE_SECRET_FILE` names its secret. At the end the last lines of its processes are printed, and
-    pytest shows them if a test failed.
+    If `is_found`, `$STAMPEDE_SECRET_FILE` names its secret while it runs. At the end the last lines of its processes
+    are printed, and pytest shows them if a test failed.
     """
     made = planned or LocalCluster(**settings)
-    with pytest.MonkeyPatch.context() as patch, made, tempfile.TemporaryDirectory() as folder:
+    with made, tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv(SECRET_VARIABLE, str(made.secret_file))
         if judges_tests():
             patch.setenv(SECRET_VARIABLE, str(with_rules(made, Path(folder))))
         _secret_files[made.address] = os.environ[SECRET_VARIABLE]
+        if not is_found:
+            patch.undo()
         try:
             yield made
         finally:
