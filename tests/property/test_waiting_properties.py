@@ -150,7 +150,7 @@ class Scenario:
 
 
 def may_be_released(needs: Needs | None, reach: Reach) -> bool:
-    assert needs is not None, "a blocked get knows what it waits for"
+    assert needs is not None, "a blocked get knows its condition"
     return any(
         need is not None and reached is not None and need <= reached for need, reached in zip(needs, reach, strict=True)
     )

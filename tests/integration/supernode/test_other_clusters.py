@@ -24,7 +24,7 @@ from tests.support.supernode.processes import (
 
 
 async def renewed(one: Supernode, number: int, former: str) -> None:
-    """Renew a host's lease; tried again while the supernode just begins to lead."""
+    """Renew a host's lease. Try again while the supernode begins to lead."""
     request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1)
     metadata = cluster_metadata(former)
     async for _ in attempts():
@@ -104,4 +104,4 @@ async def test_the_members_of_a_listed_cluster_may_be_given_another_list_once_it
         place = one._arguments.index("--members") + 1
         one._arguments[place] = ",".join(reversed(one._arguments[place].split(","))) + ",s9=127.0.0.1:1"
         await one.start()
-        await register(one, 2)  # an update; a host of before may have lost its lease, on a slow machine
+        await register(one, 2)  # an update; on a slow machine the former host may have lost its lease

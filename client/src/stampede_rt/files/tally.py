@@ -98,7 +98,7 @@ class ChannelTally:
     def counts(self) -> RecordedCounts:
         """Return the counts so far."""
         live = self._end_seq - self._live_seq + 1
-        held = self._recorded - self._live_recorded  # items of before the recording began
+        held = self._recorded - self._live_recorded  # items from the time before the recording
         return RecordedCounts(
             channel=self.channel, incarnation=self.incarnation, recorded=self._recorded,
             accepted=live + held + max(0, self._told - self._live_missing()),

@@ -88,7 +88,7 @@ async def test_a_request_that_stood_still_at_a_supernode_does_not_bring_a_delete
     stands_still.set()
     assert (await first).reason == "AMBIGUOUS"
     assert not await is_there(node)
-    assert (await node.stub.OpenChannel(request)).created, "who is still there asks again, and means it"
+    assert (await node.stub.OpenChannel(request)).created, "a caller that is still there asks again"
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])

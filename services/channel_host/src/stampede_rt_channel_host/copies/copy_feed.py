@@ -30,7 +30,7 @@ GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants so many bytes at a time; each
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 BROKEN_AFTER_SECONDS = 3.0  # a source that is silent for so long has lost the copy
-RUNS_PER_TURN = 64  # to store a run takes about 15 us
+RUNS_PER_TURN = 64  # the storing of a run takes about 15 us
 METHOD = "/stampede_rt.v1.ReplicaService/Feed"
 
 
@@ -41,8 +41,8 @@ class CopyFeed:
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
         bytes_per_second: int = 0, *, owner_facts: bool = False,
     ) -> None:  # fmt: skip
-        """`bytes_per_second`: the most that the copy takes; 0: without a limit. `owner_facts`: what only the owner
-        knows comes, too, so that the copy can become the owner (`FedChannel.as_owner`).
+        """`bytes_per_second`: the most that the copy takes; 0: without a limit. `owner_facts`: the source also
+        sends the facts that only the owner has, so that the copy can become the owner (`FedChannel.as_owner`).
         """
         self._store = store
         self._record = record
@@ -192,7 +192,7 @@ class CopyFeed:
             self._news.set()  # the source may send readers now
         copy.note_progress()
         if self._owner_facts:
-            self._news.set()  # puts wait for the word of a replica
+            self._news.set()  # puts wait until the replica reports this part
         self._granted += charge_bytes
         if self._granted >= GRANT_BYTES:
             self._news.set()
@@ -213,7 +213,7 @@ async def _responses(read: Callable[[], Any]) -> AsyncIterator[raw_run_pb2.RawFe
 
 
 def _plain(error: BaseException, target: str) -> BaseException:
-    """The error of the stream as one of the product's errors, if it is one of a broken stream."""
+    """The product's error for a broken stream; any other error stays as it is."""
     if isinstance(error, grpc.RpcError):
         return from_rpc_error(error, target)
     if isinstance(error, StampedeError):

@@ -117,7 +117,7 @@ class EnqueueStream:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
-        self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
+        self._requests.release()  # these runs count no longer; a run that has to wait counts again
         self._work.spend_read()
         while runs:
             await self._add(await self._enqueue(runs, received_s, failure))
@@ -125,7 +125,7 @@ class EnqueueStream:
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
-        """The error why the queue cannot be used; None if it can.
+        """The error that tells why the queue cannot be used; None if it can.
 
         May ask the directory. So the stream calls this once for each request, not for each run.
         """

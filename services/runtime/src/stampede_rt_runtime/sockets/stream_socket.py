@@ -128,7 +128,7 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def _leave_place(self, lost_bytes: int = 0) -> None:
         if self._is_filling:
-            assert self._place is not None, "who fills has a place"
+            assert self._place is not None, "a stream that fills a frame has a place"
             self._is_filling = False
             self._place.leave(lost_bytes)
 

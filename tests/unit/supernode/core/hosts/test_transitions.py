@@ -95,7 +95,7 @@ def test_a_host_that_leaves_is_remembered_while_it_owns_channels(log: Log) -> No
     assert isinstance(log.apply(deregister(1)), HostDeregistered)
     assert not log.directory.tables.hosts[channel.host_id].alive
     assert isinstance(log.apply(deregister(1)), HostDeregistered), "leaving twice is leaving once"
-    assert isinstance(log.apply(deregister(9)), HostDeregistered), "who is not there has left already"
+    assert isinstance(log.apply(deregister(9)), HostDeregistered), "an unknown host has left already"
 
 
 def test_only_the_same_process_can_deregister_a_host(log: Log) -> None:
