@@ -69,7 +69,7 @@ async def test_the_items_under_way_to_a_stopped_reader_are_bounded(surface: Surf
         while found[-1].payload[0] != ITEMS - 1:
             found += await take(items, 1)
         before_gap = [item.payload[0] for item in found[:-4]]
-        assert before_gap == sorted({*before_gap}), "each item comes once, in order, also if the host is busy"
+        assert before_gap == sorted({*before_gap}), "each item comes once, in order, even if the host is busy"
         assert len(before_gap) * size <= WINDOW_BYTES_MAX
         assert items.dropped == ITEMS - len(found)
 

@@ -75,7 +75,7 @@ def tool(name: str) -> str:
 
 
 def step(command: list[str], folder: Path, environment: dict[str, str]) -> None:
-    """Run one step of a build. Raises Unavailable if a registry cannot be reached, BuildFailed for all else."""
+    """Run one step of a build. Raises Unavailable if a registry cannot be reached, BuildFailed for other failures."""
     shown = " ".join(command[:4])
     try:
         done = subprocess.run(

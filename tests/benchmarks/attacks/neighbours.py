@@ -55,7 +55,7 @@ async def _get_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
 
 
 async def many_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
-    """3000 subscriptions to the channel of which the good clients are; all are read."""
+    """3000 subscriptions to the channel of the good clients; all are read."""
     opened = pb.SubscribeOpen(**await ground.bound(GOOD_CHANNEL))
     request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
     calls: list[Any] = []

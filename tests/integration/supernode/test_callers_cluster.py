@@ -1,4 +1,4 @@
-"""Clients before supernodes and front-ends of several clusters, of which they are of one."""
+"""Clients of one cluster that call supernodes and front-ends of several clusters."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class PathPuts(PathReads):
         return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)
 
     def put_again(self, run: Run) -> None:
-        """Repeat a run, as a producer does that does not know the outcome."""
+        """Repeat a run, as a producer that does not know the outcome."""
         self._send(run)
 
     def put_overlapping(self, former: Run) -> None:

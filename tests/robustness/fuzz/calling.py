@@ -22,7 +22,7 @@ PASSING = (st.Unavailable, st.DeadlineExceeded, st.Overloaded)
 
 
 class Calling:
-    """Makes calls of one client: of the aio one as they are, of the blocking one in threads."""
+    """Makes calls of one client: those of the blocking client in threads."""
 
     def __init__(self, seed: str, pool: ThreadPoolExecutor | None) -> None:
         self.rng = random.Random(seed)

@@ -206,7 +206,7 @@ def when_dropped(owner: object, operation: Callable[[], object]) -> None:
 
 
 def run_later(operation: Callable[[], object]) -> None:
-    """Run `operation` on the thread that `when_dropped` has started. Does not wait, also if the caller holds locks."""
+    """Run `operation` on the thread that `when_dropped` has started. Does not wait, even if the caller holds locks."""
     _dropped.operations.put(operation)
 
 

@@ -2,7 +2,7 @@
 
 The supervisor holds no channels. It starts the processes, starts a process that ended again, and ends them all when it
 gets a stop signal. Each process reads a pipe of which only the supervisor has the other end. So the processes end
-also if the supervisor is killed.
+even if the supervisor is killed.
 """
 
 from __future__ import annotations

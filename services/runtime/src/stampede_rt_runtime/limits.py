@@ -27,9 +27,10 @@ class Limits:
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts one. A server accepts messages
     of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them; over a socket
-    messages of `socket_request_bytes_max`. It accepts `calls_per_connection_max` calls on one connection. Callers open further connections for further calls. The server
-    closes a connection whose set-up takes longer than `handshake_millis_max`. Each side pings the other after
-    `keepalive_millis` of silence, and closes the connection if no answer comes within `keepalive_timeout_millis`.
+    messages of `socket_request_bytes_max`. It accepts `calls_per_connection_max` calls on one connection. Callers open
+    further connections for further calls. The server closes a connection whose set-up takes longer than
+    `handshake_millis_max`. Each side pings the other after `keepalive_millis` of silence, and closes the connection if
+    no answer comes within `keepalive_timeout_millis`.
 
     A server closes a connection whose peer pings more often than every `ping_interval_millis_min` while nothing else is
     sent. This value must be well below every caller's keepalive time. Otherwise an idle subscription breaks after three

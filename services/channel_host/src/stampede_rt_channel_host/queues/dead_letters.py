@@ -2,7 +2,7 @@
 
 A message stays in its queue until the dead-letter queue has acknowledged it. A move is an enqueue like any other. Its
 producer id is computed from the queue, and its number is the message's seq. So the dead-letter queue stores the message
-only once, also if an earlier move of it is still under way. A refused message may be moved again with the same number,
+only once, even if an earlier move of it is still under way. A refused message may be moved again with the same number,
 because the retry window keeps no refusals.
 """
 

@@ -96,7 +96,7 @@ class ChannelPuts:
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         """Judge a run. Returns its ack, or None if the run has to wait for room.
 
-        After None, await `run.wait(self.give_up)`, and then call `withdraw`, also if that wait was cancelled. Raises
+        After None, await `run.wait(self.give_up)`, and then call `withdraw`, even if that wait was cancelled. Raises
         Overloaded if too many puts wait, or if memory is used up. Raises InvalidArgument if the run's numbers overlap
         another run's.
         """

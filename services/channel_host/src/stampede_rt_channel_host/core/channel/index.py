@@ -100,7 +100,7 @@ class ChannelIndex:
             self._split(entry, bisect_left(entry.run.times, time, entry.lo, entry.hi))
 
     def _split(self, entry: IndexPart, at: int) -> None:
-        """Split an entry into two, of which the second begins at position `at` of the run."""
+        """Split an entry into two. The second one begins at position `at` of the run."""
         rest = IndexPart(entry.run, at, entry.hi)
         entry.hi = at
         self._add(rest)

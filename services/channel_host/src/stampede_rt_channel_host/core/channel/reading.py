@@ -28,7 +28,7 @@ class Pending:
 
 
 class Reading:
-    """Answers queries from held items. `clock` is the host's clock, as of which the held items are not too old."""
+    """Answers queries from held items. `clock` is the host's time: no held item is too old at this time."""
 
     __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to", "lost_from")
 

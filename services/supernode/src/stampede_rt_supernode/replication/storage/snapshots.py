@@ -69,9 +69,9 @@ class SnapshotKeeper:
     def go_on_taking(self) -> Entry | None:
         """Continue to take the snapshot under way.
 
-        Returns None if no snapshot is under way, or as long as it is. When the log has adopted the snapshot, returns
-        the last entry but one that the snapshot covers, which is now the log's first entry. If a leader has sent a
-        newer snapshot meanwhile, drops its own, and returns the last entry but one of the dropped snapshot.
+        Returns None unless the snapshot ends in this step. If the log adopts the snapshot, returns the entry before the
+        last one that the snapshot covers: it is now the log's first entry. If a leader has sent a newer snapshot
+        meanwhile, drops its own, and returns that entry of the dropped snapshot.
 
         Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The trailer
         and the log's new beginning reach the disk together. Raises the errors of the encoding.
