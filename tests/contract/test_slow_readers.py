@@ -44,7 +44,7 @@ async def test_the_newest_is_the_newest_of_the_moment_in_which_the_reader_asks(s
         assert late.seq == last.seq - 1
 
 
-async def test_a_slow_reader_of_all_items_has_none_under_way_that_it_did_not_ask_for(surface: Surface) -> None:
+async def test_no_item_is_under_way_to_a_slow_reader_that_did_not_ask_for_it(surface: Surface) -> None:
     channel = await surface.channel(max_items=4)
     async with channel.subscribe() as items:
         await channel.put(b"first")

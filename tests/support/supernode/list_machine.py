@@ -130,7 +130,7 @@ class Ignorant(ListMachine):
     _refused_at = 0
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """As every other one, but for FORK."""
+        """Apply a command like every other machine, but refuse FORK."""
         if command != FORK:
             return super().apply(index, command)
         self._refused_at = index

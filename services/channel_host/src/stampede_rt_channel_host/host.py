@@ -67,7 +67,7 @@ from stampede_rt_runtime.sockets.tickets import SocketTickets
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the answer to a registration names at most so many of each
+CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most of each in the answer to a registration
 
 
 def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:

@@ -24,9 +24,9 @@ READS_MAX = 8
 class Health:
     """The health service for load balancers and supervisors.
 
-    A name other than LIVENESS, also none, means READINESS. `Check` is open to everybody, so it reads few requests at a
-    time, and for a short time. A caller that sends no request in time, or makes way for newer callers, gets the answer
-    for READINESS.
+    Any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to everybody, so it reads
+    few requests at a time, and for a short time. A caller that sends no request in time, or makes way for newer
+    callers, gets the answer for READINESS.
     """
 
     def __init__(self) -> None:

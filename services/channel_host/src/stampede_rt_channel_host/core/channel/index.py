@@ -30,7 +30,7 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END, I
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
 _BUCKET_ENTRIES_SCANNED = 8
-"""The index scans up to this many entries with the same first time one after the other. Among more it bisects."""
+"""The index scans up to this many entries with the same first time in order. If there are more, it bisects."""
 
 
 class ChannelIndex:
