@@ -12,7 +12,7 @@ HEX_LINE = re.compile(r"^((?:[0-9a-f]{2} )+ +)", re.MULTILINE)
 
 
 def shown_bytes() -> list[bytes]:
-    """The bytes of each block that shows some, in the order of the page."""
+    """The bytes of each block of hexadecimal numbers, in the order of the page."""
     blocks = re.findall(r"^```\n(.*?)^```", WIRE, re.MULTILINE | re.DOTALL)
     shown = ["".join(HEX_LINE.findall(block)) for block in blocks]
     return [bytes.fromhex(text) for text in shown if text]

@@ -76,7 +76,7 @@ class _Store:
 
 
 def measure_readers(counts: Sequence[int], operations: int, runs: int) -> dict[int, dict[str, Spread]]:
-    """By the number of readers, the cost of a put, of it for a reader, and of a get of the newest item."""
+    """By the number of readers: the cost of a put, its part for one reader, and the cost of a get of the newest."""
     return {count: asyncio.run(_with_readers(count, operations, runs)) for count in counts}
 
 
@@ -93,7 +93,7 @@ async def _with_readers(count: int, operations: int, runs: int) -> dict[str, Spr
     return {
         "put, until all readers have it": Spread.of(costs_us),
         "beside a stalled reader": Spread.of(stalled_us),
-        "of it for a reader": Spread.of([cost / count for cost in costs_us]),
+        "its part for one reader": Spread.of([cost / count for cost in costs_us]),
         "get of the newest": gets,
     }
 

@@ -199,7 +199,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Context) -> pb.RegisterHostResponse:
-        """The lease begins when the leader sees the registration, so later than the host has sent the request."""
+        """The lease begins when the leader sees the registration, which is after the host has sent the request."""
         check_protocol(request.protocol_version, request.version)
         self._calls.check_host(context, request.host_id, request.name)
         operation = RegisterHost(
