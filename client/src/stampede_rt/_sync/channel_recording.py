@@ -153,7 +153,7 @@ class ChannelRecording:
         self._stream = None
 
     def finish(self, drain_s: float) -> None:
-        """Record what the host has accepted until now, wait for that at most `drain_s` seconds, and end."""
+        """Record the items that the host has accepted until now, wait for them at most `drain_s` seconds, and end."""
         self.begun.wait(drain_s)
         accepted, advance = self._accepted()
         self._ending, stream = True, self._stream

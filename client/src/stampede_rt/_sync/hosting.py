@@ -13,7 +13,7 @@ from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 
 
 class Hosting:
-    """The host of one connection. It starts with the connection, and ends after all else of it."""
+    """The host of one connection. It starts with the connection, and ends after all other parts of the connection."""
 
     def __init__(self, session: Session, host: HostHere) -> None:
         self._session = session

@@ -65,7 +65,7 @@ class PlayedChannel:
         elif stats.advance is not None and begins < stats.advance:
             why = f"its producers have promised nothing before {format_instant(stats.advance)}"
         elif stats.frontier is not None and begins < stats.frontier:
-            why = f"it has collected items of before {format_instant(stats.frontier)}"
+            why = f"it has collected items before {format_instant(stats.frontier)}"
         elif ends > stats.host_time + takes + future:
             why = f"items may be at most {format_duration(future)} ahead of the host's clock"
         else:

@@ -33,7 +33,7 @@ _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 
 
 def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
-    """Perform `query`, also if the channel has moved to another host.
+    """Perform `query`, even if the channel has moved to another host.
 
     Blocks for the wait of the query, and for at most 10 s more. `view`: the group through which to read. The client
     sends the highest cut that it has seen in this group, and notes the cut of the answer. The client splits a wait

@@ -21,7 +21,7 @@ _shtab_stampede_commands() {
     dev:'Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost. If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.'
     doctor:'check every part of the cluster, and say what to fix'
     echo:'print items as they come, until Ctrl-C'
-    export:'write what channels hold, or a file, as MCAP, Parquet or CSV'
+    export:'write items of channels, or of a file, as MCAP, Parquet or CSV'
     file:'MCAP files: look at them, verify, recover, cut and merge them'
     frontend:'Tells callers the addresses of the supernodes. It keeps no state: run as many as you like.'
     get:'print items by time; without times the newest one'
@@ -67,7 +67,7 @@ _shtab_stampede_acl_commands() {
 _shtab_stampede_bench_commands() {
   local _commands=(
     growth:'Measure the cost of a put and a get as channels, items, readers, groups and payloads grow.'
-    limits:'Measure what bare grpcio, raw sockets and a copy in memory can do on this machine.'
+    limits:'Measure the figures of bare grpcio, raw sockets and a copy in memory on this machine.'
     matching:'our match beside the synchroniser of ROS message_filters, on the same recorded inputs'
     paper:'The figures of the paper, measured on this machine:'
     peers:'Measure the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, beside ours.'
@@ -100,9 +100,9 @@ _shtab_stampede_context_commands() {
 _shtab_stampede_file_commands() {
   local _commands=(
     cut:'copy the items of a stretch of time, or of some channels'
-    info:'say what a file has, by its index'
+    info:'print the contents of a file, by its index'
     merge:'write the items of several files to one, each item once'
-    recover:'copy what can be read of a torn or damaged file, and name what is lost'
+    recover:'copy the readable part of a torn or damaged file, and name the lost items'
     verify:'read a whole file, check every checksum, and compare with its summary'
   )
   _describe 'stampede file commands' _commands
@@ -630,7 +630,7 @@ _shtab_stampede_frontend_options=(
   "--supernodes[the supernodes that the front-end asks first\; they name the other supernodes \[required\]]:HOST:PORT,...:"
   "--zone[the zone of callers that name no zone \[default\: none\]]:ZONE:"
   "--secret-file[the file of the shared secret\; without it\: stampede\/secret in the user\'s config folder, if it exists \[default\: none\]]:FILE:_files"
-  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may do what clients do, but not join \[default\: none\]]:FILE:_files"
+  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may make clients\' calls, but not join \[default\: none\]]:FILE:_files"
   {--allow-insecure-anywhere,--no-allow-insecure-anywhere}"[listen beyond this machine without encryption, although the whole network can read the items \[default\: no\]]"
   "--tls-ca[the cluster\'s authorities (PEM)\; with it every caller needs a certificate \[default\: none\]]:FILE:_files"
   "--tls-certificate[this service\'s own certificate (PEM) \[default\: none\]]:FILE:_files"
@@ -814,7 +814,7 @@ _shtab_stampede_host_options=(
   "--drain-seconds[after SIGTERM, move the channels to other hosts for at most this time, and then end\; 0\: do not \[default\: 5\]]:SECONDS:"
   "--processes[how many host processes to run\; \"auto\"\: one for each core\; with 2 or more the hosts are NAME-0, NAME-1, ..., their ports count up from those of --listen, --advertise and --metrics, and each has a folder of its own in --data-dir\; \{process\} in --tls-certificate and --tls-key stands for the number \[default\: 1\]]:N:"
   "--secret-file[the file of the shared secret\; without it\: stampede\/secret in the user\'s config folder, if it exists \[default\: none\]]:FILE:_files"
-  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may do what clients do, but not join \[default\: none\]]:FILE:_files"
+  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may make clients\' calls, but not join \[default\: none\]]:FILE:_files"
   {--allow-insecure-anywhere,--no-allow-insecure-anywhere}"[listen beyond this machine without encryption, although the whole network can read the items \[default\: no\]]"
   "--tls-ca[the cluster\'s authorities (PEM)\; with it every caller needs a certificate \[default\: none\]]:FILE:_files"
   "--tls-certificate[this service\'s own certificate (PEM) \[default\: none\]]:FILE:_files"
@@ -1314,7 +1314,7 @@ _shtab_stampede_supernode_options=(
   "--zone[the network or site of this supernode\; callers prefer supernodes of their zone \[default\: none\]]:ZONE:"
   "--lease-ttl[the lease of a host\; a new cluster takes it from here and keeps it \[default\: 5 s\]]:DURATION:"
   "--secret-file[the file of the shared secret\; without it\: stampede\/secret in the user\'s config folder, if it exists \[default\: none\]]:FILE:_files"
-  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may do what clients do, but not join \[default\: none\]]:FILE:_files"
+  "--client-secret-file[the file of the clients\' secret\; a caller with this secret may make clients\' calls, but not join \[default\: none\]]:FILE:_files"
   {--allow-insecure-anywhere,--no-allow-insecure-anywhere}"[listen beyond this machine without encryption, although the whole network can read the items \[default\: no\]]"
   "--tls-ca[the cluster\'s authorities (PEM)\; with it every caller needs a certificate \[default\: none\]]:FILE:_files"
   "--tls-certificate[this service\'s own certificate (PEM) \[default\: none\]]:FILE:_files"

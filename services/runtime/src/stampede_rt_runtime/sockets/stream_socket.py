@@ -29,7 +29,6 @@ _JOINED_BYTES_MAX = 2**16  # up to this length a copy of a message takes less ti
 
 ALIVE = frame_of(FrameKind.ALIVE)
 
-
 Write = Callable[[bytes], None]
 AtOnce = Callable[[bytes, Write], bool]
 """Takes a message and writes the response in the same turn of the event loop. Returns False if it has not taken it."""
@@ -147,10 +146,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         return True  # asyncio must not close it at once: thousands may end in one turn of the loop
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The peer has gone, or the connection was closed here.
-
-        A broken connection ends its stream in a later turn of the loop: thousands may break in one turn.
-        """
+        """The peer has gone, or the connection was closed here."""
         self._is_lost = self._has_ended = True
         self.at_once = None  # it refers to the method, and the method to this connection
         self._hangups.forget(self.socket)
@@ -159,7 +155,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._deadline.cancel()
         if error is None:
             self._end_stream()
-        else:
+        else:  # thousands of connections may break in one turn of the loop
             self._hangups.gone(self._end_stream)
 
     def _end_stream(self) -> None:
@@ -330,9 +326,8 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._transport.write(data)
 
     def _opening_overdue(self, opening_s: float) -> None:
-        self._owner.failed(
-            self, DeadlineExceeded(f"no whole StreamOpening came within {opening_s:g} s; send it when the socket opens")
-        )
+        text = f"no whole StreamOpening came within {opening_s:g} s; send it when the socket opens"
+        self._owner.failed(self, DeadlineExceeded(text))
 
 
 def _opening_in(body: bytes) -> pb.StreamOpening:
