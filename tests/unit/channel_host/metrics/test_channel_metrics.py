@@ -160,7 +160,7 @@ def test_only_chosen_channels_have_names_but_all_count() -> None:
 def test_subscriptions_that_miss_items_are_named_the_worst_first() -> None:
     host = Host()
     with host.readers.reading("left") as slow, host.readers.reading("left"):
-        slow.collected, slow.skipped = 5, 2
+        slow.count(5, 2)
         found = told(run_to_end(metrics_of(host).families()))
         assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "collected"] == 5
         assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "skipped"] == 2

@@ -109,10 +109,11 @@ class ChannelServicer:
             hosted = self._store.find_any_epoch(request.channel_id)
         check_known(AccessKind.CHANNEL, hosted.record.name)
         name, readers = hosted.record.name, self._store.readers
-        dropped = readers.dropped_by_channel().get(name, 0)
-        status = await self._store.scheduler.do(channel_status(hosted, self._store.now, dropped))
-        may_read = allowed_to(AccessVerb.READ, AccessKind.CHANNEL)(name)
-        return pb.GetChannelStatusResponse(status=status, users=users_of(hosted, readers) if may_read else None)
+        status = await self._store.scheduler.do(channel_status(hosted, self._store.now, readers.dropped(name)))
+        users = None
+        if allowed_to(AccessVerb.READ, AccessKind.CHANNEL)(name):
+            users = await self._store.scheduler.do(users_of(hosted, readers))
+        return pb.GetChannelStatusResponse(status=status, users=users)
 
 
 async def undecided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:

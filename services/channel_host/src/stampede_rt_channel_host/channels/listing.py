@@ -28,7 +28,6 @@ def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, s
     Each status is as of the moment at which the host looked at that channel.
     """
     shown: list[channel_pb2.ChannelStatus] = []
-    dropped = store.readers.dropped_by_channel()
     while found := store.named_after(after, NAMES_PER_PIECE):
         for hosted in found:
             after = hosted.record.name
@@ -36,7 +35,7 @@ def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, s
                 continue
             if len(shown) == size:
                 return Page(shown, has_more=True)
-            shown.append((yield from channel_status(hosted, store.now, dropped.get(after, 0))))
+            shown.append((yield from channel_status(hosted, store.now, store.readers.dropped(after))))
             if len(shown) % STATUSES_PER_PIECE == 0:
                 yield
         yield

@@ -254,7 +254,7 @@ class CutEvents:
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:
                 about.loss.CopyFrom(loss_message(step.loss))
-                self._drops.collected += step.loss.items
+                self._drops.count(self._drops.collected + step.loss.items, 0)
             if step.is_last:
                 about.cursor.CopyFrom(followed.cursor())
             await self._writer.write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))

@@ -121,7 +121,8 @@ class MatchStream:
             if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
-            counted, drops.collected = (matcher.unmatched, matcher.dropped), matcher.dropped
+            counted = (matcher.unmatched, matcher.dropped)
+            drops.count(matcher.dropped, 0)
             about = pb.SubscribeMatchesResponse(
                 unmatched=matcher.unmatched,
                 dropped=matcher.dropped,

@@ -218,9 +218,8 @@ class Subscription(ChangeObserver):
         self.listen()
         now = self._store.now()
         part = await self._take(cursor, now, min(self._credit.left, MESSAGE_BYTES_MAX))
-        self._drops.skipped = cursor.skipped
-        if part.gap is not None:
-            self._drops.collected += part.gap.items
+        if part.gap is not None or cursor.skipped != self._drops.skipped:
+            self._drops.count(self._drops.collected + (part.gap.items if part.gap else 0), cursor.skipped)
         if not part.is_empty:
             items = sum(one.slice.items for one in part.slices)
             delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
