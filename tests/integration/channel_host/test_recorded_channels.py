@@ -204,8 +204,14 @@ def test_a_caller_may_fill_the_disk_only_up_to_its_quota_and_hears_the_name_of_t
     channel = rt.channel("rig/filling", max_items=2, archive="forever")
     assert stampede(["quota", "set", "@cluster", "bytes-archived=600KiB"]) == 0
     with pytest.raises(st.Overloaded, match=r"@cluster has \d+ bytes on the disk .* quota bytes-archived is 614400"):  # noqa: PT012
-        for _ in range(10_000):  # the host counts the bytes when they are on the disk
+        for _ in range(20):  # the host counts the bytes before they are on the disk
             channel.put(bytes(2**16))
+    with pytest.raises(st.Overloaded, match="bytes-archived"):  # noqa: PT012
+        for _ in range(100):
+            channel.put(bytes(2**10))
+    with pytest.raises(st.Overloaded, match="bytes-archived"):  # noqa: PT012
+        for _ in range(400):  # each takes 16 bytes of the archive
+            channel.advance(time.time_ns())
     with pytest.raises(st.Overloaded, match="bytes-archived"):
         rt.channel("rig/another", archive="forever").put(b"new")
     rt.channel("rig/another").delete()

@@ -24,6 +24,7 @@ from stampede_rt_runtime.quotas.limits import Quota
 from tests.unit.channel_host.archive.test_archive_files import decode, opened, write
 
 ONE, TWO, THREE = b"1" * 16, b"2" * 16, b"3" * 16
+MIB = 2**20
 
 
 @pytest.fixture
@@ -43,25 +44,44 @@ def recorded(folder: ArchiveFolder, channel_id: bytes, created_by: str) -> Segme
     return files
 
 
-def test_a_full_archive_refuses_all_channels_but_those_that_have_reached_their_own_limit() -> None:
-    disk = DiskUse(1000)
+def test_a_full_archive_refuses_all_channels_but_those_that_are_charged_with_their_own_limit() -> None:
+    disk = DiskUse(4 * MIB)
     first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
-    first.set(800)
-    second.check()
-    second.set(200)
-    with pytest.raises(Overloaded, match=r"has 1000 bytes on its disk, of at most 1000 \(--archive-bytes-max\)"):
-        second.check(archive_bytes=400)
-    first.check(archive_bytes=1000)
-    first.set(799)
-    second.check(archive_bytes=400)
+    first.archive_bytes = 2 * MIB
+    first.keep(MIB * 7 // 4)  # from three quarters on a channel is charged with all that its own limit allows
+    second.keep(MIB)
+    assert disk.used_bytes == 3 * MIB + FOLDER_BYTES
+    second.check(MIB - FOLDER_BYTES)
+    with pytest.raises(Overloaded, match=r"has 3407872 bytes .* needs 786433 more, of at most 4194304 \(--archive-byt"):
+        second.check(MIB - FOLDER_BYTES + 1)
+    second.keep(2 * MIB - FOLDER_BYTES)
+    with pytest.raises(Overloaded):
+        second.check()
+    first.check(2**17)
+
+
+def test_items_count_from_their_acceptance_on_and_a_new_folder_with_them() -> None:
+    disk = DiskUse(MIB)
+    one = disk.of_channel(ONE, "cam")
+    one.check(MIB - FOLDER_BYTES)
+    with pytest.raises(Overloaded):
+        one.check(MIB - FOLDER_BYTES + 1)
+    one.expect(1000, 1000)
+    assert disk.used_bytes == FOLDER_BYTES + 1000
+    disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 1000)
+    with pytest.raises(Overloaded):
+        disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 999)
+    one.keep(FOLDER_BYTES + 900)
+    one.expect(0)
+    assert disk.used_bytes == FOLDER_BYTES + 900
 
 
 def test_the_bytes_of_a_channel_count_for_the_caller_that_made_it_also_when_the_channel_is_gone() -> None:
     accounts = Accounts()
-    disk = DiskUse(10_000, accounts.of)
-    accounts.set_default(Quota.BYTES_ARCHIVED, 700)
-    disk.of_channel(ONE, "cam").set(700)
-    with pytest.raises(Overloaded, match=r"cam has 700 bytes on the disk .* quota bytes-archived is 700") as refused:
+    disk = DiskUse(4 * MIB, accounts.of)
+    accounts.set_default(Quota.BYTES_ARCHIVED, MIB)
+    disk.of_channel(ONE, "cam").keep(MIB)
+    with pytest.raises(Overloaded, match=r"cam has 1048576 bytes on the disk .* bytes-archived is 1048576") as refused:
         disk.of_channel(TWO, "cam").check()
     assert refused.value.metadata["quota"] == "bytes-archived"
     disk.of_channel(TWO, "other").check()
@@ -102,7 +122,7 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
     recorded(folder, TWO, "")
     disk = DiskUse(1)
     disk.update(folder.of_channels())
-    disk.of_channel(THREE, "").set(5_000)  # its folder is not there any more
+    disk.of_channel(THREE, "").keep(5_000)  # its folder is not there any more
     files = SegmentFiles(folder.of_channel(ONE), {})
     files.open(1)
     segments = write(files, 1, 9, ArchiveLimits(None, 8))  # a segment for each block
@@ -118,7 +138,7 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
         monkeypatch.setattr(disk, "update", note)
         archive = HostArchive(folder, decode, disk, now=lambda: 1_000)
         recorder = ChannelRecorder(ChannelCore(Policy(), incarnation=1), files, segments, disk.of_channel(ONE, ""))
-        recorder.limits = ArchiveLimits(10, None)
+        recorder.limit(ArchiveLimits(10, None))
         archive.record(recorder)
         with pytest.raises(Overloaded):
             recorder.check_room()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.archive.segment_files import BLOCK_BYTES
 from stampede_rt_channel_host.core.archive import HEAD_BYTES, decode_head
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
@@ -29,7 +30,7 @@ class FoundFolder(NamedTuple):
 class DiskUse:
     """The bytes of all folders of channels together. Folders of deleted channels count, because they stay.
 
-    `account_of` gives the account of a caller. The archive may exceed `bytes_max` by the items that wait in memory.
+    `account_of` gives the account of a caller. Accepted items count before they are written.
     """
 
     def __init__(
@@ -53,60 +54,84 @@ class DiskUse:
         for one in folders:
             if one.channel_id not in besides:
                 gone -= {one.channel_id}
-                self.of_channel(one.channel_id, one.created_by).set(one.bytes)
+                self.of_channel(one.channel_id, one.created_by).keep(one.bytes)
         for channel_id in gone:
-            self._channels[channel_id].set(0)
+            self._channels[channel_id].keep(0)
 
     def changed(self, channel: ChannelDiskUse, more: int) -> None:
         """Count `more` bytes, which may be negative, for a channel."""
         self.used_bytes += more
-        if channel.bytes:
+        if channel.charged_bytes:
             self._channels[channel.channel_id] = channel
         else:
             self._channels.pop(channel.channel_id, None)
 
-    def check(self) -> None:
-        """Raises Overloaded if the archive is full."""
-        if self.used_bytes >= self.bytes_max:
+    def check(self, more: int) -> None:
+        """Raises Overloaded if the archive has no room for `more` bytes."""
+        if self.used_bytes + more > self.bytes_max:
             raise Overloaded(
-                f"the archive of the host has {self.used_bytes} bytes on its disk, of at most {self.bytes_max} "
-                "(--archive-bytes-max); record less, use another host, or have an operator delete the folders of "
-                "deleted channels",
+                f"the archive of the host has {self.used_bytes} bytes on its disk, and needs {more} more, of at most "
+                f"{self.bytes_max} (--archive-bytes-max); record less, use another host, or have an operator delete "
+                "the folders of deleted channels",
                 metadata={"archive_bytes_max": str(self.bytes_max)},
             )
 
 
 class ChannelDiskUse:
-    """The bytes of one channel's folder. They also count for the caller that created the channel."""
+    """The bytes of one channel's folder. They also count for the caller that created the channel.
 
-    __slots__ = ("_account", "_charge", "_disk", "bytes", "channel_id")
+    `bytes`: on the disk. `coming`: at most so many come with the accepted items that are not written yet.
+    `archive_bytes`: the channel's own limit, or None. `charged_bytes`: the most that the folder can take with these
+    items. A channel that has three quarters of its own limit is charged with all of it, so that it can always go on:
+    it deletes its oldest file for each new one.
+    """
+
+    __slots__ = (
+        "_account", "_charge", "_disk", "_largest", "archive_bytes", "bytes", "channel_id", "charged_bytes", "coming",
+    )  # fmt: skip
 
     def __init__(self, disk: DiskUse, channel_id: bytes, created_by: str, account: Account) -> None:
         self.channel_id = channel_id
-        self.bytes = 0
+        self.bytes = self.coming = self.charged_bytes = self._largest = 0
+        self.archive_bytes: int | None = None
         self._disk, self._account = disk, account
         self._charge = account.charge_for(Quota.BYTES_ARCHIVED)
 
-    def set(self, bytes_: int) -> None:
-        """Report the bytes of the folder; 0: there is no folder."""
-        before, self.bytes = self.bytes, bytes_
-        self._disk.changed(self, bytes_ - before)
-        self._charge.set(bytes_)
+    def keep(self, bytes_: int) -> None:
+        """Report the bytes of the folder on the disk; 0: there is no folder."""
+        self.bytes = bytes_
+        self._update()
 
-    def check(self, archive_bytes: int | None = None) -> None:
-        """Check that the channel may grow. Raises Overloaded.
+    def expect(self, coming: int, largest: int = 0) -> None:
+        """Report the bytes that are still to be written. `largest`: of the last accepted run."""
+        self.coming, self._largest = coming, max(self._largest, largest) if coming else 0
+        self._update()
 
-        A channel that has reached its own limit `archive_bytes` may always go on, because it deletes its oldest file
-        for each new one.
-        """
-        if archive_bytes is not None and self.bytes >= archive_bytes * 3 // 4:
+    def check(self, more: int = 1) -> None:
+        """Check that a run of `more` bytes on the disk may come. Raises Overloaded."""
+        growth = self._most(self.coming + more, max(self._largest, more)) - self.charged_bytes
+        if growth <= 0:
             return
         try:
-            self._disk.check()
-            self._account.check(Quota.BYTES_ARCHIVED)
+            self._disk.check(growth)
+            self._account.check(Quota.BYTES_ARCHIVED, growth)
         except Overloaded:
             self._disk.on_full()
             raise
+
+    def _update(self) -> None:
+        before, self.charged_bytes = self.charged_bytes, self._most(self.coming, self._largest)
+        self._disk.changed(self, self.charged_bytes - before)
+        self._charge.set(self.charged_bytes)
+
+    def _most(self, coming: int, largest: int) -> int:
+        """The most bytes of the folder if `coming` bytes come, in runs of at most `largest` bytes."""
+        own = self.archive_bytes
+        total = coming + (self.bytes or (FOLDER_BYTES if coming else 0))
+        if own is None or total < own * 3 // 4:
+            return total
+        last_file = own // 8 + BLOCK_BYTES + largest  # the only file that stays, however large it is
+        return max(self.bytes, FOLDER_BYTES + own, min(total, FOLDER_BYTES + last_file))
 
 
 def folders_of_channels(path: Path) -> Iterator[FoundFolder]:

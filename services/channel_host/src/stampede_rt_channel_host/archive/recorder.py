@@ -10,7 +10,7 @@ from typing import NamedTuple
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
-from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
+from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
@@ -64,10 +64,12 @@ class ChannelRecorder:
         self._channel = channel
         self.archived_to = channel.next_seq
         """All seqs below this one are on stable storage, or lost to the archive."""
-        # For each put that is not archived: the seq after its items, and the instant of their acceptance.
+        # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
         self._ends: list[int] = []
         self._instants: list[int] = []
-        self._puts_max = PUTS_LEAST  # at so many the recorder looks which of them have items in memory
+        self._sizes: list[int] = []
+        self._coming_bytes = 0
+        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE  # at so many the recorder looks what memory has
         self._advances: list[ArchivedAdvance] = []  # that are not archived
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
@@ -87,23 +89,48 @@ class ChannelRecorder:
     def note(self, now: int) -> bool:
         """Note that the channel has accepted items or an advance at `now`. Returns whether to write something."""
         has_advance = self._note_advance(now)
-        end_seq = self._channel.next_seq
+        end_seq, noted = self._channel.next_seq, self._ends[-1] if self._ends else self.archived_to
+        size = 0
+        if end_seq > noted:
+            size = self._size_from(noted)
+            self._add_put(end_seq, now, size)
+        self._expect(size)
+        return has_advance or end_seq > self.archived_to
+
+    def _add_put(self, end_seq: int, now: int, size: int) -> None:
+        self._coming_bytes += size
         if self._ends and self._instants[-1] == now:
             self._ends[-1] = end_seq
-        elif end_seq > (self._ends[-1] if self._ends else self.archived_to):
-            self._ends.append(end_seq)
-            self._instants.append(now)
-            if len(self._ends) >= self._puts_max:
-                self._forget_collected()
-        return has_advance or end_seq > self.archived_to
+            self._sizes[-1] += size
+            return
+        self._ends.append(end_seq)
+        self._instants.append(now)
+        self._sizes.append(size)
+        if len(self._ends) >= self._puts_max or self._coming_bytes >= self._bytes_max:
+            self._forget_collected()
+
+    def _size_from(self, seq: int) -> int:
+        """The most bytes that the items from `seq` on take on the disk."""
+        runs = {id(one.run): one.run for one in self._channel.accepted_from(seq)}.values()
+        return sum(len(run.body) for run in runs) + self.files.run_bytes_max * max(1, len(runs))
+
+    def _expect(self, largest: int) -> None:
+        """Report to the disk what comes. `largest`: the bytes of the latest put."""
+        rows = len(self._advances)
+        of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
+        self.disk.expect(0 if self.is_stopped else self._coming_bytes + of_advances, largest)
 
     def _forget_collected(self) -> None:
         """Make one put of those whose items memory has lost, while the disk fails. Their first instant stays."""
         held = next(iter(self._channel.accepted_from(self.archived_to)), None)
         done = bisect_right(self._ends, self._channel.next_seq if held is None else held.run.first_seq)
+        if done:
+            self._sizes[:done] = [self.files.run_bytes_max]
+            self._coming_bytes = sum(self._sizes)
         del self._ends[: max(0, done - 1)]
         del self._instants[1:done]
         self._puts_max = max(PUTS_LEAST, 2 * len(self._ends))
+        self._bytes_max = max(BYTES_PER_WRITE, 2 * self._coming_bytes)
 
     @property
     def waiting_since(self) -> int | None:
@@ -164,11 +191,16 @@ class ChannelRecorder:
     def keep(self, segments: tuple[Segment, ...]) -> None:
         """Note the segments that the archive has now."""
         self.segments, self.span = segments, span_of(segments)
-        self.disk.set(FOLDER_BYTES + sum(one.length for one in segments) if segments else 0)
+        self.disk.keep(FOLDER_BYTES + sum(one.length for one in segments) if segments else 0)
 
-    def check_room(self) -> None:
-        """Check that the archive of the channel may grow. Raises Overloaded."""
-        self.disk.check(self.limits.bytes_max)
+    def limit(self, limits: ArchiveLimits) -> None:
+        """Set the limits of the channel's archive."""
+        self.limits = limits
+        self.disk.archive_bytes = limits.bytes_max
+
+    def check_room(self, more: int = 0) -> None:
+        """Check that the archive has room for a run of `more` bytes, or for an advance. Raises Overloaded."""
+        self.disk.check(more + self.files.run_bytes_max)
 
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
@@ -182,8 +214,11 @@ class ChannelRecorder:
         del self._advances[: sum(len(one.rows) for one in job.parts if isinstance(one, Advances))]
         self._advances_taken = 0
         done = bisect_right(self._ends, job.end_seq)
+        self._coming_bytes -= sum(self._sizes[:done])
         del self._ends[:done]
         del self._instants[:done]
+        del self._sizes[:done]
+        self._expect(0)
         self._channel.record(job.end_seq)
         self.note_end("")
 
@@ -196,6 +231,7 @@ class ChannelRecorder:
     def stop(self) -> None:
         """Nothing is written for the channel any more. Idempotent."""
         self.is_stopped = True
+        self._expect(0)
         self.note_end(self.failure)
 
     async def stored(self, first_seq: int, end_seq: int, seconds_max: float | None) -> str:

@@ -13,6 +13,9 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, re
 from stampede_rt_channel_host.archive.segment_reads import SUFFIX, SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
+    ADVANCE_BYTES,
+    HEAD_BYTES,
+    ROW_BYTES,
     ArchivedAdvance,
     ArchivedRun,
     BlockHead,
@@ -68,11 +71,16 @@ class OpenedArchive(NamedTuple):
 
 
 class SegmentFiles(SegmentReads):
-    """Reads and writes the segments of one channel. One thread writes; any threads read at the same time."""
+    """Reads and writes the segments of one channel. One thread writes; any threads read at the same time.
+
+    `run_bytes_max`: the most bytes that a run, or some advances, take on the disk beside their own: a block of their
+    own, a gap before it, and the beginning of a segment.
+    """
 
     def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
         """`facts` go into each new segment, for people who look into the file."""
         super().__init__(folder)
+        self.run_bytes_max = ROW_BYTES + 4 * HEAD_BYTES + ADVANCE_BYTES + len(json.dumps(facts))
         self._facts = facts
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended

@@ -87,6 +87,8 @@ class ChannelServicer:
         await undecided(self._store, request.channel_id, request.epoch)
         hosted = self._store.find(request.channel_id, request.epoch)
         check_access(AccessVerb.ADVANCE, AccessKind.CHANNEL, hosted.record.name)
+        if hosted.recording is not None:
+            hosted.recording.check_advance(request.time_unix_nano)
         return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
 
     @errors_as_status

@@ -103,12 +103,18 @@ class Recording:
         """Take over the limits of the archive, and the epoch of the channel at this host."""
         self.recorder.files.raise_epoch(epoch)
         age = None if policy.archive_nanos == FOREVER_NANOS else policy.archive_nanos
-        self.recorder.limits = ArchiveLimits(age, policy.archive_bytes)
+        self.recorder.limit(ArchiveLimits(age, policy.archive_bytes))
 
     def accepted(self, now: int) -> None:
         """The channel has accepted items or an advance at `now`."""
         if self.recorder.note(now):
             self._archive.touch(self.recorder, self._on_archived)
+
+    def check_advance(self, instant: int) -> None:
+        """Check that the archive has room for an advance to `instant`, unless it changes nothing. Raises Overloaded."""
+        before = self._channel.advanced_to
+        if before is None or instant > before:
+            self.recorder.check_room()
 
     def hurry(self) -> None:
         """A put waits for stable storage."""

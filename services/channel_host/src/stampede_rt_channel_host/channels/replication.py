@@ -127,7 +127,7 @@ class Replication:
         """The memory of the items that have left `core`, and that readers will see once they are replicated."""
         return max(0, self._view.staged_bytes - self._core.footprint_bytes)
 
-    def check_room(self) -> None:
+    def check_room(self, _: int = 0) -> None:
         """Raises Overloaded if the replicas are so far behind that the channel takes no further items."""
         if self._unseen_bytes > UNSEEN_BYTES_MAX:
             name = self._core.name

@@ -49,7 +49,9 @@ ITEMS_UNARCHIVED = counter(
     "stampede_items_unarchived_total", "Items of recorded channels that max_bytes collected before they were archived."
 )
 ARCHIVE_BACKLOG = gauge("stampede_archive_backlog_items", "Accepted items that are not archived yet.")
-ARCHIVE_BYTES = gauge("stampede_archive_bytes", "Bytes of the archive on its disk.")
+ARCHIVE_BYTES = gauge(
+    "stampede_archive_bytes", "Bytes of the archive on its disk, with those that are still to be written."
+)
 ARCHIVE_LIMIT = gauge("stampede_archive_limit_bytes", "The most bytes that the archive may use on its disk.")
 ARCHIVE_FAILING = gauge("stampede_archive_failing", "1 while the archive cannot be written, else 0.")
 ARCHIVE_DAMAGED = counter(

@@ -50,8 +50,8 @@ class ChannelPuts:
         self._on_accepted = on_accepted
         self._on_touched = on_touched
         self._may_serve = may_serve
-        self.check_room: Callable[[], None] = _has_room
-        """Raises Overloaded while the channel takes no items."""
+        self.check_room: Callable[[int], None] = _has_room
+        """Raises Overloaded while the channel takes no items, or has no room for a run of so many bytes."""
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self.retries = RetryWindow()
         self._waiting_bytes = 0
@@ -261,7 +261,7 @@ class ChannelPuts:
 
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack."""
-        self.check_room()
+        self.check_room(run.charged_bytes)
         outcome = self._channel.put(run.offer, now, run.seal)
         is_done = run.take_outcome(outcome, now)
         if is_done:
@@ -316,5 +316,5 @@ def _seal_nothing(first_seq: int, kept: Sequence[int] | None, stamped_time: int 
     raise AssertionError("an item larger than every limit was accepted")
 
 
-def _has_room() -> None:
+def _has_room(_: int) -> None:
     """Refuse nothing."""

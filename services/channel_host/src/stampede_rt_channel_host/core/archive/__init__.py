@@ -18,11 +18,13 @@ from stampede_rt_channel_host.core.archive.archived_read import (
     resolved_now,
 )
 from stampede_rt_channel_host.core.archive.block import (
+    ADVANCE_BYTES,
     ADVANCES,
     GAP,
     HEAD_BYTES,
     ITEMS,
     OPENING,
+    ROW_BYTES,
     ArchivedAdvance,
     ArchivedRun,
     BlockHead,
@@ -70,10 +72,12 @@ from stampede_rt_channel_host.core.archive.window import (
 
 __all__ = [
     "ADVANCES",
+    "ADVANCE_BYTES",
     "GAP",
     "HEAD_BYTES",
     "ITEMS",
     "OPENING",
+    "ROW_BYTES",
     "ArchiveSpan",
     "ArchiveWindow",
     "ArchivedAdvance",

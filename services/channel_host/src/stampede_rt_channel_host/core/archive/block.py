@@ -23,7 +23,7 @@ _SUM = struct.Struct("<4sI")  # the magic, and the checksum of the rest of the h
 _HEAD = struct.Struct("<IIIIIQQqQqQqq")
 _ROW = struct.Struct("<qI")  # for each run: when its items were accepted, and the length of its body
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
-HEAD_BYTES = _SUM.size + _HEAD.size
+HEAD_BYTES, ROW_BYTES, ADVANCE_BYTES = _SUM.size + _HEAD.size, _ROW.size, _ADVANCE.size
 
 
 class BlockHead(NamedTuple):
