@@ -28,9 +28,11 @@ from stampede_rt.v1 import (
     directory_service_pb2,
     directory_service_pb2_grpc,
     item_pb2,
+    migration_service_pb2_grpc,
     raft_service_pb2_grpc,
     replica_service_pb2_grpc,
 )
+from stampede_rt.v1 import migration_service_pb2 as migration_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.v1 import raft_service_pb2 as raft_pb
@@ -152,6 +154,31 @@ def test_a_host_is_not_fed_as_another_whose_reports_would_acknowledge_puts(
     opening.host_id = b"n" * 16
     told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
     assert told.startswith("NOT_FOUND: ")
+
+
+def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        (h1,) = [one for one in rt.hosts() if one.name == "h1"]
+        queue = rt.queue("handed/over")
+        opening = migration_pb.HandOverQueueOpen(
+            queue_id=queue.info.queue_id, epoch=queue.info.epoch, host_id=h1.host_id
+        )
+
+        async def take_over(channel: grpc.aio.Channel) -> None:
+            call: Any = migration_service_pb2_grpc.MigrationServiceStub(channel).HandOverQueue(timeout=5)
+            await call.write(migration_pb.HandOverQueueRequest(open=opening))
+            await call.read()
+            raise AssertionError(f"the queue was not kept: {await call.code()}")
+
+        address = cluster.hosts[0].address
+        told = ask(address, cluster.tls_files("cam"), take_over)
+        assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/HandOverQueue")
+        told = ask(address, cluster.tls_files("h9", Role.HOST), take_over)
+        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate")
+        opening.host_id = b"n" * 16
+        assert ask(address, cluster.tls_files("h9", Role.HOST), take_over).startswith("NOT_FOUND: ")
+        queue.put(b"kept")
+        assert queue.get().payload == b"kept"
 
 
 def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:
