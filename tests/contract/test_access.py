@@ -173,7 +173,7 @@ async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene,
         f"channel {scene.name('a')!r}: "
     ) == (  # which a read through a group names
         f"client {scene.who} may not {verb} {kind} {name}; an operator can allow it "
-        f"(stampede acl add {scene.who} {verb} {name})"
+        f"(stampede acl add {scene.who} {verb} {name} --kind {kind}), unless a rule denies it (stampede acl ls)"
     )
     assert caught.value.reason == "PERMISSION_DENIED"
     assert caught.value.metadata.items() >= {"verb": verb, kind: name}.items()

@@ -165,7 +165,7 @@ async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_g
         server.access.set_state(state(3, AccessRule("nobody", (), None, "*")))
         lost = await ended(client)
         assert isinstance(lost, PermissionDenied)
-        assert "may not read channel open; an operator can allow it (stampede acl add @clients read open)" in str(lost)
+        assert "may not read channel open; an operator can allow it (stampede acl add @clients read open" in str(lost)
         assert await said(member, "closed") == b"1"
         server.access.set_state(state(4, ALLOW))
         assert await said(other, "open") == b"0"

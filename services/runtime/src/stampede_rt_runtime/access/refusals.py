@@ -10,8 +10,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
     """The error for a caller without that right."""
     return PermissionDenied(
-        f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
-        f"{name})",
+        f"{caller} may not {verb} {kind} {name}; {_way_out(caller, verb, kind, name)}",
         metadata={"verb": verb, kind: name},
     )
 
@@ -22,9 +21,14 @@ def denied_all(caller: Caller, kind: AccessKind, name: str = "") -> PermissionDe
     `name` must be empty if the caller gave only an id: the error must not tell a name that the caller may not know.
     """
     thing, placeholder = (f"{kind} {name}", name) if name else (f"this {kind}", "NAME")
-    return PermissionDenied(
-        f"{caller} may do nothing with {thing}; an operator can allow it (stampede acl add {caller.name} VERB "
-        f"{placeholder})"
+    return PermissionDenied(f"{caller} may do nothing with {thing}; {_way_out(caller, 'VERB', kind, placeholder)}")
+
+
+def _way_out(caller: Caller, verb: str, kind: AccessKind, name: str) -> str:
+    """The advice to a caller without a right. It does not tell whether a rule denies the right."""
+    return (
+        f"an operator can allow it (stampede acl add {caller.name} {verb} {name} --kind {kind}), unless a rule denies "
+        "it (stampede acl ls)"
     )
 
 
