@@ -15,7 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Collection, Coroutine
 from pathlib import Path
+from typing import Any
 
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import (
@@ -35,6 +37,7 @@ from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
 SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, HOSTILE_SHARE, WEATHER_SHARE = 0.25, 0.2, 0.25, 0.2, 0.1
+NAMES = ("secured", "open", "hosts", "hostile", "weather")
 
 
 def arguments() -> argparse.Namespace:
@@ -47,54 +50,59 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--seed", type=int, default=1, help="random seed for the order and the choices of the real faults"
     )
+    parser.add_argument("--only", choices=NAMES, nargs="+", default=NAMES, help="these campaigns (default: all)")
     return parser.parse_args()
 
 
-async def real_faults(minutes: float, seed: int) -> list[Findings]:
-    """Run all campaigns, one after the other."""
-    seconds = minutes * 60
+def campaigns(folder: Path, seconds: float, seed: int) -> dict[str, Callable[[], Coroutine[Any, Any, Findings]]]:
+    """All campaigns, by name. Their states are in `folder`."""
+    return {
+        "secured": lambda: run_campaign(
+            folder / "secured",
+            "Directory with certificates",
+            in_rounds(SECURED_FAULTS, seed, seconds * SECURED_SHARE),
+            seed=seed,
+            secured=True,
+        ),
+        "open": lambda: run_campaign(
+            folder / "open",
+            "Directory without certificates",
+            in_rounds(RARELY_COMPACTED_FAULTS, seed + 1, seconds * OPEN_SHARE),
+            seed=seed + 1,
+            secured=False,
+            compacts_early=False,
+        ),
+        "hosts": lambda: run_campaign(
+            folder / "hosts",
+            "Channel hosts and front-end, with certificates",
+            in_rounds(HOST_FAULTS, seed + 2, seconds * HOSTS_SHARE),
+            seed=seed + 2,
+            secured=True,
+            hosts=HOSTS,
+        ),
+        "hostile": lambda: run_campaign(
+            folder / "hostile",
+            "Hostile clients beside good ones",
+            in_rounds(HOSTILE_FAULTS, seed + 4, seconds * HOSTILE_SHARE, all_once=True),
+            seed=seed + 4,
+            secured=False,
+            hosts=1,
+            compacts_early=False,
+        ),
+        "weather": lambda: run_weathers(
+            folder / "weather",
+            "Directory behind bad links",
+            seed=seed + 3,
+            each_s=max(10.0, seconds * WEATHER_SHARE / len(WEATHERS)),
+        ),
+    }
+
+
+async def real_faults(minutes: float, seed: int, names: Collection[str] = NAMES) -> list[Findings]:
+    """Run the campaigns of these names, one after the other."""
     with tempfile.TemporaryDirectory(prefix="robustness-") as place:
-        folder = Path(place)
-        return [
-            await run_campaign(
-                folder / "secured",
-                "Directory with certificates",
-                in_rounds(SECURED_FAULTS, seed, seconds * SECURED_SHARE),
-                seed=seed,
-                secured=True,
-            ),
-            await run_campaign(
-                folder / "open",
-                "Directory without certificates",
-                in_rounds(RARELY_COMPACTED_FAULTS, seed + 1, seconds * OPEN_SHARE),
-                seed=seed + 1,
-                secured=False,
-                compacts_early=False,
-            ),
-            await run_campaign(
-                folder / "hosts",
-                "Channel hosts and front-end, with certificates",
-                in_rounds(HOST_FAULTS, seed + 2, seconds * HOSTS_SHARE),
-                seed=seed + 2,
-                secured=True,
-                hosts=HOSTS,
-            ),
-            await run_campaign(
-                folder / "hostile",
-                "Hostile clients beside good ones",
-                in_rounds(HOSTILE_FAULTS, seed + 4, seconds * HOSTILE_SHARE),
-                seed=seed + 4,
-                secured=False,
-                hosts=1,
-                compacts_early=False,
-            ),
-            await run_weathers(
-                folder / "weather",
-                "Directory behind bad links",
-                seed=seed + 3,
-                each_s=max(10.0, seconds * WEATHER_SHARE / len(WEATHERS)),
-            ),
-        ]
+        known = campaigns(Path(place), minutes * 60, seed)
+        return [await known[name]() for name in NAMES if name in names]
 
 
 def main() -> int:
@@ -106,8 +114,9 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended by a signal"))  # cleans up, as Ctrl-C does
     began, load = time.monotonic(), os.getloadavg()[0]
     simulated = run_seeds(0, wanted.seeds)
-    findings = asyncio.run(real_faults(wanted.minutes, wanted.seed))
+    findings = asyncio.run(real_faults(wanted.minutes, wanted.seed, wanted.only))
     command = f"python -m tests.robustness --minutes {wanted.minutes:g} --seeds {wanted.seeds} --seed {wanted.seed}"
+    command += "" if wanted.only == NAMES else f" --only {' '.join(wanted.only)}"
     took = time.monotonic() - began
     run = Run(command, _revision(), took, (load, os.getloadavg()[0]), findings, simulated)
     page = write_report(run)

@@ -88,15 +88,16 @@ class Findings:
         return acknowledged_writes(self.operations)
 
 
-def in_rounds(names: Iterable[str], seed: int, seconds: float) -> Iterator[str]:
+def in_rounds(names: Iterable[str], seed: int, seconds: float, *, all_once: bool = False) -> Iterator[str]:
     """Yield every fault once, in random order, and then again in other orders until the time is over.
 
-    The first round may take twice the time. On a slow machine it then ends early, so that a campaign has an end.
+    The first round may take twice the time. On a slow machine it then ends early, so that a campaign has an end. With
+    `all_once` the first round is whole in any case.
     """
     rng, known, began = random.Random(seed), sorted(names), time.monotonic()
     for turn in itertools.count():
         for name in rng.sample(known, len(known)):
-            if time.monotonic() - began > (seconds if turn else 2 * seconds):
+            if time.monotonic() - began > (seconds if turn else 2 * seconds) and (turn or not all_once):
                 return
             yield name
 

@@ -156,6 +156,10 @@ def test_a_round_that_takes_much_too_long_is_cut() -> None:
     assert list(in_rounds(["kill_leader"], 3, -1.0)) == []
 
 
+def test_a_round_that_must_be_whole_is_not_cut() -> None:
+    assert sorted(in_rounds(["one", "another"], 3, -1.0, all_once=True)) == ["another", "one"]
+
+
 @needs_namespaces
 async def test_hostile_clients_and_used_up_quotas_cost_good_clients_no_call_and_no_lease(tmp_path: Path) -> None:
     faults = ["attack_unfinished-puts", "quota_streams", "quota_channels"]

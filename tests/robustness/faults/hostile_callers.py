@@ -26,11 +26,14 @@ from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.ground import GOOD_CHANNEL, NAME_VARIABLE, Ground
 from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.fuzz.ports.run import MEMORY_GROWTH_MIB_MAX
+from tests.robustness.processor_waits import ProcessorWaits
 from tests.robustness.real_cluster.cluster import request_id
 from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.support.supernode.processes import clean_environment
 
-ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS = 4.0, 120.0, 10.0
+ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS, BACK_SECONDS = 4.0, 120.0, 10.0, 20.0
+GOOD_ITEMS_MAX = 50_000
 PERIOD_SECONDS, CALL_SECONDS = 0.02, 10.0
 ATTACKER = "attacker"
 LEASE_LOST = "the lease has ended"
@@ -56,17 +59,26 @@ _numbers = itertools.count(1)
 
 @dataclass
 class Puts:
-    """The puts of a good client beside an attack, and the time that each took."""
+    """The puts of a good client beside an attack: the time that each took, and the seqs of the acknowledged ones."""
 
+    channel: Any
     took_ms: list[float] = field(default_factory=list)
+    acked: set[int] = field(default_factory=set)
 
-    async def run(self, channel: Any) -> None:
+    async def run(self) -> None:
         """Put until cancelled. Raises StampedeError: no put of a good client may fail."""
         while True:
             began = time.perf_counter()
-            await channel.put(b"x" * 100, timeout=CALL_SECONDS)
+            self.acked.add((await self.channel.put(b"x" * 100, timeout=CALL_SECONDS)).seq)
             self.took_ms.append((time.perf_counter() - began) * 1000)
             await asyncio.sleep(PERIOD_SECONDS)
+
+    async def check_kept(self) -> None:
+        """Raises AssertionError if an acknowledged item is not there."""
+        wanted = {"newest_first": True, "limit": len(self.acked) + 10, "payloads": False, "timeout": CALL_SECONDS}
+        items = await self.channel.get(st.OLDEST, st.NEWEST, **wanted)
+        if lost := self.acked - {item.seq for item in items}:
+            raise AssertionError(f"{len(lost)} acknowledged items are lost, among them seq {min(lost)}")
 
     def __str__(self) -> str:
         cuts = statistics.quantiles(self.took_ms, n=100, method="inclusive")
@@ -76,18 +88,36 @@ class Puts:
 async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
     """Run the attack of that name for a while. With `quota`, set a low limit, at which something must be refused.
 
-    Raises FaultHadNoEffect, StampedeError for a failed good put, and AssertionError if a host lost its lease.
+    Raises FaultHadNoEffect, StampedeError for a failed good put, TimeoutError if memory does not return, and
+    AssertionError if a host lost its lease or an acknowledged item.
     """
-    host, supernode = scene.cluster.hosts[0], scene.cluster.supernodes[0]
-    watched: PlacedProcess = host if CASES[name].watched == "host" else supernode
+    watched: PlacedProcess = scene.cluster.hosts[0] if CASES[name].watched == "host" else scene.cluster.supernodes[0]
     assert scene.traffic is not None
-    channel = await scene.traffic.rt.channel(GOOD_CHANNEL, max_age="10s")
-    leases, connections = _leases_lost(scene), watched.descriptors()
+    puts = Puts(await scene.traffic.rt.channel(GOOD_CHANNEL, max_items=GOOD_ITEMS_MAX))
+    leases, thing, began = _leases_lost(scene), f"hostile-{next(_numbers)}", time.monotonic()
+    calm = scene.calm_bytes.setdefault(watched.name, watched.memory_bytes())
     watched.forget_memory_peak()
-    before, thing, puts, began = watched.memory_peak_bytes(), f"hostile-{next(_numbers)}", Puts(), time.monotonic()
-    earlier = await asyncio.to_thread(_used, scene)
+    with ProcessorWaits(lambda: [one.pid for one in scene.cluster.processes() if one.running]) as waits:
+        recovery, evidence = await _attacked(scene, name, quota, thing, watched, puts)
+        note = f"{puts}; {watched.name} had {calm / MIB:.0f} MiB, at most {watched.memory_peak_bytes() / MIB:.0f}"
+        await puts.check_kept()
+        await _forget(scene, thing)
+        after = await _memory_back(watched, calm, name)
+        if _leases_lost(scene) > leases and not waits.starved_at(began, time.monotonic()):
+            raise AssertionError(f"a host lost its lease during the attack {name}")
+    note += f", then {after / MIB:.0f}; waited {waits.most_share:.0%} of 2 s for a processor"
+    note += "; A LEASE WAS LOST meanwhile" if _leases_lost(scene) > leases else ""
+    kind = f"quota {quota} used up by {name}" if quota else f"attack {name}"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
+
+
+async def _attacked(
+    scene: Scene, name: str, quota: Quota | None, thing: str, watched: PlacedProcess, puts: Puts
+) -> tuple[float, str]:
+    """Attack. Returns the recovery time of the directory, and the evidence."""
+    began, connections, earlier = time.monotonic(), watched.descriptors(), await asyncio.to_thread(_used, scene)
     async with _limited(scene, quota), _attacking(scene, name, thing):
-        good = asyncio.create_task(puts.run(channel))
+        good = asyncio.create_task(puts.run())
         try:
             recovery = await scene.recovery(began)
             await asyncio.wait({good}, timeout=ATTACK_SECONDS)
@@ -98,16 +128,21 @@ async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
             good.cancel()
             with suppress(asyncio.CancelledError):
                 await good
-    peak = watched.memory_peak_bytes()
-    await _forget(scene, thing)
-    if _leases_lost(scene) > leases:
-        raise AssertionError(f"a host lost its lease during the attack {name}")
-    evidence = _refusals(earlier, used, quota) if quota else f"{most - connections} connections of the attacker"
-    if not quota and most <= connections and not used:
+    if quota:
+        return recovery, _refusals(earlier, used, quota)
+    if most <= connections and not used:
         raise FaultHadNoEffect(f"the attacker of {name} has no connection to {watched.name}, and uses nothing")
-    note = f"{puts}; {watched.name} had {before / MIB:.0f} MiB, at most {peak / MIB:.0f}"
-    kind = f"quota {quota} used up by {name}" if quota else f"attack {name}"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
+    return recovery, f"{most - connections} connections of the attacker"
+
+
+async def _memory_back(watched: PlacedProcess, calm: int, name: str) -> int:
+    """Wait until the memory is at most so much above the memory before the first attack. Raises TimeoutError."""
+    until_s = time.monotonic() + BACK_SECONDS
+    while (now := watched.memory_bytes()) > calm + MEMORY_GROWTH_MIB_MAX * MIB:
+        if time.monotonic() > until_s:
+            raise TimeoutError(f"{watched.name} has {now / MIB:.0f} MiB after {name}, and had {calm / MIB:.0f}")
+        await asyncio.sleep(PERIOD_SECONDS)
+    return now
 
 
 def _leases_lost(scene: Scene) -> int:

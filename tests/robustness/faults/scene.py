@@ -66,6 +66,7 @@ class Scene:
     rng: random.Random
     folder: Path
     traffic: Traffic | None = None
+    calm_bytes: dict[str, int] = field(default_factory=dict)  # the memory of processes before their first attack
     outcomes: list[Outcome] = field(default_factory=list)
 
     async def recovery(self, since: float) -> float:

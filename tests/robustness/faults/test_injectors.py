@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from stampede_rt_local.namespaces import unavailable_because
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.quotas.limits import Quota
+from tests.benchmarks.attacks.catalogue import CASES
 from tests.robustness.__main__ import write_page
-from tests.robustness.faults.hostile_callers import QUOTAS
+from tests.robustness.faults.hostile_callers import FAULTS, QUOTAS, Puts
 from tests.robustness.faults.noise import giant_frame
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
@@ -87,3 +89,22 @@ def test_the_report_of_a_new_run_replaces_the_former_report_on_a_page_and_keeps_
 
 def test_the_campaign_of_hostile_clients_uses_up_each_quota() -> None:
     assert set(QUOTAS) == set(Quota)
+
+
+def test_the_campaign_of_hostile_clients_makes_each_attack() -> None:
+    assert {f"attack_{name}" for name in CASES} <= set(FAULTS)
+
+
+class KeptItems:
+    """A channel of which a host has lost an item: seq 2."""
+
+    async def get(self, *_: object, **__: object) -> list[SimpleNamespace]:
+        return [SimpleNamespace(seq=seq) for seq in (4, 3, 1)]
+
+
+async def test_a_lost_item_of_a_good_client_beside_an_attack_is_noticed() -> None:
+    puts = Puts(KeptItems(), acked={1, 3})
+    await puts.check_kept()
+    puts.acked.add(2)
+    with pytest.raises(AssertionError, match="1 acknowledged items are lost, among them seq 2"):
+        await puts.check_kept()

@@ -45,7 +45,7 @@ class Frontend(PlacedProcess):
         return ["--supernodes", self._seeds, *self.listen_flags()]
 
 
-ARCHIVE = "64MiB"
+ARCHIVE, MEMORY = "64MiB", "64MiB"
 
 
 class Host(PlacedProcess):
@@ -63,7 +63,7 @@ class Host(PlacedProcess):
         """A name that stays over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
         archive = ["--archive", str(self.data_dir / "archive"), "--archive-bytes-max", ARCHIVE]
-        return [*words, *archive, *self.listen_flags()]
+        return [*words, *archive, "--memory-bytes-max", MEMORY, *self.listen_flags()]
 
 
 class Cluster:

@@ -159,6 +159,10 @@ class PlacedProcess:
         """Let its wall clock be off by `seconds` from now on (see `service_process`)."""
         self.clock_file.write_text(f"{int(seconds * 1e9)}".ljust(31))
 
+    def memory_bytes(self) -> int:
+        """Its resident memory now."""
+        return int(Path(f"/proc/{self.pid}/statm").read_text().split()[1]) * resource.getpagesize()
+
     def forget_memory_peak(self) -> None:
         """Begin a new measurement of `memory_peak_bytes` (proc(5), clear_refs)."""
         Path(f"/proc/{self.pid}/clear_refs").write_text("5")

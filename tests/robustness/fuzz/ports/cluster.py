@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import resource
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.identity import Role
 from tests.robustness.fuzz.ports.hostile_caller import Metadata
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
+from tests.robustness.processor_waits import ProcessorWaits
 
 LEASE_LOST = "the lease has ended"
 MEMORY_BUDGET = "64MiB"
@@ -45,6 +47,8 @@ class FuzzedCluster:
         )
         self.processes.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
         self._tls, self._stopping = tls, False
+        self.leases_lost_at: list[float] = []
+        self.waits = ProcessorWaits(self._pids)
 
     @property
     def metadata(self) -> Metadata:
@@ -90,8 +94,14 @@ class FuzzedCluster:
         pages = int(Path(f"/proc/{self.target.pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 2**20
 
+    def _pids(self) -> list[int]:
+        """The processes on which a lease depends."""
+        return [one.pid for one in (*self.processes.hosts, *self.processes.supernodes) if one.alive]
+
     def _hear(self, process: ServiceProcess, line: str) -> None:
-        self.outcome.leases_lost += LEASE_LOST in line
+        if LEASE_LOST in line:
+            self.outcome.leases_lost += 1
+            self.leases_lost_at.append(time.monotonic())
         if "Traceback" in line or "level=error" in line:
             self.outcome.add(Finding(what=f"{process.name} logs: {line[:3000]}", method=line[-120:]))
 

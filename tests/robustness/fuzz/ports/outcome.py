@@ -27,8 +27,8 @@ class Finding:
 
 @dataclass
 class Outcome:
-    """Memory is the resident set of the process behind the port, in MiB. `starved_s`: the longest time for which the
-    machine let us wait for a processor, as it lets the services."""
+    """Memory is the resident set of the process behind the port, in MiB. `starved_share`: the greatest part of two
+    seconds for which a thread of a service waited for a processor. `excused`: the leases that were lost meanwhile."""
 
     port: str
     seed: int
@@ -41,8 +41,9 @@ class Outcome:
     before_mib: float = 0.0
     most_mib: float = 0.0
     after_mib: float = 0.0
-    starved_s: float = 0.0
+    starved_share: float = 0.0
     leases_lost: int = 0
+    excused: int = 0
     good_calls: int = 0
     good_failures: list[str] = field(default_factory=list)
 
@@ -58,7 +59,8 @@ class Outcome:
             f"{self.inputs / max(1e-9, self.seconds):,.0f}/s",
             f"  memory {self.before_mib:.0f}, {self.most_mib:.0f}, {self.after_mib:.0f} MiB (first, most, after)",
             f"  answers: {codes}",
-            f"  waited {self.starved_s:.1f} s for a processor at the most; leases lost: {self.leases_lost}",
+            f"  leases lost: {self.leases_lost}, {self.excused} of them while a service waited for a processor "
+            f"(at most {self.starved_share:.0%} of 2 s)",
             f"  good calls: {self.good_calls}, failed: {len(self.good_failures)} {self.good_failures[:3]}",
         ]
         for one in self.findings:
