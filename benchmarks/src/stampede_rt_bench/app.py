@@ -1,4 +1,4 @@
-"""`stampede bench`: measures the paper's figures, growth, the machine's limits, and other systems at the same work."""
+"""`stampede bench`: measures figures of the paper, growth, capacity, limits, and other systems at the same work."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.escaping import TerminalParser, escaped
+from stampede_rt_bench.capacity.command import MEMORY, capacity_works, measure_capacity
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
 from stampede_rt_bench.growth.command import measure_growth
 from stampede_rt_bench.growth.dimensions import DIMENSIONS
@@ -91,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_limits(kinds)
     _add_peers(kinds)
     _add_growth(kinds)
+    _add_capacity(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
     matching.add_argument(
@@ -198,6 +200,22 @@ def _add_growth(kinds: Any) -> None:
     growth.set_defaults(run=measure_growth)
 
 
+def _add_capacity(kinds: Any) -> None:
+    text = "rates, latencies and memory of one host, to choose the size of a cluster"
+    capacity = kinds.add_parser("capacity", help=text, description=f"Measure {text}; docs/capacity.md explains them.")
+    names = [MEMORY, *(work.name for work in capacity_works())]
+    capacity.add_argument(
+        "--work", action="append", choices=names, metavar="NAME",
+        help=f"only this; may be repeated; {', '.join(names)}",
+    )  # fmt: skip
+    capacity.add_argument(
+        "--items", type=_between(20, 1_000_000), default=20_000, metavar="N",
+        help="the single items of each run of memory; other things in proportion (default: 20,000)",
+    )  # fmt: skip
+    _add_times(capacity, Path("out/bench"), rounds=3)
+    capacity.set_defaults(run=measure_capacity)
+
+
 def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
     names = [work.name for work in works()]
     parts = [name.split("-") for name in names]
@@ -209,12 +227,17 @@ def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
         metavar="NAME",
         help=f"only this work, or all works of this kind; may be repeated; {', '.join(names)}",
     )
+    _add_times(parser, folder, rounds=5)
+
+
+def _add_times(parser: argparse.ArgumentParser, folder: Path, *, rounds: int) -> None:
     parser.add_argument(
         "--seconds", type=_seconds, default=5.0, metavar="S", help="the time of each run in steady state (default: 5)"
     )
     parser.add_argument(
-        "--rounds", type=_between(1, RUNS_MAX), default=5, metavar="N", help="the runs of each work (default: 5)"
-    )
+        "--rounds", type=_between(1, RUNS_MAX), default=rounds, metavar="N",
+        help=f"the runs of each work (default: {rounds})",
+    )  # fmt: skip
     parser.add_argument(
         "--out", type=Path, default=folder, metavar="DIR", help=f"the folder for the report (default: {folder})"
     )

@@ -14,7 +14,9 @@ from stampede_rt_bench.works.interface import System
 from stampede_rt_bench.works.processes import ServerFailed
 from stampede_rt_bench.works.run import Measured, RunFailed, measure
 
-FIGURES = ("items_per_second", "cpu_us_per_item", "lost_share", "p50_us", "p99_us", "p999_us")
+FIGURES = (
+    "items_per_second", "cpu_us_per_item", "server_cpu_us_per_item", "lost_share", "p50_us", "p99_us", "p999_us",
+)  # fmt: skip
 
 
 @dataclass

@@ -35,12 +35,14 @@ class Measured:
     """The results of one run.
 
     `p50_us`, `p99_us` and `p999_us` are percentiles of the time of an operation, or of the time from put to reader.
-    They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get.
+    They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get. `cpu_us_per_item` is
+    the CPU time of all processes, `server_cpu_us_per_item` that of the server alone.
     """
 
     seconds: float
     items_per_second: float
     cpu_us_per_item: float
+    server_cpu_us_per_item: float = 0
     lost_share: float = 0
     p50_us: float = 0
     p99_us: float = 0
@@ -94,19 +96,29 @@ def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
     team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
     team.wait(lambda: progress.received_by_each() > 0, START_SECONDS, "nothing arrives")
     time.sleep(max(WARM_SECONDS_MIN, WARM_SHARE * seconds))
-    pids = [*assignment.served.pids, *team.pids]
     progress.measure(True)
-    begun = time.monotonic(), cpu_seconds(pids), progress.received_by_all()
+    begun = _reading(team, assignment)
     time.sleep(seconds)
-    ended = time.monotonic(), cpu_seconds(pids), progress.received_by_all()
+    ended = _reading(team, assignment)
     progress.measure(False)
-    lasted, cpu, received = (after - before for before, after in zip(begun, ended, strict=True))
+    lasted, served, worked, received = (after - before for before, after in zip(begun, ended, strict=True))
     if not received:
         raise RunFailed(f"{assignment.system.name}, {work.name}: nothing arrived in {seconds:g} s")
     outcomes = team.finish()
     items = received * work.items
-    times = Measured(seconds=lasted, items_per_second=items / lasted, cpu_us_per_item=cpu / items * US_PER_SECOND)
-    return _with_times(times, work, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
+    rates = Measured(
+        seconds=lasted,
+        items_per_second=items / lasted,
+        cpu_us_per_item=(served + worked) / items * US_PER_SECOND,
+        server_cpu_us_per_item=served / items * US_PER_SECOND,
+    )
+    return _with_times(rates, work, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
+
+
+def _reading(team: _Team, assignment: Assignment) -> tuple[float, float, float, int]:
+    """The time, the CPU seconds of the server and of the clients, and the received items."""
+    cpu_s = cpu_seconds(assignment.served.pids), cpu_seconds(team.pids)
+    return time.monotonic(), *cpu_s, assignment.progress.received_by_all()
 
 
 def _with_times(measured: Measured, work: Work, by_process: list[array[int]], progress: RunCounters) -> Measured:

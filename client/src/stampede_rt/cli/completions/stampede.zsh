@@ -66,6 +66,7 @@ _shtab_stampede_acl_commands() {
 
 _shtab_stampede_bench_commands() {
   local _commands=(
+    capacity:'Measure rates, latencies and memory of one host, to choose the size of a cluster; docs/capacity.md explains them.'
     growth:'Measure the cost of a put and a get as channels, items, readers, groups and payloads grow.'
     limits:'Measure the figures of bare grpcio, raw sockets and a copy in memory on this machine.'
     matching:'our match beside the synchroniser of ROS message_filters, on the same recorded inputs'
@@ -270,6 +271,18 @@ _shtab_stampede_bench_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_stampede_bench_defaults_added=0
+
+_shtab_stampede_bench_capacity_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "*--work[only this\; may be repeated\; memory, put-64b, put-18kb, put-300kb, stream-64b, stream-18kb, stream-300kb, latency-300]:NAME:(memory put-64b put-18kb put-300kb stream-64b stream-18kb stream-300kb latency-300)"
+  "--items[the single items of each run of memory\; other things in proportion (default\: 20,000)]:N:"
+  "--seconds[the time of each run in steady state (default\: 5)]:S:"
+  "--rounds[the runs of each work (default\: 3)]:N:"
+  "--out[the folder for the report (default\: out\/bench)]:DIR:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_bench_capacity_defaults_added=0
 
 _shtab_stampede_bench_growth_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -1581,6 +1594,7 @@ _shtab_stampede_bench() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_stampede_bench-$line[1]:"
       case $line[1] in
+        capacity) _arguments -C -s $_shtab_stampede_bench_capacity_options ;;
         growth) _arguments -C -s $_shtab_stampede_bench_growth_options ;;
         limits) _arguments -C -s $_shtab_stampede_bench_limits_options ;;
         matching) _arguments -C -s $_shtab_stampede_bench_matching_options ;;

@@ -1,0 +1,72 @@
+"""`stampede bench capacity`: what one host on this machine can do. docs/capacity.md explains the figures."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from stampede_rt_bench.capacity.memory import measure_memory
+from stampede_rt_bench.capacity.report import CapacityReport
+from stampede_rt_bench.machine import describe
+from stampede_rt_bench.peers.ours import StampedeRt
+from stampede_rt_bench.works.campaign import Results, compare
+from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, SMALL, Work, size, works
+
+MEMORY = "memory"
+STREAMS = {
+    "stream-64b": "64 B in runs, to a reader",
+    "stream-18kb": "18 KB, to a reader",
+    "stream-300kb": "300 KB, to a reader",
+    "latency-300": "64 B at 300 items/s, to a reader",
+}
+
+
+def capacity_works() -> list[Work]:
+    """Return the works: acknowledged puts of each size, and streams from a producer to a reader."""
+    puts = [
+        Work(name=f"put-{size(count).replace(' ', '').lower()}", title=f"{size(count)}, each put waits for its ack",
+             kind="put", item_bytes=count)
+        for count in (SMALL, MEDIUM, LARGE)
+    ]  # fmt: skip
+    streams = {work.name: work for work in works(())}
+    return puts + [
+        Work(name=name, title=title, kind=one.kind, item_bytes=one.item_bytes, rate=one.rate)
+        for name, title in STREAMS.items()
+        for one in [streams[name]]
+    ]
+
+
+def measure_capacity(arguments: argparse.Namespace) -> int:
+    """Measure one host, which this function starts, and write the report. Returns 1 if a run failed. Raises OSError."""
+    folder: Path = arguments.out
+    folder.mkdir(parents=True, exist_ok=True)
+    system, only = StampedeRt(), arguments.work
+    report = CapacityReport(command=_command(arguments), machine=describe(("grpcio",)), system=system.name)
+    if not only or MEMORY in only:
+        _say("memory: channels and items in a new host")
+        report.memory = measure_memory(arguments.items, arguments.rounds)
+        report.write(folder)
+
+    def done(results: Results, work: Work) -> None:
+        report.results = results
+        report.machine["load after"] = f"{os.getloadavg()[0]:.1f}"
+        report.write(folder)  # after each work, so that an interrupted run keeps its figures
+
+    chosen = [work for work in capacity_works() if not only or work.name in only]
+    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=_say)
+    for table in (report.rates(), report.memory_table()):
+        print(flush=True)
+        table.print()
+    print(f"\nThe report is in {folder}: capacity.md and capacity.json.")
+    return 1 if report.results.failures else 0
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    words = f"--seconds {arguments.seconds:g} --rounds {arguments.rounds} --items {arguments.items}"
+    return f"stampede bench capacity {words}" + "".join(f" --work {name}" for name in arguments.work or [])
+
+
+def _say(text: str) -> None:
+    print(f"stampede bench: {text}", file=sys.stderr, flush=True)

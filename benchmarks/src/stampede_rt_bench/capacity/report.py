@@ -1,0 +1,72 @@
+"""The report of `stampede bench capacity`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from stampede_rt_bench.measuring import Spread
+from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.works.campaign import FIGURES, Results
+from stampede_rt_bench.works.catalogue import Work
+
+BYTES_PER_MB = 1_000_000
+
+
+@dataclass(kw_only=True)
+class CapacityReport:
+    """The figures of one host, as far as they are measured. `system`: the name of the host in the results."""
+
+    command: str
+    machine: dict[str, str]
+    system: str
+    results: Results = field(default_factory=Results)
+    memory: Mapping[str, Spread] = field(default_factory=dict)
+
+    def rates(self) -> Table:
+        """Return the table of the works: rates, times, and the CPU time of the services."""
+        columns = ["one client, one reader", "items/s", "MB/s", "p50, us", "p99, us", "services' CPU, us/item"]
+        table = Table(columns, [self._row(work) for work in self.results.runs])
+        table.notes = ["p50 and p99: from the call of put to its acknowledgement, or to the reader."]
+        return table
+
+    def _row(self, work: Work) -> list[str]:
+        def figure(name: str, digits: int = 0) -> str:
+            return spread(self.results.spread(work, self.system, name), digits)
+
+        items = self.results.spread(work, self.system, "items_per_second")
+        times = ["", ""] if work.kind == "stream" else [figure("p50_us"), figure("p99_us")]
+        megabytes = f"{items.median * work.item_bytes / BYTES_PER_MB:,.1f}"
+        return [work.title, spread(items, 0), megabytes, *times, figure("server_cpu_us_per_item", 1)]
+
+    def memory_table(self) -> Table:
+        """Return the table of memory."""
+        table = Table(["resident memory of the host", "bytes"])
+        table.rows += [[kind, spread(value, 0)] for kind, value in self.memory.items()]
+        table.notes = ["Items with their payload, in a channel without a reader."]
+        return table
+
+    def markdown(self) -> str:
+        """Return the whole report as Markdown."""
+        machine = "; ".join(f"{key}: {value}" for key, value in self.machine.items())
+        conditions = f"Medians, with the least and the most in parentheses. Measured on: {machine}."
+        parts = ["# Capacity of one host", f"`{self.command}`", conditions]
+        tables = [self.rates(), self.memory_table()]
+        parts += [table.markdown() for table in tables if table.rows]
+        return "\n\n".join(parts + [f"Failed: {one.strip().splitlines()[0]}" for one in self.results.failures]) + "\n"
+
+    def values(self) -> dict[str, object]:
+        """Return the whole report as data for JSON."""
+        works = {
+            work.name: {name: asdict(self.results.spread(work, self.system, name)) for name in FIGURES}
+            for work in self.results.runs
+        }
+        memory = {kind: asdict(value) for kind, value in self.memory.items()}
+        return {"command": self.command, "machine": self.machine, "works": works, "memory_bytes": memory}
+
+    def write(self, folder: Path) -> None:
+        """Write `capacity.md` and `capacity.json` into the folder. Raises OSError."""
+        (folder / "capacity.md").write_text(self.markdown())
+        (folder / "capacity.json").write_text(json.dumps(self.values(), indent=1) + "\n")
