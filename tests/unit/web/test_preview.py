@@ -52,8 +52,15 @@ def test_a_constant_array_has_a_picture_and_a_vector_has_none() -> None:
     assert png_of(np.zeros((3, 3), dtype="S4")) is None
 
 
+def test_a_picture_whose_pixels_would_fill_the_browsers_memory_is_not_shown() -> None:
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 30_000, 30_000)
+    assert picture_of("image/png", png) is None
+    assert preview_of("image/png", png)["text"] == "A picture of 900,000,000 pixels is too large for this page."
+
+
 def test_a_picture_needs_its_own_first_bytes_and_svg_is_text() -> None:
-    assert picture_of("image/jpeg", b"\xff\xd8\xffrest") == ("image/jpeg", b"\xff\xd8\xffrest")
+    jpeg = b"\xff\xd8\xff\xc0\0\x08\x08\0\x04\0\x05 rest"
+    assert picture_of("image/jpeg", jpeg) == ("image/jpeg", jpeg)
     assert picture_of("image/jpeg", b"<script>") is None
     assert preview_of("image/svg+xml", b"<svg onload='x'/>")["kind"] == "text"
 

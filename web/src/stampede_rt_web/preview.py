@@ -12,6 +12,7 @@ import re
 from typing import Any
 
 from stampede_rt.values.codecs import NumpyCodec
+from stampede_rt_web.picture_size import PIXELS_MAX, pixels_of
 from stampede_rt_web.png import png_of
 
 PICTURE_TYPES = {"image/jpeg": b"\xff\xd8\xff", "image/png": b"\x89PNG\r\n\x1a\n"}
@@ -27,8 +28,8 @@ _RATE = re.compile(r"rate=(\d{1,7})")
 def picture_of(content_type: str, payload: bytes) -> tuple[str, bytes] | None:
     """Return the content type and the bytes of a picture that a browser can show; None for other payloads."""
     kind = _kind(content_type)
-    if kind in PICTURE_TYPES and payload.startswith(PICTURE_TYPES[kind]):
-        return kind, payload
+    if _is_picture(kind, payload):
+        return (kind, payload) if 0 < (pixels_of(payload) or 0) <= PIXELS_MAX else None
     if kind == NumpyCodec.content_type and len(payload) <= DECODED_BYTES_MAX:
         array = _array(payload)
         png = None if array is None else png_of(array)
@@ -41,6 +42,8 @@ def preview_of(content_type: str, payload: bytes) -> dict[str, Any]:
     kind = _kind(content_type)
     if picture_of(content_type, payload) is not None:
         return {"kind": "picture", **(_array_facts(payload) if kind == NumpyCodec.content_type else {})}
+    if _is_picture(kind, payload) and (pixels := pixels_of(payload) or 0) > PIXELS_MAX:
+        return {"kind": "text", "text": f"A picture of {pixels:,} pixels is too large for this page."}
     if len(payload) <= DECODED_BYTES_MAX:
         if kind == NumpyCodec.content_type:
             shown = _plot(payload)
@@ -84,6 +87,10 @@ def _is_number(value: Any) -> bool:
 
 def _kind(content_type: str) -> str:
     return content_type.split(";", 1)[0].strip().lower()
+
+
+def _is_picture(kind: str, payload: bytes) -> bool:
+    return kind in PICTURE_TYPES and payload.startswith(PICTURE_TYPES[kind])
 
 
 def _array(payload: bytes) -> Any:
