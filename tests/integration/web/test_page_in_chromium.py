@@ -23,6 +23,7 @@ from stampede_rt_web.png import png_of  # noqa: E402  # after the skips
 
 WAIT_MILLIS = 60_000
 SCRIPT = "<img src=x onerror=\"window.ran='payload'\"><script>window.ran='payload'</script>"
+TRICKY = "\x1b[31mred\u202eexe.txt\r\nsecond\tline\0"
 TAPED = 10
 HALF_SECOND = 500_000_000
 
@@ -46,6 +47,8 @@ def items(cluster: LocalCluster) -> Iterator[dict[str, st.Item]]:
         picture = camera.put(png_of(np.zeros((8, 8, 3), dtype=np.uint8)) or b"", attributes={"lens": SCRIPT})
         second = number.put({"x": 2.0, "label": "later"})
         evil.put(SCRIPT.encode())
+        tricky = rt.channel("tricky", max_age="1h", content_type="text/plain")
+        tricky.put(TRICKY.encode(), attributes={"file": "a\u202eb\u200bc"})
         tape, began = rt.channel("tape", max_items=3, archive="forever"), st.now() - 7200 * 10**9
         for taped in range(TAPED):
             tape.put(f"taped {taped}".encode(), time=began + taped * HALF_SECOND)
@@ -94,7 +97,7 @@ def tab(browser: Any, page_server: LivePage) -> Iterator[Tab]:
 
 
 def test_the_page_shows_each_channel_and_its_newest_item(tab: Tab) -> None:
-    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "constructor", "evil", "imu", "tape"]
+    assert tab.page.locator(".row h3").all_inner_texts() == ["cam/left", "constructor", "evil", "imu", "tape", "tricky"]
     tab.page.wait_for_function("document.querySelector('.card img').naturalWidth === 8")
     tab.page.wait_for_selector("text=x 2")
     assert tab.page.locator("#trouble").is_hidden()
@@ -106,6 +109,30 @@ def test_names_attributes_and_payloads_stay_text(tab: Tab) -> None:
     assert SCRIPT in tab.page.locator("article[aria-label=evil] pre").inner_text()
     assert SCRIPT in tab.page.locator("article[aria-label='cam/left'] dl").inner_text()
     assert tab.page.evaluate("window.ran") is None
+
+
+def test_control_characters_and_marks_of_direction_are_shown_as_escapes(tab: Tab) -> None:
+    shown = tab.page.wait_for_selector("article[aria-label=tricky] pre")
+    assert shown.text_content() == r"\u{1b}[31mred\u{202e}exe.txt" + "\n" + "second\tline" + r"\u{0}"
+    assert r"a\u{202e}b\u{200b}c" in tab.page.locator("article[aria-label=tricky] dl").inner_text()
+    told = [{"part": "host\u202e", "address": "[::1]:1", "state": "lost\x1b", "advice": "a\u2028b"}]
+    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": told}))
+    tab.page.reload()
+    tab.page.wait_for_selector(r"td >> text=host\u{202e} [::1]:1")
+    tab.page.wait_for_selector(r"td >> text=a\u{2028}b")
+
+
+def test_after_a_button_was_pressed_the_arrows_still_step(tab: Tab, items: dict[str, st.Item]) -> None:
+    page = tab.page
+    page.locator(".row h3", has_text="imu").click()
+    page.focus("#live")
+    page.keyboard.press("Space")
+    page.wait_for_selector("#live[aria-pressed=false]")
+    page.keyboard.press("ArrowLeft")
+    shown = f"{items['second'].time % 1_000_000_000:09d}"[:6]
+    page.wait_for_function("text => document.querySelector('#instant').textContent.endsWith(text)", arg=shown)
+    page.keyboard.press("Space")
+    page.wait_for_selector("#live[aria-pressed=true]")
 
 
 def test_keys_stop_the_page_at_an_instant_and_step_from_item_to_item(tab: Tab, items: dict[str, st.Item]) -> None:
@@ -177,8 +204,41 @@ def test_the_page_fits_and_is_readable_in_both_themes(
     tab.show(page_server.url)
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.page.evaluate(CONTRAST) >= 4.5
+    heights = [tab.page.locator(name).bounding_box()["y"] for name in ("#theme", "#help")]
+    assert heights[0] == heights[1]
     context.close()
     assert tab.troubles == []
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_no_panel_breaks_a_word_of_what_the_doctor_says(browser: Any, page_server: LivePage, width: int) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 800})
+    advice = "start it again, or remove it with `stampede supernode remove s2`"
+    told = [{"part": "supernode", "address": "localhost:30000", "state": "unreachable", "advice": advice}]
+    tab = Tab(context)
+    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": told}))
+    tab.show(page_server.url)
+    tab.page.wait_for_selector("td >> text=unreachable")
+    assert tab.page.evaluate(BROKEN_WORDS) == []
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
+    context.close()
+    assert tab.troubles == []
+
+
+# The words in the cells of all panels that are on more than one line.
+BROKEN_WORDS = """() => [...document.querySelectorAll(".panel td, .panel th")].flatMap((cell) => {
+  const walker = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT);
+  const broken = [];
+  while (walker.nextNode()) {
+    for (const word of walker.currentNode.data.matchAll(/\\S+/g)) {
+      const range = document.createRange();
+      range.setStart(walker.currentNode, word.index);
+      range.setEnd(walker.currentNode, word.index + word[0].length);
+      if (new Set([...range.getClientRects()].map((box) => Math.round(box.top))).size > 1) broken.push(word[0]);
+    }
+  }
+  return broken;
+})"""
 
 
 # The least contrast of the shown texts with the page's background, as WCAG computes it.

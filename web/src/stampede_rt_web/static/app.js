@@ -1,6 +1,6 @@
 // The page: what is shown, what is asked of the server, and the keys.
 
-import { bytesText, clockText, durationText, element, globPattern, instantText, rateText } from "./format.js";
+import { bytesText, clockText, durationText, element, escaped, globPattern, instantText, rateText } from "./format.js";
 import { Card } from "./cards.js";
 import { drawAxis, drawTrack, readColours } from "./tracks.js";
 import { fillState } from "./panels.js";
@@ -54,7 +54,7 @@ function trouble(kind, error) {
   else state.troubles.delete(kind);
   const [first] = state.troubles.values();
   by("trouble").hidden = !first;
-  by("trouble").textContent = first ?? "";
+  by("trouble").textContent = escaped(first ?? "");
 }
 
 // ---- rows ----
@@ -102,7 +102,7 @@ function markAt(name, part) {
   const micros = Number(start - BigInt(track.base)) / 1000 + (length / 1000) * part;
   const near = length / 1000 / 150;
   const texts = track.marks.filter((mark) => Math.abs(mark.at - micros) < near).map((mark) => mark.text);
-  return [...texts, ...edgesAt(name, start + BigInt(Math.round(length * part)), length / 150)].join("\n");
+  return [...texts, ...edgesAt(name, start + BigInt(Math.round(length * part)), length / 150)].map((one) => escaped(one)).join("\n");
 }
 
 function edgesAt(name, instant, near) {
@@ -119,9 +119,10 @@ function fillRow(row, channel) {
   const refused = Object.values(channel.rejected ?? {}).reduce((sum, one) => sum + one, 0);
   const failure = !channel.alive ? `host ${channel.host} is lost` : state.tracks[channel.name]?.failure;
   const age = channel.age_nanos === null || channel.age_nanos === undefined ? "empty" : `${durationText(channel.age_nanos)} ago`;
-  row.facts.textContent = failure || [rateText(channel.rate), bytesText(channel.held_bytes), age, archiveText(channel.name), refused ? `${refused} refused` : ""].filter(Boolean).join(" · ");
+  const texts = [rateText(channel.rate), bytesText(channel.held_bytes), age, archiveText(channel.name), refused ? `${refused} refused` : ""];
+  row.facts.textContent = escaped(failure || texts.filter(Boolean).join(" · "));
   row.facts.className = failure || refused ? "bad" : "";
-  row.facts.title = `${channel.policy}; ${channel.held} items; ${channel.subscriptions} subscriptions; host ${channel.host}`;
+  row.facts.title = escaped(`${channel.policy}; ${channel.held} items; ${channel.subscriptions} subscriptions; host ${channel.host}`);
   row.element.classList.toggle("shown", state.shown.has(channel.name));
 }
 
@@ -284,9 +285,15 @@ function nudge(part) {
   choose((state.chosen ?? now()) + BigInt(Math.round(state.seconds * 1e9 * part)));
 }
 
+// A field takes all keys, and a button the keys that press it.
+function isForPage(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey || by("keys").open) return false;
+  const name = event.target.tagName;
+  return name !== "INPUT" && name !== "SELECT" && !(name === "BUTTON" && /^( |Enter)$/.test(event.key));
+}
+
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|BUTTON)$/.test(event.target.tagName) || by("keys").open) return;
-  if (keys[event.key]) {
+  if (isForPage(event) && Object.hasOwn(keys, event.key)) {
     event.preventDefault();
     keys[event.key](event);
   }

@@ -1,7 +1,7 @@
 // The items of the shown channels at the chosen instant: pictures, wave forms, plots, text and bytes.
 
 import uPlot from "./vendor/uPlot.esm.js";
-import { bytesText, colour, durationText, element, instantText } from "./format.js";
+import { bytesText, colour, durationText, element, escaped, instantText } from "./format.js";
 
 const HISTORY_MAX = 200;
 const PLOT_HEIGHT = 130;
@@ -65,8 +65,8 @@ export class Card {
     const columns = names.map((name) => this.history.map((one) => one.numbers[name] ?? null));
     this.showPlot(key, this.history.map((one) => one.time), ...columns);
     const values = names.map((name) => `${name} ${Number(preview.numbers[name].toPrecision(6))}`).join("   ");
-    if (!this.caption) this.caption = element("pre");
-    this.caption.textContent = values;
+    if (!this.caption) this.caption = element("pre", { class: "numbers" });
+    this.caption.textContent = escaped(values);
     this.view.append(this.caption);
   }
 

@@ -47,15 +47,24 @@ function trim(number) {
   return number >= 100 || Number.isInteger(number) ? String(Math.round(number)) : number.toFixed(number >= 10 ? 1 : 2);
 }
 
-// Makes an element. Text goes in as text, never as HTML, because names and payloads come from any producer.
+// Control characters, the marks that turn the direction of a text, and other invisible characters become escapes such
+// as \u{202e}. Otherwise a producer could make a text look like another one. `kept`: the characters that stay.
+export function escaped(text, kept = "") {
+  return text.replace(/[\p{C}\p{Zl}\p{Zp}]/gu, (one) => (kept.includes(one) ? one : `\\u{${one.codePointAt(0).toString(16)}}`));
+}
+
+// Makes an element. Text goes in as escaped text, never as HTML, because names and payloads come from any producer.
+// Only a `pre` keeps its lines.
 export function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
     if (key === "class") made.className = value;
     else if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (key === "title" || key === "aria-label") made.setAttribute(key, escaped(value));
     else if (value !== null && value !== undefined) made.setAttribute(key, value);
   }
-  made.append(...children.filter((child) => child !== null && child !== undefined));
+  const shown = (text) => (name === "pre" ? escaped(text.replaceAll("\r\n", "\n"), "\n\t") : escaped(text));
+  made.append(...children.filter((one) => one !== null && one !== undefined).map((one) => (typeof one === "string" ? shown(one) : one)));
   return made;
 }
 

@@ -23,7 +23,7 @@ function panel(title, heads, rows, cells, none) {
   const body = rows.map((row) => element("tr", {}, ...cells(row).map((cell, at) => element("td", kind(at), cell))));
   const count = rows.length ? ` (${rows.length})` : "";
   const content = rows.length ? element("table", {}, element("thead", {}, head), element("tbody", {}, ...body)) : element("p", { class: "dim" }, none);
-  return element("section", { class: "panel" }, element("h2", {}, title + (none ? "" : count)), content);
+  return element("section", { class: none && rows.length ? "panel wide" : "panel" }, element("h2", {}, title + (none ? "" : count)), content);
 }
 
 function bad(text) {
