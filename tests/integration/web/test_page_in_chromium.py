@@ -161,7 +161,7 @@ def test_home_goes_to_the_oldest_item_of_the_archive_and_the_row_shows_how_far_i
     page.locator(".row h3", has_text="tape").click()
     page.keyboard.press("Home")
     page.wait_for_selector("article[aria-label=tape] >> text=taped 0")
-    page.wait_for_selector("text=/archive 2.00 h/")
+    page.wait_for_selector(r"text=/archive 2\.0\d h/")
     first, memory, edge = page.wait_for_function(ARCHIVE_LINE).json_value()
     assert first == pytest.approx(0.5, abs=0.02)  # the chosen instant is in the middle of the window of 10 s
     assert edge == pytest.approx(0.5 + (TAPED - 3) * 0.05, abs=0.02)
