@@ -1,4 +1,7 @@
-"""Draws charts as PNG files. Colours are from the Okabe-Ito palette. No information is in the colour alone."""
+"""Draws charts as PNG files. Colours are from the Okabe-Ito palette. No information is in the colour alone.
+
+The first drawing imports matplotlib. It takes a second, and most programs that import this module draw nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
-
-import matplotlib
-
-matplotlib.use("Agg")
-
-from matplotlib import axes as plots
-from matplotlib import pyplot as plt
-from matplotlib.ticker import FuncFormatter, NullLocator
+from typing import TYPE_CHECKING, NamedTuple
 
 from stampede_rt_bench.measuring import Spread
+
+if TYPE_CHECKING:
+    from matplotlib import axes as plots
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#767676", "#56B4E9", "#CC79A7", "#000000")
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
@@ -72,10 +70,16 @@ def _draw_line(plot: plots.Axes, number: int, label: str, points: Points) -> Non
 
 def _set_scales(plot: plots.Axes, axes: Axes, xs: Sequence[float]) -> None:
     """Set a tick at every measured x, with full numbers."""
+    from matplotlib.ticker import NullLocator
+
     plot.set(xlabel=axes.x, ylabel=axes.y)
     plot.set_xticks(xs, [f"{x:,g}" if x < 1e6 else f"{x:,.0f}" for x in xs])
     plot.xaxis.set_minor_locator(NullLocator())
-    plot.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:,g}" if y < 1e6 else f"{y:,.0f}"))
+    plot.yaxis.set_major_formatter(_full_number)
+
+
+def _full_number(value: float, _place: float) -> str:
+    return f"{value:,g}" if value < 1e6 else f"{value:,.0f}"
 
 
 def _write_medians(plot: plots.Axes, points: Points) -> None:
@@ -98,7 +102,7 @@ def draw_bars(path: Path, title: str, unit: str, groups: Mapping[str, Mapping[st
         plot.set(xscale="log", xlabel=unit)
         plot.set_yticks(ticks, list(groups))
         plot.tick_params(axis="y", length=0)
-        plot.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,g}" if x < 1e6 else f"{x:,.0f}"))
+        plot.xaxis.set_major_formatter(_full_number)
         plot.margins(x=0.15)
 
 
@@ -147,6 +151,11 @@ def draw_spans(path: Path, title: str, lanes: Sequence[Lane]) -> None:
 @contextmanager
 def _drawn(path: Path, title: str, inches: tuple[float, float]) -> Iterator[plots.Axes]:
     """Yield an empty plot with a title, and write it to `path` at the end."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
     plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
     figure, plot = plt.subplots(figsize=inches, layout="constrained")
     try:

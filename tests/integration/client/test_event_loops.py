@@ -13,7 +13,7 @@ from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
-cluster = cluster_fixture(hosts=1)
+cluster = cluster_fixture(hosts=1, supernodes=1)
 
 Use = Callable[[Any], Awaitable[Any]]
 

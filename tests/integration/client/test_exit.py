@@ -10,7 +10,7 @@ import pytest
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
-cluster = cluster_fixture(hosts=1)
+cluster = cluster_fixture(hosts=1, supernodes=1)
 
 BEGIN = """
 import sys

@@ -9,7 +9,7 @@ from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE, SingleTh
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
-cluster = cluster_fixture(hosts=1)
+cluster = cluster_fixture(hosts=1, supernodes=1)
 
 
 @pytest.mark.parametrize("streams", ["", "public"])

@@ -10,7 +10,6 @@ import pytest
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.rover.app import run
 from stampede_rt_demos.rover.orchestrator import conduct
-from stampede_rt_demos.rover.picture import draw
 from stampede_rt_demos.rover.programme import SECONDS_MIN
 from stampede_rt_demos.rover.report import RoverReport, render
 from stampede_rt_demos.staging.progress import Progress
@@ -45,6 +44,8 @@ def test_commands_reach_the_mailbox_of_the_rover(report: RoverReport) -> None:
 
 def test_the_run_is_told_in_words_and_drawn(report: RoverReport, tmp_path: Path) -> None:
     assert "lost: 0" in render(report)
+    from stampede_rt_demos.rover.picture import draw  # matplotlib: a second
+
     draw(report, tmp_path / "rover.png")
     assert (tmp_path / "rover.png").read_bytes().startswith(b"\x89PNG")
 

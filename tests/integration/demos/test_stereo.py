@@ -14,7 +14,6 @@ from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.staging.rights import Right
 from stampede_rt_demos.stereo import orchestrator
 from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
-from stampede_rt_demos.stereo.picture import draw
 from stampede_rt_demos.stereo.programme import Side
 from stampede_rt_demos.stereo.report import render
 
@@ -57,6 +56,8 @@ def test_the_mapper_answers_what_the_planner_asks(outcome: Outcome) -> None:
 
 def test_the_run_is_told_in_words_and_drawn(outcome: Outcome, tmp_path: Path) -> None:
     assert "exactly these" in render(outcome.report)
+    from stampede_rt_demos.stereo.picture import draw  # matplotlib: a second
+
     draw(outcome.report, outcome.frames, 40_000_000, tmp_path / "stereo.png")
     assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
 

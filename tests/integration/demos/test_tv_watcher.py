@@ -18,7 +18,6 @@ from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
 from stampede_rt_demos.tv_watcher.report import render
-from stampede_rt_demos.tv_watcher.timeline_picture import draw
 
 SECONDS, RUNS_MAX = 4, 3
 EXPECTED = {"captions": 1, "video": 25, "audio": 8, "motion": 25, "loudness": 8}
@@ -79,6 +78,8 @@ def test_the_times_are_measured_and_told(outcome: Outcome):
 def test_the_picture_shows_the_spans(outcome: Outcome, tmp_path: Path):
     assert [(len(span.frames), len(span.sound)) for span in outcome.spans] == [(25, 8)] * SECONDS
     path = tmp_path / "picture.png"
+    from stampede_rt_demos.tv_watcher.timeline_picture import draw  # matplotlib: a second
+
     draw(outcome.spans, path, "a test")
     with Image.open(path) as image:
         assert image.format == "PNG"

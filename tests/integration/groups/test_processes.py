@@ -29,7 +29,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, run_of
 from tests.support.cluster import cluster_fixture
 
-cluster = cluster_fixture(hosts=2)
+cluster = cluster_fixture(hosts=2, supernodes=1)
 CALL_SECONDS_MAX = 15.0
 
 

@@ -15,7 +15,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
 pytestmark = pytest.mark.without_rules("it acts as an operator")
-cluster = cluster_fixture()
+cluster = cluster_fixture(hosts=1, supernodes=1)
 
 
 def issued(cluster: LocalCluster, folder: Path, name: str, *options: str) -> str:

@@ -1,7 +1,9 @@
 """The picture is a PNG that shows the given items, and stays small enough for a page."""
 
+import importlib
 import json
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -10,7 +12,6 @@ from PIL import Image, ImageColor
 from stampede_rt.values.model import Item
 from stampede_rt_demos.staging.thumbnails import encode_jpeg
 from stampede_rt_demos.tv_watcher.picture_data import PictureSpan, picture_record, picture_spans
-from stampede_rt_demos.tv_watcher.timeline_picture import BLUE, GREEN, ORANGE, VERMILION, draw
 
 SECOND, FRAME, BLOCK = 1_000_000_000, 40_000_000, 125_000_000
 START = 1_700_000_000_000_000_000
@@ -40,6 +41,12 @@ def span_items(number: int) -> dict[str, list[Item]]:
 
 
 @pytest.fixture
+def picture() -> ModuleType:
+    """The module that draws. It imports matplotlib, which takes a second in each process that collects the tests."""
+    return importlib.import_module("stampede_rt_demos.tv_watcher.timeline_picture")
+
+
+@pytest.fixture
 def spans() -> list[PictureSpan]:
     record = json.loads(json.dumps(picture_record([span_items(number) for number in range(3)], START)))
     return picture_spans(record)
@@ -60,19 +67,19 @@ def test_a_span_without_frames_is_left_out():
     assert [span.start for span in picture_spans(json.loads(json.dumps(record)))] == [SECOND]
 
 
-def test_the_picture_shows_every_stream_in_its_colour(spans, tmp_path: Path):
+def test_the_picture_shows_every_stream_in_its_colour(picture: ModuleType, spans, tmp_path: Path):
     path = tmp_path / "picture.png"
-    draw(spans, path, "a subtitle")
+    picture.draw(spans, path, "a subtitle")
     with Image.open(path) as image:
         assert image.format == "PNG"
         pixels = np.asarray(image.convert("RGB"))
     assert pixels.shape[1] > 1200
-    for colour in (BLUE, ORANGE, GREEN, VERMILION):
+    for colour in (picture.BLUE, picture.ORANGE, picture.GREEN, picture.VERMILION):
         assert (pixels == ImageColor.getrgb(colour)).all(axis=2).sum() > 50, colour
     assert path.stat().st_size < 400_000
 
 
-def test_without_spans_there_is_no_picture(tmp_path: Path):
+def test_without_spans_there_is_no_picture(picture: ModuleType, tmp_path: Path):
     with pytest.raises(ValueError, match="nothing to draw"):
-        draw([], tmp_path / "picture.png", "")
+        picture.draw([], tmp_path / "picture.png", "")
     assert not (tmp_path / "picture.png").exists()
