@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, item_blocks, owner_facts, pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel, Offer, item_blocks, owner_facts, pieces
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 from tests.oracle import Item, OracleRetries, Refused
@@ -119,12 +119,23 @@ class Scenario:
         copy.catch_up()
         while copy.feed is not None and copy.feed.owner is not None and not copy.feed.owner.is_complete(clock):
             copy.take(10**6)
+        former, window = self.pair.core, self.window
+        for one in self.copies:
+            one.cut()
         core, self.window = copy.channel.as_owner(clock)
         self.pair.move_to(core)
         if self.pair.oracle.consumers is not None:
             self.pair.oracle.consumers.carry(clock)
-        self.copies = self._new_copies()
+        self.copies = [self._demoted(former, window), FedCopy(self.pair, window=self.window)]
         self.moves += 1
+
+    def _demoted(self, former: ChannelCore, window: RetryWindow) -> FedCopy:
+        """The former owner as a copy of the new one, which feeds it from its place on."""
+        copy = FedCopy(self.pair, window=self.window)
+        copy.channel = FedChannel.of_owner(former, window, self.pair.clock)
+        copy.take(0)
+        assert not copy.begun_anew
+        return copy
 
 
 def check_known(known: RunOutcome, expected: OracleOutcome) -> None:

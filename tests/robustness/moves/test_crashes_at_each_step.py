@@ -17,6 +17,7 @@ from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, move_slots, outgoing_moves
+from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.core.channel import run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
@@ -42,8 +43,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 class Story:
     """A channel with acknowledged items at the source, a move, and puts that go on."""
 
-    def __init__(self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None) -> None:
-        self.world = World(crash_at, happens)
+    def __init__(
+        self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None, replica_at: int = 0
+    ) -> None:
+        self.world = World(crash_at, happens, replica_at)
         self.source, self.destination = self.world.hosts[SOURCE], self.world.hosts[DESTINATION]
         self.acknowledged: list[int] = []
         self.waiting: list[tuple[int, IncomingRun, Host]] = []
@@ -54,7 +57,7 @@ class Story:
         self.note_acks()
         if len(self.waiting) >= WAITING_MAX:
             return
-        for host in (self.source, self.destination):
+        for host in self.world.hosts.values():
             run = host.put(self.next) if host.alive else None
             if run is not None:
                 self.waiting.append((self.next, run, host))
@@ -113,7 +116,7 @@ class Story:
         assert len(set(items)) == len(items)
         assert self.world.record.incarnation == self.world.incarnation
         serving = 0
-        for host in (self.source, self.destination):
+        for host in self.world.hosts.values():
             try:
                 host.store.find(self.world.channel_id, self.world.record.epoch)
                 serving += 1
@@ -226,12 +229,12 @@ async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_h
     story = Story("source hears of the commit", lambda world: world.cut_links())
     asked, answer = asyncio.Event(), asyncio.Event()
 
-    async def is_heir(channel_id: bytes) -> bool:
+    async def kept_here(channel_id: bytes) -> Kept:
         asked.set()
         await answer.wait()
-        return False
+        return Kept.NO
 
-    monkeypatch.setattr(story.source, "is_heir", is_heir)
+    monkeypatch.setattr(story.source.directory, "kept_here", kept_here)
     await story.move()
     await asked.wait()
     story.source.store.copies.begin(story.world.record, NewCopy(CopyState(), None, True))  # it moves back

@@ -1,4 +1,6 @@
-"""Two hosts and a directory in one process: the real code of moves, with a link and calls that the test can cut.
+"""Hosts and a directory in one process: the real code of moves, with a link and calls that the test can cut.
+
+There are two hosts, and a third one if the channel has replicas. Then the real keepers of replicas run, too.
 
 `World.crash_at` names the step at which something happens; `STEPS` has all of them, in their order.
 """
@@ -7,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from grpc.aio import EOF
@@ -23,39 +26,49 @@ from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
-from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
+from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
-from stampede_rt_supernode.core.records import ReplicaKind
-from tests.support.supernode.operations import Log, expire, id_of, open_channel, register, remove_replica
+from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.replicas.commands import RemoveReplica, SetReplicaInSync
+from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register, remove_replica
 
 STEPS = (
     "feeding", "held", "handed over", "commit is asked for", "committed", "source hears of the commit",
     "removal is asked for", "removed", "source hears of the release",
 )  # fmt: skip
-SOURCE, DESTINATION = 1, 2
+SOURCE, DESTINATION, THIRD = 1, 2, 3
 
 
 class World:
-    """The directory, the two hosts, and the step at which `happens` is called."""
+    """The directory, the hosts, and the step at which `happens` is called."""
 
-    def __init__(self, crash_at: str, happens: Callable[[World], None]) -> None:
+    def __init__(self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0) -> None:
+        """`replica_at`: the host with the replica; 0: the channel has none."""
         self.crash_at, self.happens = crash_at, happens
         self.reached: list[str] = []
         self.log = Log()
-        for number in (SOURCE, DESTINATION):
+        numbers = (SOURCE, DESTINATION, THIRD) if replica_at else (SOURCE, DESTINATION)
+        for number in numbers:
             self.log.apply(register(number))
-        self.log.apply(open_channel("cam", host="host-1", max_items=100_000))
+        replicas: dict[str, Any] = {"replicas": 1, "ack": "replica"} if replica_at else {}
+        self.log.apply(open_channel("cam", host="host-1", max_items=100_000, **replicas))
         self.channel_id = next(iter(self.log.directory.tables.channels))
         self.incarnation = self.record.incarnation
         self.is_cut_off = False  # no host reaches the directory
         self.links: list[Link] = []
-        self.hosts = {number: Host(self, number) for number in (SOURCE, DESTINATION)}
+        self.hosts = {number: Host(self, number) for number in numbers}
+        if replica_at:
+            self.apply(add_replica(self.channel_id, replica_at, warm=True, acknowledged=True))
 
     @property
     def record(self) -> RecordedChannel:
@@ -72,13 +85,26 @@ class World:
         """End a host at once. Its lease ends when `expire` is called."""
         host = self.hosts[number]
         host.alive = False
-        self.cut_links()
-        for task in [*host.incoming._moves.values(), *host.outgoing._tasks]:
+        for link in self.links:
+            if host in (link.source, link.caller):
+                link.cut()
+        for task in host.tasks():
             task.cancel()
 
     def cut_links(self) -> None:
+        """Break the streams between the hosts of the move."""
+        for link in self.links:
+            if {link.source, link.caller} == {self.hosts[SOURCE], self.hosts[DESTINATION]}:
+                link.cut()
+
+    async def aclose(self) -> None:
+        """End all tasks of the hosts."""
+        for host in self.hosts.values():
+            for task in host.tasks():
+                task.cancel()
         for link in self.links:
             link.cut()
+        await asyncio.sleep(0)
 
     def expire(self, number: int) -> None:
         self.log.apply(expire(number, registered_index=number + 1))
@@ -104,61 +130,29 @@ class Host:
         self.identity = HostIdentity(host_id=id_of(number), name=f"host-{number}", boot_incarnation=1)
         self.store = ChannelStore(
             self.identity,
-            self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
+            SimulatedDirectory(self),  # type: ignore[arg-type]  # `resolve` is all that the store needs here
             SystemClock(),
             lease_held=lambda: self.alive and self.has_lease,
             memory=MemoryBudget(2**26),
         )
-        self.outgoing = OutgoingMoves(self.identity, self.store, self)  # type: ignore[arg-type]
-        self.incoming = IncomingMoves(
-            self.identity, self.store, self, _Keeper(), self.dial  # type: ignore[arg-type]
-        )  # fmt: skip
+        directory: Any = SimulatedDirectory(self)
+        self.directory = directory
+        self.copies = CopyKeeper(self.identity, self.store, directory, self.dial)
+        self.copies.target = self.identity.name
+        self.replicas = ReplicaKeeper(self.identity, self.store, directory, self.dial)
+        self.outgoing = OutgoingMoves(self.identity, self.store, directory, self.copies)
+        self.incoming = IncomingMoves(self.identity, self.store, directory, self.copies, self.dial)
         callers: Any = _AnyCaller()
         self.servicer = ReplicaServicer(self.store, OpenStreams(), lambda channel_id: [], self.outgoing, callers)
 
+    def tasks(self) -> list[asyncio.Task[Any]]:
+        """All work in the background."""
+        copies = [one.task for one in self.copies._copies.values() if one.task is not None]
+        return [*self.incoming._moves.values(), *self.outgoing._tasks, *self.replicas._tasks, *copies]
+
     def dial(self, target: str) -> Any:
-        return Link(self.world, self.world.hosts[SOURCE])
-
-    async def _reach(self) -> None:
-        await asyncio.sleep(0)
-        if self.world.is_cut_off or not self.alive:
-            raise Unavailable("no supernode can be reached")
-
-    async def resolve(self, channel_id: bytes) -> RecordedChannel:
-        await self._reach()
-        return self.world.record
-
-    async def owner_of(self, channel_id: bytes) -> FeedSource:
-        await self._reach()
-        record = self.world.record
-        return FeedSource(record.host_id, "source", record.epoch)
-
-    async def is_heir(self, channel_id: bytes) -> bool:
-        await self._reach()
-        copies = self.world.log.directory.tables.replicas.of(channel_id)
-        return any(one.kind is ReplicaKind.MOVE and one.host_id == self.identity.host_id for one in copies)
-
-    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
-        moves_here = self.identity.host_id == id_of(DESTINATION)
-        if moves_here:
-            self.world.at("commit is asked for")
-        await self._reach()
-        operation = CommitMove(
-            channel_id=channel_id, epoch=epoch, to_host_id=self.identity.host_id, to_boot_incarnation=1
-        )
-        done = self.world.apply(operation)
-        assert isinstance(done, MoveCommitted)
-        if moves_here:
-            self.world.at("committed")
-            await self._reach()  # the answer may be lost
-        return recorded_channel(channel_record(done.channel))
-
-    async def remove_heir(self, channel_id: bytes, host_id: bytes) -> None:
-        self.world.at("removal is asked for")
-        await self._reach()
-        self.world.apply(remove_replica(channel_id, SOURCE))
-        self.world.at("removed")
-        await self._reach()
+        number = int(target.removeprefix("host-"))
+        return Link(self.world, self.world.hosts[number], self)
 
     def put(self, number: int) -> IncomingRun | None:
         """Put an item as producer 1. None: this host does not serve the channel, and says so."""
@@ -177,18 +171,108 @@ class Host:
         return [time for part in hosted.channel.accepted_from(1) for time in part.run.times[part.lo : part.hi]]
 
 
-class _Keeper:
-    target = "destination"
+class SimulatedDirectory:
+    """The calls of one host to the directory: those of its store, its moves, its copies and its replicas."""
 
-    def pause(self, channel_id: bytes) -> None:
-        """There are no proxies."""
+    def __init__(self, host: Host) -> None:
+        self.host, self.world = host, host.world
+
+    async def _reach(self) -> None:
+        await asyncio.sleep(0)
+        if self.world.is_cut_off or not self.host.alive:
+            raise Unavailable("no supernode can be reached")
+
+    def _copies(self) -> tuple[ReplicaRecord, ...]:
+        return self.world.log.directory.tables.replicas.of(self.world.channel_id)
+
+    async def resolve(self, channel_id: bytes) -> RecordedChannel:
+        await self._reach()
+        return self.world.record
+
+    async def owner_of(self, channel_id: bytes) -> FeedSource:
+        await self._reach()
+        record = self.world.record
+        return FeedSource(record.host_id, self._target(record.host_id), record.epoch)
+
+    def _target(self, host_id: bytes) -> str:
+        return self.world.log.directory.tables.hosts[host_id].name
+
+    async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
+        await self._reach()
+        record = self.world.record
+        if record.host_id == host_id:
+            return FeedSource(host_id, "", record.epoch)
+        copy = next((one for one in self._copies() if one.host_id == host_id), None)
+        if copy is None:
+            return None
+        target = self._target(copy.source_host_id)
+        return FeedSource(copy.source_host_id, target, record.epoch, copy.kind is ReplicaKind.WARM)
+
+    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
+        await self._reach()
+        record = self.world.record
+        warm = [one for one in self._copies() if one.kind is ReplicaKind.WARM]
+        return ListedReplicas(record.host_id, record.epoch, [
+            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), self._target(one.host_id))
+            for one in warm
+        ])  # fmt: skip
+
+    async def add_replica(self, channel_id: bytes, epoch: int) -> None:
+        await self._reach()
+        self.world.apply(add_replica(channel_id, epoch=epoch, warm=True, acknowledged=True))
+
+    async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
+        await self._reach()
+        self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id))
+
+    async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
+        await self._reach()
+        self.world.apply(SetReplicaInSync(
+            channel_id=channel_id, epoch=epoch, host_id=change.host_id, boot_incarnation=change.boot_incarnation,
+            in_sync=change.in_sync, change_number=change.number,
+        ))  # fmt: skip
+        await self._reach()  # the answer may be lost
+
+    async def kept_here(self, channel_id: bytes) -> Kept:
+        await self._reach()
+        return self._kept_at(self.host.identity.host_id)
+
+    def _kept_at(self, host_id: bytes) -> Kept:
+        if self.world.record.host_id == host_id:
+            return Kept.HEIR
+        kinds = [one.kind for one in self._copies() if one.host_id == host_id]
+        return {ReplicaKind.MOVE: Kept.HEIR, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
+
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
+        moves_here = self.host.identity.host_id == id_of(DESTINATION)
+        if moves_here:
+            self.world.at("commit is asked for")
+        await self._reach()
+        operation = CommitMove(
+            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id, to_boot_incarnation=1
+        )
+        done = self.world.apply(operation)
+        assert isinstance(done, MoveCommitted)
+        if moves_here:
+            self.world.at("committed")
+            await self._reach()  # the answer may be lost
+        return recorded_channel(channel_record(done.channel))
+
+    async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
+        self.world.at("removal is asked for")
+        await self._reach()
+        if not (may_be_replica and self._kept_at(host_id) is Kept.REPLICA):
+            self.world.apply(remove_replica(channel_id, SOURCE))
+        self.world.at("removed")
+        await self._reach()
 
 
 class Link:
-    """A stream from the destination to the source, and the connection that it is on."""
+    """A stream from a copy's host, such as the destination, to the source, and the connection that it is on."""
 
-    def __init__(self, world: World, source: Host) -> None:
-        self.world, self.source = world, source
+    def __init__(self, world: World, source: Host, caller: Host | None = None) -> None:
+        self.world, self.source, self.caller = world, source, caller
+        self.is_of_move = False
         self.to_source: asyncio.Queue[Any] = asyncio.Queue()
         self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
         self.serving: asyncio.Task[None] | None = None
@@ -197,6 +281,15 @@ class Link:
 
     def stream_stream(self, method: str, **_: Any) -> Callable[[], Link]:
         return lambda: self
+
+    def unary_unary(self, method: str, **_: Any) -> Callable[..., Any]:
+        """BindChannel, with which the owner has a replica begin."""
+
+        async def bind(request: Any, timeout: float) -> None:  # as gRPC has it
+            with suppress(StampedeError):
+                await self.source.store.bind(request.channel_id, request.epoch)
+
+        return bind
 
     async def close(self, grace: float | None) -> None:
         self.cut()
@@ -216,6 +309,7 @@ class Link:
         await self._unless_frozen()
         if self.serving is None:
             self.serving = asyncio.create_task(self._serve())
+        self.is_of_move |= bool(request.open.move_id)
         if request.committed_epoch:
             self.world.at("source hears of the commit")
         if request.released:
@@ -235,7 +329,8 @@ class Link:
         if found is EOF:
             return EOF
         response = raw_run_pb2.RawFeedResponse.FromString(found)
-        self.world.at("handed over" if response.state.HasField("handoff") else "feeding")
+        if self.is_of_move:
+            self.world.at("handed over" if response.state.HasField("handoff") else "feeding")
         return response
 
     # The source's side.

@@ -29,8 +29,8 @@ class Moves(Proxies):
         and blocked gets and subscriptions go on at the new host: nothing is lost, and nothing comes twice. If the
         channel is at that host already, the call returns at once. Raises HostNotFound, PermissionDenied without the
         right to configure the channel, StampedeError with reason MOVE_CONFLICT if another move of the channel is under
-        way, Overloaded if 8 channels move from or to one host, or if the copy cannot catch up with the producers, and
-        DeadlineExceeded (the move goes on then).
+        way, Unavailable if too few of its replicas are in sync, Overloaded if 8 channels move from or to one host, or
+        if the copy cannot catch up with the producers, and DeadlineExceeded (the move goes on then).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
         state = await self._state(channel)
@@ -67,14 +67,14 @@ class Moves(Proxies):
 
         The plan uses the loads that the hosts last reported to the directory, and how much each channel does within
         `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan first.
-        Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with replicas or an
-        archive. Raises the errors of `move`.
+        Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an archive.
+        Raises the errors of `move`.
         """
         hosts = {one.name: one.load.busy_permille for one in await self.hosts() if one.load is not None}
         rates = await self._rates(hosts, parse_duration(over, "over") / 1e9)
         channels = await self.channels()
         names = {one.channel_id: one.name for one in channels}
-        staying = {one.name for one in channels if one.policy.is_recorded or one.policy.replicas}
+        staying = {one.name for one in channels if one.policy.is_recorded}
         groups = [[names[one] for one in group.channel_ids if one in names] for group in await self.groups()]
         planned = plan_moves(hosts, rates, groups, staying)
         for step in planned if apply else ():

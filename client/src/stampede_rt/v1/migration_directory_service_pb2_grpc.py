@@ -56,7 +56,8 @@ class MigrationDirectoryServiceServicer(object):
         same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
         owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
         owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
-        (ReplicaDirectoryService.RemoveReplica). The present owner itself may call this to end a move: it stays the owner,
+        (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
+        becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
         and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """

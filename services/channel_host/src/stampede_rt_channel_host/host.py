@@ -174,7 +174,7 @@ class ChannelHost:
         """Make the parts for replicas and moves of channels, which use the parts for copies and groups."""
         self.replicas = ReplicaKeeper(self.identity, self.store, ReplicaDirectory(self._supernodes), self._dial)
         self._move_directory = MoveDirectory(self._supernodes, self.identity)
-        self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory)
+        self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory, self.copies)
         self.moves_here = IncomingMoves(
             self.identity, self.store, self._move_directory, self.copies, self._dial, bytes_per_second
         )

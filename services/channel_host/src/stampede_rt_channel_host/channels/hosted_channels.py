@@ -13,11 +13,11 @@ from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.moving import Moving
-from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core, owned_core
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core, owned_core, replication_of
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.channels.replication import Replication, waits_for_replicas
+from stampede_rt_channel_host.channels.replication import Replication, own_again, waits_for_replicas
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
@@ -32,7 +32,6 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
-
 
 _orders = itertools.count()
 
@@ -49,7 +48,7 @@ class HostedChannel:
     moving: Moving | None = None
     """The move of the channel away from this host, or to it, while one is under way."""
     is_inherited = False
-    """Whether the owner at this host goes on with the items of this copy."""
+    """Whether another object at this host goes on with the items: the owner with a copy's, or a replica."""
     recording: Recording | None = None
     """The recording of a channel with an archive."""
     largest_run_bytes = 0
@@ -92,7 +91,7 @@ class HostedChannel:
         # `core` takes puts, consumption and advances; readers see `channel`. Without replicas they are the same.
         self.core = new_core(record, now(), begun)
         if self.copy is None and waits_for_replicas(record.policy):
-            self.replication = Replication(self.core, now, self._announce)
+            self.replication = replication_of(self.core, now, self._announce, record, begun)
         self.channel = self.core if self.replication is None else self.replication.shown
         self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.core, self._charge, now, self._accepted, self._touched, may_serve)
@@ -148,6 +147,7 @@ class HostedChannel:
         if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
             self.close_ring()
         if self.moving is not None and record.epoch > self.record.epoch:  # a move to elsewhere has failed
+            own_again(self.replication, record, is_heir=self.is_heir)
             self.end_move()
         if record.spec_version != self.record.spec_version:
             now = self._now()
@@ -246,9 +246,9 @@ class HostedChannel:
         """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
         yield from self.replaced(error)
         yield  # afterwards the interrupted calls do not use the channel any more
-        if not self.is_inherited:
-            yield from self.channel.emptying()
         if self.core is not self.channel:
+            yield from self.channel.emptying()
+        if not self.is_inherited:
             yield from self.core.emptying()
 
     def replaced(self, error: StampedeError) -> Pieces[None]:

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.copy_state import Freshness, gone
+from stampede_rt_channel_host.channels.copy_state import CopyState, Freshness, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, owned_core
 from stampede_rt_channel_host.core.channel import FedChannel
@@ -66,17 +66,24 @@ class HostedCopies:
         Drops the copy; its readers get MOVED, and come back to the owner. The owner holds puts until the move is over.
         """
         heir = copy.copy.may_inherit if copy.copy is not None else None
-        fits = record.incarnation == copy.record.incarnation and record.epoch == copy.record.epoch + 1
-        if copy.copy is None or heir is None or not fits or not isinstance(copy.channel, FedChannel):
+        if copy.copy is None or heir is None or not inherits(copy, record):
             self._forget(record.channel_id, gone(record.name))
             return None
-        core = owned_core(copy.channel, heir.host_time)
+        assert isinstance(copy.channel, FedChannel), "it is a copy"
+        core = owned_core(copy.channel, heir.host_time, is_replicated=True)
         copy.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
         owner = self._add(record, core)
         owner.begin_move().hold()
         self.on_inherited([*copy.copy.floors.values()])
         return owner
+
+    def demote(self, owner: HostedChannel, record: RecordedChannel, state: CopyState, now: int) -> None:
+        """Make a replica of a former owner: the new owner had one, and has left its place. Its callers get MOVED."""
+        channel = FedChannel.of_owner(owner.core, owner.puts.retries, now)
+        owner.is_inherited = True
+        self._forget(record.channel_id, gone(record.name))
+        self._add(record, NewCopy(state, channel.lost_before, knows_owner=True, channel=channel))
 
     def drop(self, channel_id: bytes, error: StampedeError) -> None:
         """Drop the copy of the channel, if there is one. Its readers get `error`."""
@@ -92,6 +99,17 @@ def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError
     except StampedeError as error:
         return error
     return None
+
+
+def inherits(copy: HostedChannel, record: RecordedChannel) -> bool:
+    """Whether `record` makes this host the owner by a move, for which the copy has everything."""
+    fits = record.incarnation == copy.record.incarnation and record.epoch == copy.record.epoch + 1
+    return fits and copy.copy is not None and copy.copy.may_inherit is not None
+
+
+def is_given_away(hosted: HostedChannel | None) -> bool:
+    """Whether a move from here may have its commit. Then only the move itself decides about the items."""
+    return hosted is not None and hosted.copy is None and hosted.moving is not None and hosted.moving.is_held
 
 
 def elsewhere(hosted: HostedChannel | None) -> StampedeError | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.core.channel import ChannelCore, Counters, FedChannel
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -15,39 +17,52 @@ class NewCopy(NamedTuple):
     """The beginning of a copy: its state, and the instant before which the owner's items were lost (None: none were).
 
     `knows_owner`: the feed of the copy also has the facts that only the owner knows, so that the copy can become the
-    owner.
+    owner. `channel`: the items with which the copy begins; None: it has none.
     """
 
     state: CopyState
     lost_before: int | None
     knows_owner: bool = False
+    channel: FedChannel | None = None
 
 
 class OwnedCore(NamedTuple):
     """The state of a channel at its owner: the items, and the retry window of the producers.
 
     `counted_before`: the counts of the former owners, which are in the sums of their hosts; None: there were none.
+    `is_replicated`: all items are at all replicas in sync, if the channel has replicas.
     """
 
     channel: ChannelCore
     retries: RetryWindow
     counted_before: Counters | None
+    is_replicated: bool = False
 
 
-def owned_core(copy: FedChannel, now: int) -> OwnedCore:
+def owned_core(copy: FedChannel, now: int, *, is_replicated: bool = False) -> OwnedCore:
     """The channel that this copy becomes, see `FedChannel.as_owner`."""
     channel, retries = copy.as_owner(now)
-    return OwnedCore(channel, retries, channel.latest_counters())
+    return OwnedCore(channel, retries, channel.latest_counters(), is_replicated)
+
+
+def replication_of(
+    core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None], record: RecordedChannel,
+    begun: NewCopy | OwnedCore | None,
+) -> Replication:  # fmt: skip
+    """The replicas of a channel that begins at its owner."""
+    is_replicated = isinstance(begun, OwnedCore) and begun.is_replicated
+    return Replication(core, now, on_shown, epoch=record.epoch, is_replicated=is_replicated)
 
 
 def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:
     """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
-    if isinstance(copy, OwnedCore):
+    if copy is not None and copy.channel is not None:
         return copy.channel
     incarnation, name = record.incarnation, record.name
     if copy is None:
         lost_before = now if record.epoch > 1 else None
         return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
+    assert isinstance(copy, NewCopy), "an owned core has a channel"
     return FedChannel(
         record.policy,
         incarnation=incarnation,

@@ -57,11 +57,7 @@ def check_movable(record: RecordedChannel) -> None:
     """Raises InvalidArgument if a channel with this record stays at its host."""
     if record.policy.is_recorded:
         text = "is recorded, and its archive stays at its host, so it cannot move; leave it there"
-    elif record.policy.replicas:
-        text = "has replicas, and cannot move yet; a replica in sync takes over at once when the channel's host leaves"
-    else:
-        return
-    raise InvalidArgument(f"channel {record.name} {text}", metadata={"channel": record.name})
+        raise InvalidArgument(f"channel {record.name} {text}", metadata={"channel": record.name})
 
 
 def move_conflict(name: str) -> StampedeError:

@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from stampede_rt.errors import Overloaded, StampedeError
+from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, FedChannel, Pieces, ReplicatedView
+from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
 UNSEEN_BYTES_MAX = 64 * 2**20
@@ -46,15 +47,20 @@ class Replication:
 
     def __init__(
         self, core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None],
-        steady_nanos: Callable[[], int] = time.monotonic_ns,
+        steady_nanos: Callable[[], int] = time.monotonic_ns, *, epoch: int = 0, is_replicated: bool = False,
     ) -> None:  # fmt: skip
-        """The caller must perform `filling` once."""
+        """The caller must perform `filling` once. `epoch`: the channel's.
+
+        `is_replicated`: the channel has moved here, and its former owner had all items replicated.
+        """
         self._core = core
         self._now = now
         self._on_shown = on_shown
         self._steady_nanos = steady_nanos
         self._view = ReplicatedView(core, now(), slice_run)
-        self._in_sync = ReplicasInSync(core.next_seq, _least(core.policy))
+        self._in_sync = ReplicasInSync(core.next_seq, _least(core.policy), is_replicated=is_replicated)
+        self.since_epoch = epoch
+        """This host has been the owner since this epoch."""
         self._feeds: dict[bytes, ReplicaFeed] = {}
         self._changed = asyncio.Event()
         self.news = asyncio.Event()
@@ -79,6 +85,32 @@ class Replication:
     def min_replicas(self) -> int:
         """With fewer replicas in sync nothing is replicated."""
         return self._in_sync.min_replicas
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the owner knows the directory's replicas."""
+        return self._in_sync.is_known
+
+    @property
+    def is_level(self) -> bool:
+        """Whether all items of the channel are replicated, so that it may move."""
+        return self.replicated_next_seq == self._core.next_seq
+
+    def check_movable(self) -> None:
+        """Raises Unavailable if too few replicas are in sync: after a move the items would still not be replicated."""
+        in_sync = sum(one is ReplicaState.IN for one in self.states().values())
+        if in_sync < self.min_replicas and not self.is_level:
+            name = self._core.name
+            raise Unavailable(
+                f"channel {name} needs {self.min_replicas} replicas in sync (min_replicas) and has {in_sync}, so some "
+                f"of its items are at this host only; look at `stampede info {name}`, and move it later",
+                metadata={"channel": name},
+            )
+
+    def own_again(self, epoch: int) -> None:
+        """Note that this host is the owner again: the channel has moved away, and the new owner is lost."""
+        self._in_sync.own_again()
+        self.since_epoch = epoch
 
     @property
     def start(self) -> int:
@@ -239,6 +271,12 @@ class Replication:
     def _wake(self) -> None:
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
+
+
+def own_again(replication: Replication | None, record: RecordedChannel, *, is_heir: bool) -> None:
+    """Note that a move has failed, and that `record` names this host as the owner. `is_heir`: after the commit."""
+    if replication is not None and is_heir:
+        replication.own_again(record.epoch)
 
 
 def _least(policy: Policy) -> int:

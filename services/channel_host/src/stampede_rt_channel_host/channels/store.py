@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere
+from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere, inherits, is_given_away
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
@@ -262,20 +262,21 @@ class ChannelStore:
             if held is not None:
                 self.forget(channel_id, refusals.deleted(held.record.name))
             raise
+        if record.host_id != self._identity.host_id and is_given_away(held):
+            raise elsewhere(held) or refusals.moved(record.name, record.host_id)
         if self._identity.host_id in record.copy_host_ids:
             return await self.copies.on_bound(record)
         if record.host_id != self._identity.host_id:
             error = refusals.moved(record.name, record.host_id)
-            if held is None or not held.is_heir:
-                self.forget(channel_id, error)
-            raise elsewhere(held) or error
+            self.forget(channel_id, error)
+            raise error
         await self.recordings.adopt(record, held, self.adopt)
 
     def adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
         if held is not None and held.copy is not None:  # this host has become the owner
-            core = held.core_of_owner(record)
+            core = None if inherits(held, record) else held.core_of_owner(record)
             if core is not None:
                 return self._continue(held, record, core, gone(record.name))
             held = self.copies.inherit(held, record)

@@ -221,8 +221,14 @@ class FeedStream:
             )
 
     def _owes_handoff(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
-        """Whether the changes are held, and the copy has everything."""
+        """Whether the changes are held, the copy has everything, and so have the replicas in sync.
+
+        Raises Unavailable if too few of them are in sync.
+        """
         if self._move is None or not self._move.is_held or self._has_handed_off or feed.owner is None:
+            return False
+        if self._replication is not None and not self._replication.is_level:
+            self._replication.check_movable()
             return False
         return feed.next_seq == self._source.next_seq and feed.owner.is_complete(self._store.now())
 
@@ -295,9 +301,7 @@ class FeedStream:
 
 def _has_others_items(hosted: HostedChannel, place: pb.FeedPlace) -> bool:
     """Whether the copy may have items of a former owner that this owner does not have."""
-    if hosted.replication is None or place.owner_epoch >= hosted.epoch:
+    if hosted.replication is None or place.incarnation != hosted.core.incarnation:
         return False
-    if place.incarnation != hosted.core.incarnation:
-        return False
-    start = hosted.replication.start
-    return place.owner_epoch + 1 < hosted.epoch or place.next_seq > start
+    start, since_epoch = hosted.replication.start, hosted.replication.since_epoch
+    return place.owner_epoch < since_epoch and (place.owner_epoch + 1 < since_epoch or place.next_seq > start)

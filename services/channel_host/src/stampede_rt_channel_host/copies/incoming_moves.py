@@ -14,7 +14,7 @@ import grpc
 
 from stampede_rt.errors import StaleBinding, StampedeError, Unavailable
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance, gone
+from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -107,8 +107,7 @@ class IncomingMoves:
         source = await self._directory.owner_of(record.channel_id)
         if not source.target:
             raise Unavailable(f"the host of channel {record.name} is lost, and so are its items; open the channel")
-        self._keeper.pause(record.channel_id)
-        state = CopyState()
+        state = self._keeper.pause(record.channel_id)
         feed = MoveFeed(self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second)
         channel = self._dial(source.target)
         feeding = asyncio.create_task(feed.run(source, channel), name=f"feed of {record.name}")
@@ -118,8 +117,7 @@ class IncomingMoves:
             feeding.cancel()
             await asyncio.gather(feeding, return_exceptions=True)
             await channel.close(None)
-            if self._store.copies.of(record.channel_id) is not None:
-                self._store.copies.drop(record.channel_id, gone(record.name))
+            self._keeper.resume(record, state)
 
     async def _take_over(
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
@@ -143,12 +141,14 @@ class IncomingMoves:
     async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
         """Let the former owner be the heir no more. Tries again for as long as this host has the channel.
 
-        Raises Unavailable if this host has lost the channel meanwhile.
+        If this host had a replica, the former owner has taken its place, and stays there. Raises Unavailable if this
+        host has lost the channel meanwhile.
         """
         delay_s = RETRY_SECONDS_MIN
         while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
             try:
-                await self._directory.remove_heir(hosted.record.channel_id, host_id)
+                has_replicas = hosted.replication is not None
+                await self._directory.remove_heir(hosted.record.channel_id, host_id, may_be_replica=has_replicas)
                 break
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": hosted.record.name, "why": str(error)}

@@ -15,6 +15,7 @@ from stampede_rt.errors import ChannelNotFound, StampedeError, Unavailable
 from stampede_rt.v1 import replica_pb2, subject_pb2
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import SERVED_STALENESS_NANOS_MAX, CopyState, gone
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.copy_feed import CopyFeed
@@ -39,6 +40,7 @@ class _Copy:
         self.state = state
         self.task: asyncio.Task[None] | None = None
         self.delivered_bytes = 0  # at the last report
+        self.moved_epoch = 0  # the latest epoch of an owner that has sent the copy to the next owner
 
 
 class CopyKeeper:
@@ -55,6 +57,7 @@ class CopyKeeper:
         self._dial = dial
         self._bytes_per_second = bytes_per_second
         self._copies: dict[bytes, _Copy] = {}
+        self._paused: set[bytes] = set()  # the channels that move here, whose moves feed the copies
         store.copies.on_bound = self.begin
         self.target = ""  # the gatekeeper of this host; set before the host gets a lease
 
@@ -64,23 +67,54 @@ class CopyKeeper:
         Waits READY_SECONDS_MAX at most. Raises StaleBinding (MOVED) if the copy cannot serve readers by then, and
         Unavailable if this host has too many copies.
         """
+        if record.channel_id in self._paused:
+            raise refusals.copy_cannot(record.name, "is about to become the owner")
         copy = self._copies.get(record.channel_id)
         if copy is None:
             if len(self._copies) >= COPIES_MAX:
                 raise Unavailable(f"host {self._identity.name} has {COPIES_MAX} copies, the limit; use another host")
-            copy = self._copies[record.channel_id] = _Copy(record, CopyState())
-            copy.state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
-            copy.task = asyncio.create_task(self._keep_until_stopped(copy), name=f"copy of {record.name}")
-            copy.task.add_done_callback(_check)
-            logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
+            copy = self._start(record, CopyState())
         await copy.state.ready(record.name, READY_SECONDS_MAX)
 
-    def pause(self, channel_id: bytes) -> None:
-        """Drop the copy of a channel that moves here. Its readers go to the owner, and the next bind begins it anew."""
+    def _start(self, record: RecordedChannel, state: CopyState) -> _Copy:
+        """Keep the feed of a copy from now on."""
+        copy = self._copies[record.channel_id] = _Copy(record, state)
+        state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
+        copy.task = asyncio.create_task(self._keep_until_stopped(copy), name=f"copy of {record.name}")
+        copy.task.add_done_callback(_check)
+        logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
+        return copy
+
+    def pause(self, channel_id: bytes) -> CopyState:
+        """Let the move of a channel to this host feed its copy, until `resume`. Returns the state of that copy.
+
+        A replica keeps its items: the owner may wait for it. A proxy is dropped, and its readers go to the owner.
+        """
+        self._paused.add(channel_id)
         self._stop(channel_id, "the channel moves here")
         copy = self._store.copies.of(channel_id)
-        if copy is not None:
-            self._store.copies.drop(channel_id, gone(copy.record.name))
+        if copy is not None and copy.copy is not None and copy.copy.is_replica:
+            copy.copy.caught_up = False  # so that the move waits until the replica is level
+            return copy.copy
+        self._store.copies.drop(channel_id, gone(channel_id.hex()))
+        return CopyState()
+
+    def resume(self, record: RecordedChannel, state: CopyState) -> None:
+        """Note that a move is over. If it has failed, feed the replica again, or drop another copy."""
+        self._paused.discard(record.channel_id)
+        copy = self._store.copies.of(record.channel_id)
+        if copy is not None and state.is_replica:
+            state.may_inherit = None
+            self._start(copy.record, state)
+        else:
+            self._store.copies.drop(record.channel_id, gone(record.name))
+
+    def demote(self, owner: HostedChannel, record: RecordedChannel) -> None:
+        """Make a replica of the former owner of a channel, and feed it from the new owner (`record`)."""
+        state = CopyState()
+        state.is_replica = True
+        self._store.copies.demote(owner, record, state, self._store.now())
+        self._start(record, state)
 
     async def report_forever(self) -> NoReturn:
         """Report the loads of copies and of the channels with copies every REPORT_SECONDS."""
@@ -106,8 +140,8 @@ class CopyKeeper:
             await self._keep(copy)
 
     async def _keep(self, copy: _Copy) -> None:
-        pause_s = PAUSE_SECONDS_MIN
-        while True:  # paced by the sleep; `_stop` cancels this task
+        pause_s, source = PAUSE_SECONDS_MIN, None
+        while True:  # paced by the sleep, but once for each epoch; `_stop` cancels this task
             try:
                 source = await self._source_of(copy)
                 if source is None:
@@ -119,6 +153,9 @@ class CopyKeeper:
             except StampedeError as error:
                 extra = {"event": "copy_feed_broken", "channel": copy.record.name, "why": str(error)}
                 logger.info("the feed of a copy is broken; the host tries again", extra=extra)
+                if error.reason == "MOVED" and source is not None and copy.moved_epoch != source.epoch:
+                    copy.moved_epoch = source.epoch
+                    continue  # the directory has the new owner already, and puts may wait for this copy
             pause_max_s = REPLICA_PAUSE_SECONDS_MAX if copy.state.is_replica else PAUSE_SECONDS_MAX
             if copy.state.staleness_nanos < 2 * PAUSE_SECONDS_MAX * 10**9:
                 pause_s = PAUSE_SECONDS_MIN

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import secrets
+from enum import Enum
 from typing import Any
 
 from stampede_rt.v1 import (
     directory_service_pb2,
     migration_directory_service_pb2_grpc,
     replica_directory_service_pb2_grpc,
+    replica_pb2,
     subject_pb2,
 )
 from stampede_rt.v1 import migration_directory_service_pb2 as pb
@@ -23,6 +25,18 @@ from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 
 CALL_SECONDS_MAX = 4.0
+
+
+class Kept(Enum):
+    """The part that the directory still has of a channel at its former owner.
+
+    HEIR: the former owner is the owner again, or will be if the present owner is lost at once. REPLICA: it is a
+    replica, in the place of the new owner's.
+    """
+
+    NO = "nothing"
+    HEIR = "heir"
+    REPLICA = "replica"
 
 
 class MoveDirectory:
@@ -66,10 +80,17 @@ class MoveDirectory:
             if one.host_id != self._identity.host_id
         ]
 
-    async def is_heir(self, channel_id: bytes) -> bool:
-        """Whether this host is to become the owner again if the present owner is lost at once."""
+    async def kept_here(self, channel_id: bytes) -> Kept:
+        """The part that the directory still has of a channel at this host, its former owner."""
+        return await self._kept_at(channel_id, self._identity.host_id)
+
+    async def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
         found = await self._list(channel_id)
-        return any(one.host_id == self._identity.host_id for one in found.replicas)
+        kinds = [one.kind for one in found.replicas if one.host_id == host_id]
+        if replica_pb2.REPLICA_KIND_WARM in kinds:
+            return Kept.REPLICA
+        is_heir = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
+        return Kept.HEIR if is_heir else Kept.NO
 
     async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
         """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding."""
@@ -102,8 +123,10 @@ class MoveDirectory:
         stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
         return recorded_queue((await self._call("CommitQueueMove", request, stub)).queue)
 
-    async def remove_heir(self, channel_id: bytes, host_id: bytes) -> None:
-        """Let the former owner be the heir no more. Idempotent."""
+    async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
+        """Let the former owner be the heir no more. Idempotent. `may_be_replica`: do nothing if it is a replica."""
+        if may_be_replica and await self._kept_at(channel_id, host_id) is Kept.REPLICA:
+            return
         request = replicas_pb.RemoveReplicaRequest(
             request_id=secrets.token_bytes(16),
             subject=subject_pb2.Subject(channel_id=channel_id),

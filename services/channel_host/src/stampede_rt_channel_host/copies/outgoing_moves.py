@@ -14,7 +14,8 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.keeper import CopyKeeper
+from stampede_rt_channel_host.copies.move_directory import Kept, MoveDirectory
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
 
 logger = logging.getLogger(__name__)
@@ -26,7 +27,11 @@ HEIR_SECONDS = 2.0  # the time between two questions of a former owner whether t
 class OutgoingMoves:
     """The moves away from one host, on its event loop."""
 
-    def __init__(self, identity: HostIdentity, store: ChannelStore, directory: MoveDirectory) -> None:
+    def __init__(
+        self, identity: HostIdentity, store: ChannelStore, directory: MoveDirectory, keeper: CopyKeeper
+    ) -> None:
+        """`keeper` feeds the replicas that former owners become."""
+        self.keeper = keeper
         self.identity = identity
         self.store = store
         self.directory = directory
@@ -40,10 +45,14 @@ class OutgoingMoves:
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def check(self, hosted: HostedChannel) -> None:
-        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, and Overloaded if too many move."""
+        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, Overloaded if too many move, and
+        Unavailable if too few of its replicas are in sync.
+        """
         if hosted.moving is not None:
             raise refusals.move_conflict(hosted.record.name)
         refusals.check_movable(hosted.record)
+        if hosted.replication is not None:
+            hosted.replication.check_movable()
         self._slots.check(hosted.record)
 
     def over(self, hosted: HostedChannel) -> None:
@@ -188,7 +197,7 @@ class OutgoingMove:
             await asyncio.sleep(HEIR_SECONDS)
 
     async def _is_needed_no_more(self) -> bool:
-        """Ask the directory, and do what it says. True: this host has dropped the items."""
+        """Ask the directory, and do what it says. True: this host has dropped the items, or is a replica now."""
         channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
         try:
             present = await self._moves.directory.resolve(channel_id)
@@ -196,8 +205,11 @@ class OutgoingMove:
                 self._moves.store.adopt(present)
                 return False
             error: StampedeError = self._moving.elsewhere or refusals.moved(name, present.host_id)
-            if await self._moves.directory.is_heir(channel_id):
-                return False
+            kept = await self._moves.directory.kept_here(channel_id)
+            if kept is Kept.REPLICA and self._is_under_way:
+                self._moves.keeper.demote(self._hosted, present)
+            if kept is not Kept.NO:
+                return kept is Kept.REPLICA
         except ChannelNotFound:
             error = refusals.deleted(name)
         if self._is_under_way:

@@ -114,7 +114,8 @@ class _Keeping:
 
     async def _round(self) -> None:
         now_s = asyncio.get_running_loop().time()
-        if now_s - self._listed_s >= (MISSING_SECONDS if self._lacks else LIST_SECONDS):
+        age_s = now_s - self._listed_s
+        if age_s >= (MISSING_SECONDS if self._lacks else LIST_SECONDS) or not self._replication.is_known:
             listed = await self._list()
             if listed.owner_host_id != self._host_id or listed.epoch != self._hosted.epoch:
                 return  # the store learns of it from its next caller, or from its next registration

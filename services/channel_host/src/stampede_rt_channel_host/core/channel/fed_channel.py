@@ -29,18 +29,37 @@ class FedChannel(ChannelCore):
 
     def __init__(
         self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None,
-        cut: Cut | None = None, knows_owner: bool = False,
+        cut: Cut | None = None, knows_owner: bool = False, held: FedHoldings | None = None,
     ) -> None:  # fmt: skip
         """As `ChannelCore`.
 
-        `knows_owner`: the copy holds the facts that only the owner knows, and can become the owner.
+        `knows_owner`: the copy holds the facts that only the owner knows, and can become the owner. `held`: the items
+        with which it begins; None: it has none.
         """
-        held = FedHoldings(cut)
         super().__init__(
-            _without_places(policy), incarnation=incarnation, name=name, lost_before=lost_before, held=held
-        )
+            _without_places(policy), incarnation=incarnation, name=name, lost_before=lost_before,
+            held=FedHoldings(cut) if held is None else held,
+        )  # fmt: skip
         self.owner_facts = OwnerFacts() if knows_owner else None
         self.configure(policy, 0)
+
+    @classmethod
+    def of_owner(cls, core: ChannelCore, window: RetryWindow, now: int) -> FedChannel:
+        """The copy that a former owner becomes, without copying an item. It can become the owner again.
+
+        From then on the items and the retry window belong to the copy: `core` must not be used any more.
+        """
+        places = core.consumer_places(now)
+        held, _ = core.look(now)
+        held.tell(None)
+        copy = cls(
+            core.policy, incarnation=core.incarnation, name=core.name, lost_before=core.lost_before, knows_owner=True,
+            held=FedHoldings.of(held),
+        )  # fmt: skip
+        copy.owner_facts = OwnerFacts.of_owner(window, core.latest_counters(), places, copy._tick(now))
+        copy._acceptance.advance = copy._reading.advance = core.advanced_to
+        copy._reading.consumed_up_to = held.newest_consumed
+        return copy
 
     @property
     def place(self) -> FeedPlace:

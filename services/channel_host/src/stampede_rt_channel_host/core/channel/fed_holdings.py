@@ -14,6 +14,13 @@ class FedHoldings(Holdings):
 
     __slots__ = ()
 
+    @classmethod
+    def of(cls, held: Holdings) -> FedHoldings:
+        """The items of a former owner, in the same object: snapshots and feeds may still refer to it."""
+        held.__class__ = cls
+        assert isinstance(held, cls), "both classes have the same slots"
+        return held
+
     def store_fed(self, run: Run) -> None:
         """Add a run of the feed. The seqs between the last run and this one count as missed."""
         self.skip_to(run.first_seq)
@@ -30,7 +37,12 @@ class FedHoldings(Holdings):
         self._make_way()
 
     def follow(self, collection: Collection) -> None:
-        """Collect the items that the source has collected, and take over the facts about them."""
+        """Collect the items that the source has collected, and take over the facts about them.
+
+        A copy that was the owner may have applied limits a moment longer than the source. The source gets there, too.
+        """
+        if collection.floor_resets == self.floor_resets and collection.floor < self.floor:
+            return
         self.last_cause, self.shared_batches = collection.last_cause, None
         self._collect_below(collection.floor)
         self.floor = self._reported_to = collection.floor

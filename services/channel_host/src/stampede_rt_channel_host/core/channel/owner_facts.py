@@ -11,7 +11,7 @@ becomes the owner, and then accepts these items anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
@@ -142,6 +142,14 @@ class OwnerFacts:
         self._places: tuple[ConsumerPlace, ...] = ()
         self._arrived = 0
         self._arriving: list[ConsumerPlace] = []
+
+    @classmethod
+    def of_owner(cls, window: RetryWindow, counters: Counters, places: Iterable[ConsumerPlace], now: int) -> OwnerFacts:
+        """The facts of a former owner, as of `now`. The feed of the new owner sends all of them again."""
+        facts = cls()
+        facts.window, facts.counters = window, counters
+        facts._places, facts._arrived = tuple(places), now
+        return facts
 
     def apply(self, part: OwnerPart, now: int) -> None:
         """Take over a part. Safe to repeat for the last part."""

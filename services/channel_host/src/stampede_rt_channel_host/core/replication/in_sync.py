@@ -78,22 +78,35 @@ class ReplicasInSync:
     All items before `replicated` are at every replica for which the owner waits, and were at `min_replicas` replicas
     with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see no
     others. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
-    owner. They need no minimum of replicas.
+    owner. They need no minimum of replicas. `is_replicated`: the former owner has said that all these items are
+    replicated.
     """
 
-    def __init__(self, start: int, min_replicas: int) -> None:
+    def __init__(self, start: int, min_replicas: int, *, is_replicated: bool = False) -> None:
         self.start = start
-        self.replicated = 1
+        self.replicated = start if is_replicated else 1
         self.min_replicas = min_replicas
         self._next_seq = start
         self._replicas: dict[bytes, _Replica] = {}
         self._is_known = False
+        self._needs_no_list = is_replicated
         self._last_change = 0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the owner knows the directory's replicas."""
+        return self._is_known
 
     @property
     def is_ready(self) -> bool:
         """Whether readers may see the items that the owner had when it began."""
-        return self._is_known and self.replicated >= self.start
+        return (self._is_known or self._needs_no_list) and self.replicated >= self.start
+
+    def own_again(self) -> None:
+        """Another host was the owner meanwhile, and has acknowledged nothing. It may have changed the flags."""
+        self.start = self._next_seq
+        self._replicas.clear()
+        self._is_known = False
 
     def know(self, replicas: Iterable[KnownReplica], now: int) -> None:
         """Take over the replicas that the directory has. Before the first call nothing is replicated."""

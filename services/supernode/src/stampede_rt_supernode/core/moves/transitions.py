@@ -3,6 +3,7 @@
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
 keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
+If the new owner held a replica, the former owner takes its place: it holds everything, so it stays in sync.
 A queue has no copies, so its former owner is no heir.
 """
 
@@ -80,16 +81,18 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
 
 
 def _former_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
-    """The former owner's copy, if that host has its lease and its items."""
+    """The former owner's copy, if that host has its lease and its items. See the module for its kind."""
     host = tables.hosts[before.host_id]
     if before.host_id == after.host_id or not host.alive:
         return ()
+    there = tables.replicas.at(before.channel_id, after.host_id)
+    swaps = there is not None and there.kind is ReplicaKind.WARM
     return (
         ReplicaRecord(
             channel_id=after.channel_id,
             host_id=host.host_id,
             boot_incarnation=host.boot_incarnation,
-            kind=ReplicaKind.MOVE,
+            kind=ReplicaKind.WARM if swaps else ReplicaKind.MOVE,
             source_host_id=after.host_id,
             in_sync=True,
             acknowledged=True,

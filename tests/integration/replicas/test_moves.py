@@ -1,0 +1,82 @@
+"""Moves of channels with replicas between real processes: to the replica's host, and to a host that holds nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.replicas.test_replicas import holds_all, in_sync, opened, owner_of
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
+
+
+def name_of(rt: Any, host_id: bytes) -> str:
+    return str(next(one.name for one in rt.hosts() if one.host_id == host_id))
+
+
+def names_in_sync(rt: Any, channel: Any) -> list[str]:
+    return [name_of(rt, one) for one in in_sync(channel)]
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_a_channel_with_a_replica_moves_under_load_and_then_survives_its_new_host(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt)
+        eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
+        incarnation, (replica,) = channel.incarnation, names_in_sync(rt, channel)
+        stranger = ({"h2", "h3"} - {replica}).pop()
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 50)
+            rt.move(channel, replica)
+            assert owner_of(rt, channel) == replica
+            eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the former owner has taken the replica's place")
+            passes(producing, 50)
+            rt.move(channel, stranger)
+            eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the replica stays")
+            passes(producing, 50)
+            rt.move(channel, "h1")
+            eventually(lambda: names_in_sync(rt, channel) == [stranger], "the two hosts have changed places")
+            passes(producing, 50)
+            assert channel.put(b"x").copies == 2
+            cluster.hosts[0].kill()
+            passes(producing, 50)
+            assert owner_of(rt, channel) == stranger
+            last = producing.stop()
+            all_saw(readers, last)
+        assert channel.incarnation == incarnation
+        holds_all(channel, last)
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt, replicas=2)
+        eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
+        with reading(channel, 2) as readers, produced(channel) as producing:
+            passes(producing, 50)
+            assert rt.drain("h1").left == {}
+            assert owner_of(rt, channel) in ("h2", "h3")
+            passes(producing, 50)
+            cluster.hosts[0].stop()
+            passes(producing, 50)
+            last = producing.stop()
+            all_saw(readers, last)
+        holds_all(channel, last)
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_a_channel_does_not_move_while_too_few_replicas_have_its_items(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, transport="grpc") as rt:
+        channel = opened(rt, replicas=2, min_replicas=2)
+        eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
+        cluster.hosts[2].kill()
+        eventually(lambda: len(in_sync(channel)) == 1, "a replica is lost")
+        with pytest.raises(st.NotReplicated):
+            channel.put(b"x", timeout=0.2)
+        with pytest.raises(st.Unavailable, match=r"needs 2 replicas in sync .* and has 1"):
+            rt.move(channel, "h2")

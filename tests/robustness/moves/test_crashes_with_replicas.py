@@ -1,0 +1,207 @@
+"""Crashes at each step of a move of a channel with a replica: no crash loses an acknowledged or seen item.
+
+The channel moves to the host of its replica, or to one that holds nothing. The code of moves, replicas and feeds is
+real, and so is the state machine of the directory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.copies import (
+    copy_feed,
+    incoming_moves,
+    keeper,
+    outgoing_moves,
+    replica_keeper,
+)
+from stampede_rt_supernode.core.records import ReplicaKind
+from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Story
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World
+from tests.support.supernode.operations import id_of
+
+PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id="to a stranger")]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits of milliseconds, because every step is waited for in turn."""
+    monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
+    monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "HEIR_SECONDS", 0.005)
+    monkeypatch.setattr(incoming_moves, "RETRY_SECONDS_MAX", 0.005)
+    monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(keeper, "PAUSE_SECONDS_MIN", 0.005)
+    monkeypatch.setattr(keeper, "PAUSE_SECONDS_MAX", 0.01)
+    monkeypatch.setattr(keeper, "REPLICA_PAUSE_SECONDS_MAX", 0.01)
+    monkeypatch.setattr(replica_keeper, "ROUND_SECONDS", 0.01)
+    monkeypatch.setattr(replica_keeper, "PAUSE_SECONDS", 0.001)
+    monkeypatch.setattr(replica_keeper, "MISSING_SECONDS", 0.02)
+    monkeypatch.setattr(replica_keeper, "LIST_SECONDS", 0.05)
+
+
+class ReplicatedStory(Story):
+    """A put is acknowledged when its item is replicated. Readers look at each host between two puts."""
+
+    def __init__(self, replica_at: int, crash_at: str = "", happens: Callable[[World], None] = lambda world: None):
+        super().__init__(crash_at, happens, replica_at)
+        self.at: dict[int, HostedChannel] = {}
+        self.seen: set[int] = set()
+
+    def put(self) -> None:
+        number = self.next
+        super().put()
+        self.look()
+        if self.next > number and (waiting := [host for one, _, host in self.waiting if one == number]):
+            hosted = waiting[0].store.known(self.world.channel_id)
+            assert hosted is not None
+            self.at[number] = hosted
+
+    def look(self) -> None:
+        """Note what readers see now."""
+        for host in self.world.hosts.values():
+            try:
+                hosted = host.store.find(self.world.channel_id, self.world.record.epoch)
+            except StampedeError:
+                continue
+            self.seen |= {*host.items(hosted)}
+
+    def note_acks(self) -> None:
+        for each in [*self.waiting]:
+            number, run, host = each
+            hosted = self.at.get(number)
+            if not host.alive or (run.ack is not None and run.ack.HasField("error")):
+                self.waiting.remove(each)
+            elif run.ack is not None and hosted is not None and hosted.replication is not None:
+                if hosted.replication.replicated_next_seq > run.ack.first_seq:
+                    self.acknowledged.append(number)
+                    self.waiting.remove(each)
+                elif hosted.replication.ended is not None or not host.store.serves(hosted):
+                    self.waiting.remove(each)  # the producer tries again at the next owner
+
+    def in_sync(self) -> dict[bytes, ReplicaKind]:
+        copies = self.world.log.directory.tables.replicas.of(self.world.channel_id)
+        return {one.host_id: one.kind for one in copies if one.in_sync}
+
+    async def begin(self) -> None:
+        """Acknowledged items, at the source and at the replica."""
+        await self.source.store.bind_for_feed(self.world.channel_id, 1)
+        await self.until(lambda: len(self.in_sync()) == 1)
+        while len(self.acknowledged) < ITEMS:
+            self.put()
+            await asyncio.sleep(0)
+
+    async def move(self) -> StampedeError | None:
+        await self.begin()
+        move = asyncio.create_task(self.destination.incoming.move_here(self.world.record))
+        while not move.done():
+            self.put()
+            await asyncio.sleep(0)
+        self.put()
+        failure = None if move.cancelled() else move.exception()
+        assert failure is None or isinstance(failure, StampedeError), failure
+        return failure
+
+    async def finish(self) -> None:
+        """Puts go on, and at the end everything is there."""
+        count = len(self.acknowledged)
+        async with asyncio.timeout(30):
+            while len(self.acknowledged) < count + ITEMS:
+                with suppress(StampedeError):
+                    await self.world.owner.store.bind(self.world.channel_id, self.world.record.epoch)
+                self.put()
+                await asyncio.sleep(0.001)
+        items = await self.settle()
+        self.look()
+        self.check(items)
+        assert self.seen <= {*items}
+
+
+@pytest.fixture
+async def stories() -> AsyncIterator[list[ReplicatedStory]]:
+    made: list[ReplicatedStory] = []
+    yield made
+    for one in made:
+        await one.world.aclose()
+
+
+@pytest.mark.parametrize("replica_at", PLACES)
+async def test_a_move_keeps_the_replica_or_puts_the_former_owner_in_its_place(
+    stories: list[ReplicatedStory], replica_at: int
+) -> None:
+    story = ReplicatedStory(replica_at)
+    stories.append(story)
+    assert await story.move() is None
+    assert story.world.owner is story.destination
+    place = SOURCE if replica_at == DESTINATION else THIRD
+    assert story.in_sync() == {id_of(place): ReplicaKind.WARM}
+    await story.finish()
+    assert story.in_sync() == {id_of(place): ReplicaKind.WARM}
+    if place == SOURCE:
+        copy = story.source.store.copies.of(story.world.channel_id)
+        assert copy is not None
+        assert copy.channel.next_seq >= ITEMS
+    else:
+        await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
+
+
+@pytest.mark.parametrize("victim", [SOURCE, DESTINATION, THIRD])
+@pytest.mark.parametrize("replica_at", PLACES)
+@pytest.mark.parametrize("step", STEPS)
+async def test_a_host_dies(stories: list[ReplicatedStory], step: str, replica_at: int, victim: int) -> None:
+    story = ReplicatedStory(replica_at, step, lambda world: world.kill(victim))
+    stories.append(story)
+    await story.move()
+    story.world.expire(victim)
+    await story.finish()
+
+
+@pytest.mark.parametrize("replica_at", PLACES)
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_link_between_the_hosts_breaks(stories: list[ReplicatedStory], step: str, replica_at: int) -> None:
+    story = ReplicatedStory(replica_at, step, lambda world: world.cut_links())
+    stories.append(story)
+    await story.move()
+    await story.finish()
+
+
+@pytest.mark.parametrize("replica_at", PLACES)
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_directory_cannot_be_reached_for_a_while(
+    stories: list[ReplicatedStory], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
+    for module in (moving, outgoing_moves):
+        monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
+
+    def cut_off(world: World) -> None:
+        world.is_cut_off = True
+        asyncio.get_running_loop().call_later(0.15, setattr, world, "is_cut_off", False)
+
+    story = ReplicatedStory(replica_at, step, cut_off)
+    stories.append(story)
+    await story.move()
+    await story.finish()
+
+
+@pytest.mark.parametrize("replica_at", PLACES)
+async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_former_one(
+    stories: list[ReplicatedStory], replica_at: int
+) -> None:
+    """Its items are those of the new owner, whose place it may have taken as a replica."""
+    story = ReplicatedStory(replica_at)
+    stories.append(story)
+    assert await story.move() is None
+    story.put()
+    story.world.kill(DESTINATION)
+    story.world.expire(DESTINATION)
+    assert story.world.owner is story.world.hosts[SOURCE if replica_at == DESTINATION else THIRD]
+    await story.finish()
