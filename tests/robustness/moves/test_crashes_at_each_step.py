@@ -21,6 +21,7 @@ from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.core.channel import run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
+from stampede_rt_supernode.core.moves.commands import CommitMove
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, Link, World
 from tests.support.supernode.operations import id_of
 
@@ -316,3 +317,19 @@ async def test_a_host_that_stops_takes_no_channels() -> None:
     story.destination.incoming.close()
     with pytest.raises(StampedeError, match="shutting down"):
         await story.destination.incoming.move_here(story.world.record)
+
+
+@pytest.mark.parametrize("replica_at", [0, DESTINATION], ids=["plain", "with a replica at the destination"])
+async def test_a_client_that_asks_the_former_owner_before_it_knows_of_the_commit_makes_it_drop_nothing(
+    replica_at: int,
+) -> None:
+    story = Story(replica_at=replica_at)
+    hosted = await story.source.store.bind_for_feed(story.world.channel_id, 1)
+    story.put()
+    hosted.begin_move().hold()
+    story.world.apply(CommitMove(channel_id=story.world.channel_id, epoch=1, to_host_id=id_of(DESTINATION),
+                                 to_boot_incarnation=1))  # fmt: skip
+    with pytest.raises(StampedeError):
+        await story.source.store.bind(story.world.channel_id, 2)
+    assert story.source.store.known(story.world.channel_id) is hosted
+    await story.world.aclose()
