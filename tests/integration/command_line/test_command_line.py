@@ -415,3 +415,15 @@ def test_an_interrupt_within_a_lock_of_grpcs_ends_the_command(stampede: Run, env
     with started([sys.executable, "-c", ECHO_INTERRUPTED_WITHIN_A_LOCK], env=over_grpc) as process:
         out, _ = process.communicate(timeout=20)
     assert (process.returncode, out.count("an item")) == (130, 1)
+
+
+def test_a_payload_that_is_no_text_is_put_as_its_bytes(stampede: Run) -> None:
+    stampede("put", "cli/bytes", os.fsdecode(b"\xff"), "--max-age", "1h")
+    assert json.loads(stampede("get", "cli/bytes", "-o", "jsonl").stdout)["payload_base64"] == "/w=="
+
+
+@pytest.mark.parametrize("closing", [">&-", "<&-", "2>&-"])
+def test_a_closed_standard_stream_is_no_defect(environment: dict[str, str], closing: str) -> None:
+    command = f"{sys.executable} -m stampede_rt.cli ls {closing}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, timeout=40, check=False, env=environment)
+    assert (done.returncode, done.stderr) == (0, b"")

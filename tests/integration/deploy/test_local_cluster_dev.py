@@ -101,12 +101,14 @@ def test_the_screen_tells_the_address_and_what_to_type_next(home: Path) -> None:
         assert f"export STAMPEDE_URL={match[1]}" in dev.screen
         assert str(home / "stampede" / "secret") in dev.screen
         assert "stampede put cam/left" in dev.screen
+        assert "Everything is held in memory." in dev.screen
         socket.create_connection((host, int(port)), timeout=10).close()
 
 
 def test_it_runs_as_many_hosts_and_supernodes_as_asked(home: Path) -> None:
-    with running("--hosts", "2", "--supernodes", "3") as dev:
+    with running("--hosts", "2", "--supernodes", "3", "--archive", str(home / "kept")) as dev:
         assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
+        assert f"Archives of channels are in {home / 'kept'}; everything else is held in memory." in dev.screen
         assert len(dev.children) == 6
 
 

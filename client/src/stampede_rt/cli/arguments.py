@@ -9,6 +9,7 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from stampede_rt.administration.output_forms import FORMS, add_output
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_duration, parse_instant
@@ -16,7 +17,6 @@ from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_durati
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection
 
-FORMS = ("table", "json", "jsonl")
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
@@ -42,7 +42,7 @@ def add_verb(
         "--url", metavar="HOST:PORT", help="front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580"
     )
     if output:
-        parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
+        add_output(parser)
         _add_local(parser)
     return parser
 

@@ -28,12 +28,7 @@ OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk r
 def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit status."""
     try:
-        if arguments and arguments[0] in SERVICE_VERBS:
-            status = _run_service(arguments[0], arguments[1:])
-        else:
-            status = _run_client(arguments)
-        sys.stdout.flush()  # if the disk is full, the error comes here, and not when the interpreter ends
-        return status
+        return _run_and_flush(arguments)
     except StampedeError as error:
         if interruption.asked:  # Ctrl-C has closed the connection of the command
             return INTERRUPTED
@@ -51,10 +46,26 @@ def run(arguments: Sequence[str]) -> int:
             return FAILED
         if os.environ.get("STAMPEDE_DEBUG"):
             raise
-        print(
-            f"stampede: a defect: {type(error).__name__}: {error}; set STAMPEDE_DEBUG=1 to see where", file=sys.stderr
-        )
+        what = escaped(f"{type(error).__name__}: {error}")
+        print(f"stampede: a defect: {what}; set STAMPEDE_DEBUG=1 to see where", file=sys.stderr)
         return FAILED
+
+
+def _run_and_flush(arguments: Sequence[str]) -> int:
+    """Run one command, and write its output out.
+
+    If the disk is full, or if the reader of a pipe has gone, the error comes here, and not when the interpreter ends.
+    """
+    try:
+        if arguments and arguments[0] in SERVICE_VERBS:
+            status = _run_service(arguments[0], arguments[1:])
+        else:
+            status = _run_client(arguments)
+    except SystemExit:  # after --help, --version, or wrong arguments
+        sys.stdout.flush()
+        raise
+    sys.stdout.flush()
+    return status
 
 
 def _run_client(arguments: Sequence[str]) -> int:

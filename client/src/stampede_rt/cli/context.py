@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stampede_rt.cli.arguments import FORMS
+from stampede_rt.administration.output_forms import add_output
 from stampede_rt.cli.contexts import CHOICE, NAME, VARIABLES, Contexts, write_private
-from stampede_rt.cli.output import print_rows
+from stampede_rt.cli.output import print_done, print_rows
+from stampede_rt.cli.standard_input import read_all
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.cli.verbs import VERBS
 from stampede_rt.errors import InvalidArgument
@@ -24,26 +25,29 @@ def add_verbs(subparsers: Any) -> None:
     text = VERBS["context"][1]
     noun = subparsers.add_parser("context", help=text, description=text)
     verbs = noun.add_subparsers(dest="context_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    add = _verb(verbs, "add", "save a context, or replace it", run_add)
+    add = _named_verb(verbs, "add", "save a context, or replace it", run_add)
     add.add_argument("--url", required=True, metavar="HOST:PORT", help="front-ends, comma-separated")
     add.add_argument("--secret-file", metavar="FILE", help="the file of the secret or token; - keeps standard input")
     for name, what in (("ca", "certificate authority"), ("certificate", "own certificate"), ("key", "own key")):
         add.add_argument(f"--tls-{name}", metavar="FILE", help=f"the file of the {what}")
-    _verb(verbs, "use", "choose the context for all commands that follow", run_use)
-    _verb(verbs, "rm", "forget a context", run_rm)
+    _named_verb(verbs, "use", "choose the context for all commands that follow", run_use)
+    _named_verb(verbs, "rm", "forget a context", run_rm)
     for name, text, run in (
         ("ls", "list the saved contexts", run_ls),
         ("none", "choose no context: commands use $STAMPEDE_URL, or localhost:7580", run_none),
     ):
-        verbs.add_parser(name, help=text, description=text).set_defaults(run=run)
-    verbs.choices["ls"].add_argument(
-        "-o", "--output", choices=FORMS, default="table", help="how to print; default table"
-    )
+        _verb(verbs, name, text, run)
 
 
 def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
+    add_output(parser)
+    return parser
+
+
+def _named_verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    parser = _verb(verbs, name, text, run)
     parser.add_argument("name", metavar="NAME", help="the context's name")
     return parser
 
@@ -67,15 +71,18 @@ def run_add(arguments: argparse.Namespace) -> int:
     contexts.by_name[arguments.name] = fields
     contexts.current = contexts.current or arguments.name
     contexts.save()
-    chosen = "is chosen" if contexts.current == arguments.name else f"is saved; `stampede context use {arguments.name}`"
-    print(f"context {arguments.name} {chosen}")
+    chosen = contexts.current == arguments.name
+    text = "is chosen" if chosen else f"is saved; `stampede context use {arguments.name}` chooses it"
+    done = {"context": arguments.name, "url": arguments.url, "chosen": chosen}
+    print_done(done, f"context {arguments.name} {text}", arguments.output)
     return 0
 
 
 def _secret_of_stdin() -> bytes:
-    secret = sys.stdin.buffer.read(SECRET_BYTES_MAX + 1)
-    if not secret.strip() or len(secret) > SECRET_BYTES_MAX:
-        raise InvalidArgument(f"standard input has no secret, or more than {SECRET_BYTES_MAX} bytes")
+    wrong = f"standard input has no secret, or more than {SECRET_BYTES_MAX} bytes"
+    secret = read_all(SECRET_BYTES_MAX, wrong)
+    if not secret.strip():
+        raise InvalidArgument(wrong)
     return secret
 
 
@@ -92,7 +99,8 @@ def run_use(arguments: argparse.Namespace) -> int:
     url = contexts.named(arguments.name)["url"]
     contexts.current = arguments.name
     contexts.save()
-    print(f"commands now use {arguments.name} at {url}")
+    done = {"context": arguments.name, "url": url, "chosen": True}
+    print_done(done, f"commands now use {arguments.name} at {url}", arguments.output)
     for variable in (CHOICE, "STAMPEDE_URL"):
         if os.environ.get(variable):
             print(f"stampede: ${variable} is set, and counts more; unset it", file=sys.stderr)
@@ -104,7 +112,7 @@ def run_none(arguments: argparse.Namespace) -> int:
     contexts = Contexts.load(os.environ)
     contexts.current = None
     contexts.save()
-    print("commands now use no context")
+    print_done({"context": None, "chosen": False}, "commands now use no context", arguments.output)
     return 0
 
 
@@ -116,7 +124,8 @@ def run_rm(arguments: argparse.Namespace) -> int:
     contexts.current = None if contexts.current == arguments.name else contexts.current
     contexts.save()
     contexts.secret_path(arguments.name).unlink(missing_ok=True)
-    print(f"context {arguments.name} is forgotten")
+    done = {"context": arguments.name, "forgotten": True}
+    print_done(done, f"context {arguments.name} is forgotten", arguments.output)
     return 0
 
 

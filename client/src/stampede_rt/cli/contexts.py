@@ -12,11 +12,12 @@ import os
 import re
 import stat
 from collections.abc import Iterator, Mapping, MutableMapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied
+from stampede_rt.security.credentials import user_folder
 
 VARIABLES = {
     "url": "STAMPEDE_URL",
@@ -42,8 +43,7 @@ class Contexts:
     @classmethod
     def load(cls, environ: Mapping[str, str]) -> Contexts:
         """Read the file of this user. Raises PermissionDenied if others may read it, InvalidArgument if it is wrong."""
-        base = environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
-        path = Path(base) / "stampede" / "contexts.json"
+        path = user_folder(environ) / "contexts.json"
         try:
             with path.open("rb") as file:
                 mode = os.fstat(file.fileno()).st_mode
@@ -76,18 +76,46 @@ class Contexts:
 
 
 def _checked(path: Path, text: bytes) -> Mapping[str, Any]:
-    try:
-        saved = json.loads(text)
-        contexts, current = saved["contexts"], saved["current"]
-        is_right = len(text) <= FILE_BYTES_MAX and (current is None or current in contexts)
-        for name, fields in contexts.items():
-            is_right &= NAME.fullmatch(name) is not None and set(fields) <= set(VARIABLES)
-            is_right &= all(isinstance(value, str) for value in fields.values())
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        is_right = False
-    if not is_right:
-        raise InvalidArgument(f"the contexts in {path} are damaged; correct the file, or delete it")
-    return saved  # type: ignore[no-any-return]
+    """Return the content of the file. Raises InvalidArgument, which says what is wrong in it."""
+    saved: Any = None
+    if len(text) <= FILE_BYTES_MAX:
+        with suppress(ValueError, RecursionError):
+            saved = json.loads(text)
+    if why := _fault(saved):
+        raise InvalidArgument(f"the contexts in {path} are damaged: {why}; correct the file, or delete it")
+    return saved  # type: ignore[no-any-return]  # `_fault` has looked
+
+
+def _fault(saved: Any) -> str:
+    """Return what is wrong in the content of the file; "" if nothing is."""
+    if not isinstance(saved, dict):
+        return f"it is no JSON object of at most {FILE_BYTES_MAX} bytes"
+    if set(saved) != {"current", "contexts"} or not isinstance(saved["contexts"], dict):
+        return 'it needs "current" and "contexts", and nothing else; "contexts" is an object'
+    for name, fields in saved["contexts"].items():
+        if why := _fault_of(name, fields):
+            return f"context {name!r} {why}"
+    current = saved["current"]
+    if current is not None and not (isinstance(current, str) and current in saved["contexts"]):
+        return f'"current" is {current!r}, which is no context in it'
+    return ""
+
+
+def _fault_of(name: str, fields: Any) -> str:
+    if not NAME.fullmatch(name):
+        return "has a name that is not allowed"
+    if not isinstance(fields, dict) or not fields.get("url"):
+        return 'has no "url"'
+    if unknown := set(fields) - set(VARIABLES):
+        return f"has the unknown field {min(unknown)!r}; allowed are {', '.join(VARIABLES)}"
+    if wrong := [field for field, value in fields.items() if not _is_text(value)]:
+        return f"has no text in {wrong[0]!r}"
+    return ""
+
+
+def _is_text(value: Any) -> bool:
+    """Whether a value can go into a variable of the environment."""
+    return isinstance(value, str) and value.isprintable()
 
 
 def write_private(path: Path, data: bytes) -> None:

@@ -18,7 +18,7 @@ from stampede_rt.cli.arguments import (
 from stampede_rt.cli.exit_statuses import NOTHING
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.item_text import item_line, item_row
-from stampede_rt.cli.output import print_rows
+from stampede_rt.cli.output import print_done, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.escaping import escaped
@@ -48,7 +48,7 @@ def add_verbs(subparsers: Any) -> None:
         ("add", "add a channel to a group", run_change, _add_change_arguments),
         ("remove", "remove a channel from a group", run_change, _add_change_arguments),
     ):
-        verb = add_verb(verbs, name, what, run, output=run not in (run_create, run_delete, run_change))
+        verb = add_verb(verbs, name, what, run)
         verb.add_argument("group", help="the group's name")
         if add_arguments is not None:
             add_arguments(verb)
@@ -119,18 +119,21 @@ def run_ls(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         groups = rt.groups(arguments.glob)
         names = {info.channel_id: info.name for info in rt.channels()} if groups else {}
-    rows = [_group_row(info, names) for info in groups]
+    rows = [_group_row(info, names, arguments.output) for info in groups]
     print_rows(rows, arguments.output, none=f"no group matches {arguments.glob!r}")
     return 0
 
 
-def _group_row(info: GroupInfo, names: dict[bytes, str]) -> dict[str, Any]:
+def _group_row(info: GroupInfo, names: dict[bytes, str], form: str) -> dict[str, Any]:
+    idle: int | str | None = info.idle_after_nanos
+    if form == "table" and info.idle_after_nanos is not None:
+        idle = format_duration(info.idle_after_nanos)
     return {
         "group": info.name,
         "channels": [names.get(one, "?") for one in info.channel_ids],
         "reference": names.get(info.reference_id, "?") if info.reference_id else "oldest",
         "bound": info.bound,
-        "idle_after": None if info.idle_after_nanos is None else format_duration(info.idle_after_nanos),
+        "idle_after": idle,
         "created_by": info.created_by or None,
     }
 
@@ -147,8 +150,13 @@ def run_create(arguments: argparse.Namespace) -> int:
             idle_after=arguments.idle_after,
             max_lead=arguments.max_lead,
         )
-    print(f"{group.name}: {', '.join(channel.name for channel in group.channels)}")
+    _print_members(group, arguments.output)
     return 0
+
+
+def _print_members(group: Group, form: str) -> None:
+    names = [channel.name for channel in group.channels]
+    print_done({"group": group.name, "channels": names}, f"{group.name}: {', '.join(names)}", form)
 
 
 def _existing(rt: Connection, name: str) -> Group:
@@ -309,7 +317,7 @@ def run_change(arguments: argparse.Namespace) -> int:
             group.add(channel)
         else:
             group.remove(channel)
-        print(f"{group.name}: {', '.join(channel.name for channel in group.channels)}")
+        _print_members(group, arguments.output)
     return 0
 
 
@@ -321,5 +329,6 @@ def run_delete(arguments: argparse.Namespace) -> int:
     """Delete a group."""
     with connected(arguments) as rt:
         _existing(rt, arguments.group).delete()
-    print(f"{arguments.group} is deleted; its channels stay")
+    done = {"group": arguments.group, "deleted": True}
+    print_done(done, f"{arguments.group} is deleted; its channels stay", arguments.output)
     return 0

@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 from stampede_rt.cli.exit_statuses import INTERRUPTED
 
 CLOSE_S = 2.0  # how long a command may take to close its connections and end after Ctrl-C
+CLOSE_AFTER_STOP_S = 1.0  # the same for a command whose regular end is Ctrl-C, if it has not ended in time
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
 
@@ -64,8 +65,9 @@ def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
     After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
-    take at most CLOSE_S. A second Ctrl-C ends the process immediately. Only the main thread receives signals. If the
-    caller is another thread, or if the process ignores Ctrl-C, `work` runs on the caller's thread.
+    take at most CLOSE_S, or after the limit of `Interruption.ends` at most CLOSE_AFTER_STOP_S. A second Ctrl-C ends the
+    process immediately. Only the main thread receives signals. If the caller is another thread, or if the process
+    ignores Ctrl-C, `work` runs on the caller's thread.
     """
     deaf = threading.current_thread() is not threading.main_thread()
     if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -82,11 +84,11 @@ def run_interruptibly(work: Callable[[], int]) -> int:
     before = signal.signal(signal.SIGINT, interrupt)
     try:
         _begin(work, events)
-        outcome = _next(events)
+        outcome, limit_s = _next(events), CLOSE_S
         if outcome is None and interruption.regular_end is not None:
-            outcome = _stopped(*interruption.regular_end, events)
+            outcome, limit_s = _stopped(*interruption.regular_end, events), CLOSE_AFTER_STOP_S
         if outcome is None:
-            _close(events)
+            _close(events, limit_s)
         return int(outcome())
     finally:
         signal.signal(signal.SIGINT, before)
@@ -130,8 +132,8 @@ def _raising(error: BaseException) -> Callable[[], int]:
     return fail
 
 
-def _close(events: SimpleQueue[Any]) -> NoReturn:
-    """Close the connections, wait for the work and its output, and end the process. Blocks for at most CLOSE_S.
+def _close(events: SimpleQueue[Any], limit_s: float) -> NoReturn:
+    """Close the connections, wait for the work and its output, and end the process. Blocks for at most `limit_s`.
 
     A normal end of the interpreter would hang: it waits for locks whose holders, threads of gRPC, no longer run.
     """
@@ -146,7 +148,7 @@ def _close(events: SimpleQueue[Any]) -> NoReturn:
 
     threading.Thread(target=close, name="stampede close", daemon=True).start()
     with suppress(Empty):
-        closed.get(timeout=CLOSE_S)
+        closed.get(timeout=limit_s)
     os._exit(INTERRUPTED)
 
 

@@ -83,7 +83,7 @@ class _Stream:
         self._payloads = not arguments.no_payloads
         self._merge = TimeMerge(arguments.wait)
         self._changed = threading.Condition()  # guards everything below
-        self._names: set[str] = set()
+        self._ids: dict[str, bytes] = {}  # of the channels that threads read: the latest id that the directory named
         self._error: StampedeError | None = None
         self._is_over = self._is_full = False
         self.dropped = 0
@@ -124,30 +124,51 @@ class _Stream:
     def _follow_from(self, start: Bound | None) -> None:
         with self._rt.watch(self._glob) as changes:
             for info in self._rt.channels(self._glob):
-                self._begin(info.name, start)
+                self._begin(info, start)
             for change in changes:
                 if isinstance(change.subject, ChannelInfo) and change.kind == "added":
-                    self._begin(change.subject.name, OLDEST)
+                    self._begin(change.subject, OLDEST)
 
-    def _begin(self, name: str, start: Bound | None) -> None:
+    def _begin(self, info: ChannelInfo, start: Bound | None) -> None:
+        name = info.name
         with self._changed:
-            if name in self._names or self._is_over:
+            if name in self._ids or self._is_over or len(self._ids) >= CHANNELS_MAX:
+                self._note(info)
                 return
-            if len(self._names) >= CHANNELS_MAX:
-                if not self._is_full:
-                    print(
-                        f"stampede: more than {CHANNELS_MAX} channels match {escaped(self._glob)}; the items of "
-                        f"{name} and further ones are not printed; narrow the glob",
-                        file=sys.stderr,
-                    )
-                self._is_full = True
-                return
-            self._names.add(name)
+            self._ids[name] = info.channel_id
             self._merge.join(name, time.monotonic())
         threading.Thread(target=self._read, args=(name, start), daemon=True).start()
 
+    def _note(self, info: ChannelInfo) -> None:
+        """Note a channel for the thread that reads its name. If there is none, there are too many channels: say so."""
+        if info.name in self._ids:
+            self._ids[info.name] = info.channel_id
+        elif not self._is_full and not self._is_over:
+            print(
+                f"stampede: more than {CHANNELS_MAX} channels match {escaped(self._glob)}; the items of "
+                f"{info.name} and further ones are not printed; narrow the glob",
+                file=sys.stderr,
+            )
+            self._is_full = True
+
     def _read(self, name: str, start: Bound | None) -> None:
-        """Read one channel until it is deleted, or until the end of the command. Runs on a thread of its own."""
+        """Read the channels of one name, one after the other. Runs on a thread of its own.
+
+        The watch may tell of the next channel of that name before this thread learns that the former one is deleted.
+        """
+        while True:
+            channel_id = self._ids[name]
+            self._read_channel(name, start)
+            with self._changed:
+                if self._ids[name] == channel_id or self._is_over:
+                    del self._ids[name]
+                    self._merge.leave(name)
+                    self._changed.notify_all()
+                    return
+            start = OLDEST
+
+    def _read_channel(self, name: str, start: Bound | None) -> None:
+        """Read one channel until it is deleted, or until the end of the command."""
         try:
             while self._read_incarnation(name, start):
                 start = OLDEST
@@ -156,10 +177,6 @@ class _Stream:
         except StampedeError as error:
             if not self._is_over:
                 print(f"stampede: {escaped(error.message)}", file=sys.stderr)
-        with self._changed:
-            self._names.discard(name)
-            self._merge.leave(name)
-            self._changed.notify_all()
 
     def _read_incarnation(self, name: str, start: Bound | None) -> bool:
         """Read until the channel's items are lost with its host. Return whether to read later items."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,17 +13,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 from stampede_rt.cli.arguments import parse_count, timeout_seconds
 from stampede_rt.cli.exit_statuses import NOTHING
 from stampede_rt.cli.instants import instant_text
-from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, print_rows
+from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, print_done, print_rows
 from stampede_rt.cli.payload_text import preview
+from stampede_rt.cli.standard_input import PAYLOAD_BYTES_MAX, read_all
 from stampede_rt.cli.terminal import check_raw_output
-from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats
-
-STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 
 class MessageSource(Protocol):
@@ -50,21 +49,19 @@ def add_pending(parser: argparse.ArgumentParser) -> None:
 def payload_of(arguments: argparse.Namespace) -> bytes:
     """Return the payload to send. Raises InvalidArgument if standard input is too long for one message."""
     if arguments.payload is not None:
-        return str(arguments.payload).encode()
-    payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
-    if len(payload) > STDIN_BYTES_MAX:
-        raise InvalidArgument(
-            f"standard input has more than {STDIN_BYTES_MAX} bytes, the greatest size of one item or message; split it"
-        )
-    return payload
+        return os.fsencode(arguments.payload)  # the very bytes of the command line, even if they are no UTF-8
+    return read_all(
+        PAYLOAD_BYTES_MAX,
+        f"standard input has more than {PAYLOAD_BYTES_MAX} bytes, the greatest size of one item or message; split it",
+    )
 
 
 def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
     """Print the seq of an accepted message. `thing` has one entry: the kind and the name of the queue or mailbox."""
     (name,) = thing.values()
     known = " (the queue has this message id already)" if enqueued.duplicate else ""
-    told = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
-    print(f"{name} #{enqueued.seq}{known}" if form == "table" else json.dumps(told))
+    done = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
+    print_done(done, f"{name} #{enqueued.seq}{known}", form)
 
 
 def take(source: MessageSource, arguments: argparse.Namespace) -> int:

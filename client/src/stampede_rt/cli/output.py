@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from stampede_rt.administration.output_forms import json_text
 from stampede_rt.cli.colours import styled
 from stampede_rt.cli.payload_text import text_of
 from stampede_rt.cli.terminal import columns_max, table_lines
@@ -56,7 +57,7 @@ def _is_number(cell: str) -> bool:
 def print_facts(facts: Mapping[str, Any], form: str) -> None:
     """Print one thing: a line for each fact, or a JSON object."""
     if form != "table":
-        print(json.dumps(facts, indent=2 if form == "json" else None))
+        print(json_text(facts, form))
         return
     width = max(len(key) for key in facts)
     for key, value in facts.items():
@@ -65,7 +66,15 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
 
 def print_document(value: Any, form: str) -> None:
     """Print one JSON value: on several lines in the form "json", on one line in the form "jsonl"."""
-    print(json.dumps(value, indent=2 if form == "json" else None))
+    print(json_text(value, form))
+
+
+def print_done(facts: Mapping[str, Any], text: str, form: str) -> None:
+    """Tell what a verb has changed: `text` for people, `facts` as one JSON object for programs."""
+    if form == "table":
+        print(escaped(text))
+    else:
+        print_document(facts, form)
 
 
 def print_behind(behind: Mapping[str, str]) -> None:

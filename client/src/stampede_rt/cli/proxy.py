@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb, connected
-from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.output import print_done, print_facts, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.timeline import format_duration
@@ -41,6 +41,8 @@ def run_rm(arguments: argparse.Namespace) -> int:
     """Remove a proxy."""
     with connected(arguments) as rt:
         rt.remove_proxy(arguments.channel, arguments.host)
+    done = {"channel": arguments.channel, "host": arguments.host, "removed": True}
+    print_done(done, f"{arguments.host} no longer has a proxy of {arguments.channel}", arguments.output)
     return 0
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
@@ -23,15 +23,17 @@ from stampede_rt.cli.arguments import (
 from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
-from stampede_rt.cli.messages import STDIN_BYTES_MAX, add_payload, payload_of
+from stampede_rt.cli.messages import add_payload, payload_of
+from stampede_rt.cli.output import print_done
 from stampede_rt.cli.policy_options import add_policy, policy_of
+from stampede_rt.cli.standard_input import read_lines
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Producer
 
-STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
+STOP_S = 1.0  # after Ctrl-C, until the last items are acknowledged
 FLUSH_S = 30.0  # how long the command waits for the last acknowledgements
 RATE_MAX = 1_000_000.0
 
@@ -100,10 +102,9 @@ def _put_one(channel: Channel, payload: bytes, arguments: argparse.Namespace) ->
         attributes=dict(arguments.attribute) if arguments.attribute else None,
         timeout=arguments.timeout,
     )
-    if arguments.output == "table":
-        print(f"{arguments.channel} #{item.seq} at {instant_text(item.time)} ({item.time})")
-    else:
-        print(json.dumps({"channel": arguments.channel, "seq": item.seq, "time": item.time}))
+    done = {"channel": arguments.channel, "seq": item.seq, "time": item.time}
+    text = f"{arguments.channel} #{item.seq} at {instant_text(item.time)} ({item.time})"
+    print_done(done, text, arguments.output)
     return 0
 
 
@@ -111,24 +112,32 @@ def _put_many(channel: Channel, payload: bytes, arguments: argparse.Namespace) -
     """Put until the input ends, the count is reached, or Ctrl-C. Return FAILED if the host has refused an item."""
     stopping = threading.Event()
     interruption.ends(stopping.set, STOP_S)
-    with channel.producer() as producer:
+    with channel.producer() as producer, _told_if_cut_off(producer):
         _feed(producer, payload, arguments, stopping)
         refusal = _flushed(producer)
-    row = {"channel": channel.name, "accepted": producer.accepted, "rejected": producer.rejections}
-    if arguments.output == "table":
-        refused = f", {producer.rejections} refused" if producer.rejections else ""
-        print(f"{channel.name}: {producer.accepted} items put{refused}")
-    else:
-        print(json.dumps(row))
+    refused = f", {producer.rejections} refused" if producer.rejections else ""
+    done = {"channel": channel.name, "accepted": producer.accepted, "rejected": producer.rejections}
+    print_done(done, f"{channel.name}: {producer.accepted} items put{refused}", arguments.output)
     if refusal is not None:
         print(f"stampede: the first refused item: {escaped(refusal.message)}", file=sys.stderr)
     return FAILED if producer.rejections else 0
 
 
+@contextmanager
+def _told_if_cut_off(producer: Producer) -> Iterator[None]:
+    """If Ctrl-C ends the block before the last acknowledgement, say how many items the host has accepted."""
+    try:
+        yield
+    except StampedeError:
+        if interruption.asked:
+            print(f"stampede: {producer.accepted} items put; later ones have no answer", file=sys.stderr, flush=True)
+        raise
+
+
 def _feed(producer: Producer, payload: bytes, arguments: argparse.Namespace, stopping: threading.Event) -> None:
     attributes = dict(arguments.attribute) if arguments.attribute else None
     began_s = time.monotonic()
-    payloads = _lines() if arguments.lines else repeat(payload)
+    payloads = read_lines() if arguments.lines else repeat(payload)
     for number, one in enumerate(payloads):
         if arguments.rate is not None:
             stopping.wait(max(0.0, began_s + number / arguments.rate - time.monotonic()))
@@ -137,14 +146,6 @@ def _feed(producer: Producer, payload: bytes, arguments: argparse.Namespace, sto
         producer.put(one, duration=arguments.duration, attributes=attributes, timeout=max(FLUSH_S, arguments.timeout))
         if number + 1 == arguments.count:
             return
-
-
-def _lines() -> Iterator[bytes]:
-    """Yield the lines of standard input without their newlines. Raises InvalidArgument for a line that is too long."""
-    while line := sys.stdin.buffer.readline(STDIN_BYTES_MAX + 1):
-        if len(line) > STDIN_BYTES_MAX:
-            raise InvalidArgument(f"a line has more than {STDIN_BYTES_MAX} bytes, the greatest size of one item")
-        yield line.removesuffix(b"\n")
 
 
 def _flushed(producer: Producer) -> StampedeError | None:

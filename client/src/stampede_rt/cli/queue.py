@@ -24,7 +24,7 @@ from stampede_rt.cli.messages import (
     print_sent,
     take,
 )
-from stampede_rt.cli.output import bytes_text, print_facts, print_rows
+from stampede_rt.cli.output import bytes_text, print_done, print_facts, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import QueueNotFound
 from stampede_rt.values.queueing import LEASE_NANOS_DEFAULT, ON_FULL
@@ -70,7 +70,7 @@ def add_verbs(subparsers: Any) -> None:
     pending = add_verb(verbs, "pending", "list the leased messages and their takers", run_pending)
     pending.add_argument("queue", help="the queue's name")
     add_pending(pending)
-    delete = add_verb(verbs, "delete", "delete a queue with its messages", run_delete, output=False)
+    delete = add_verb(verbs, "delete", "delete a queue with its messages", run_delete)
     delete.add_argument("queue", help="the queue's name")
 
 
@@ -191,4 +191,5 @@ def run_delete(arguments: argparse.Namespace) -> int:
     """Delete a queue."""
     with connected(arguments) as rt:
         _existing(rt, arguments.queue).delete()
+    print_done({"queue": arguments.queue, "deleted": True}, f"{arguments.queue} is deleted", arguments.output)
     return 0

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob, parse_count
+from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob, parse_count, timeout_seconds
 from stampede_rt.cli.channel_rates import ChannelRates, Look, arranged, jitter_of, rates_of
 from stampede_rt.cli.looking import look_at
 from stampede_rt.cli.output import bytes_text, print_rows, roughly
@@ -39,7 +39,7 @@ def add_verbs(subparsers: Any) -> None:
 
 def period_seconds(text: str) -> float:
     """A period of 0.05 to 3600 seconds. Raises ArgumentTypeError."""
-    seconds = float(text)
+    seconds = timeout_seconds(text)
     if not 0.05 <= seconds <= 3600:
         raise argparse.ArgumentTypeError(f"{text} is out of range; write 0.05 to 3600 seconds")
     return seconds
@@ -143,6 +143,6 @@ def run_bw(arguments: argparse.Namespace) -> int:
             if arguments.output == "table":
                 print(f"in {bytes_text(bytes_in)}/s   out {bytes_text(bytes_out)}/s", flush=True)
             else:
-                row = {"in_bytes_per_second": bytes_in, "out_bytes_per_second": bytes_out}
+                row = {"channel": arguments.channel, "in_bytes_per_second": bytes_in, "out_bytes_per_second": bytes_out}
                 print(json.dumps(row), flush=True)
     return 0

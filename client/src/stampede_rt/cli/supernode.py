@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.administration.options import add_cluster_options
+from stampede_rt.administration.output_forms import add_output
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
-from stampede_rt.cli.arguments import FORMS
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.instants import instant_text
-from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.output import print_done, print_facts, print_rows
 from stampede_rt.cli.supernode_findings import IN_DOUBT, WAITS_FOR_DISK, gathered, level_finding, refusal
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable
@@ -86,7 +86,7 @@ def _hours(text: str) -> float:
 def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
-    parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
+    add_output(parser)
     return parser
 
 
@@ -205,10 +205,9 @@ def _run_remove(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         removed = cluster.remove(arguments.id)
     remaining = [record.supernode_id for record in removed.supernodes]
-    if arguments.output != "table":
-        print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, arguments.output)
-    else:
-        print(escaped(f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}."))
+    done = {"removed": arguments.id, "supernodes": remaining, "index": removed.index}
+    text = f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}."
+    print_done(done, text, arguments.output)
     return 0
 
 

@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 from stampede_rt.cli.arguments import add_verb, checked
 from stampede_rt.cli.instants import instant_text
-from stampede_rt.cli.output import print_behind, print_facts
+from stampede_rt.cli.output import print_behind, print_done, print_facts
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.escaping import escaped
@@ -42,9 +42,7 @@ def add_verbs(subparsers: Any) -> None:
         metavar="DURATION",
         help="how long the token is valid, at most 30 days; default 1h",
     )
-    revoke = add_verb(
-        verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke, output=False
-    )
+    revoke = add_verb(verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke)
     revoke.add_argument(
         "token",
         metavar="SERIAL|FILE",
@@ -70,16 +68,18 @@ def run_issue(arguments: argparse.Namespace) -> int:
             file.write(made.token + "\n")
         print_behind(cluster.parts_behind(made.version))
     until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
+    people = arguments.output == "table"
+    valid_until = until if people else made.valid_until_unix_nano
+    facts = {"name": arguments.name, "serial": made.serial, "valid_until": valid_until}
     if arguments.out is None:
-        if arguments.output == "table":
+        if people:
             print(made.token)  # without other text, so that a script can take it
             print(f"serial {made.serial} (for `stampede token revoke`), valid until {until}", file=sys.stderr)
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0
     print_facts({**facts, "file": str(arguments.out)}, arguments.output)
-    if arguments.output == "table":
+    if people:
         print(f"\nThe client sets STAMPEDE_SECRET_FILE={arguments.out}.")
     return 0
 
@@ -91,7 +91,8 @@ def run_revoke(arguments: argparse.Namespace) -> int:
     serial = _serial_of(arguments.token)
     with reached(arguments.url, None) as cluster:
         version = cluster.revoke(serial)
-        print(f"{serial} is revoked: its open streams end, and services refuse it from now on.")
+        text = f"{serial} is revoked: its open streams end, and services refuse it from now on."
+        print_done({"serial": serial, "revoked": True}, text, arguments.output)
         try:
             print_behind(cluster.parts_behind(version))
         except PermissionDenied as own:

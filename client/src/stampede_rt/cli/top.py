@@ -7,7 +7,7 @@ import json
 import select
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from stampede_rt.cli.channel_rates import SORTS, ChannelRates, Look, arranged, r
 from stampede_rt.cli.looking import look_at
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.cli.rates import period_seconds
+from stampede_rt.cli.top_columns import CHANNEL_MIN, GAP, HEADS, WIDTHS, fitting_heads
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
@@ -24,9 +25,6 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import Connection
 
-HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S", "DROPS/S")
-NARROW_HEADS = ("ITEMS/S", "IN/S", "AGE")
-WIDE_COLUMNS = 93  # a narrower terminal shows NARROW_HEADS alone
 KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
 _ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
 
@@ -152,16 +150,24 @@ def _table(before: Look, after: Look, view: View, console: Any) -> Any:
     state = f"sorted by {view.sort}{', paused' if view.is_paused else ''}"
     filtered = f"   filter: {view.filter}{'_' if view.is_typing else ''}" if view.filter or view.is_typing else ""
     table = Table(
-        title=Text(f"{len(rows)} channels, {state}{escaped(filtered)}"), caption=Text(KEYS), expand=True, box=None
+        title=Text(f"{len(rows)} channels, {state}{escaped(filtered)}"),
+        caption=Text(KEYS),
+        expand=True,
+        box=None,
+        padding=(0, GAP, 0, 0),
+        pad_edge=False,
     )
-    table.add_column("CHANNEL", ratio=1, no_wrap=True, min_width=12)
-    heads = HEADS if console.size.width >= WIDE_COLUMNS else NARROW_HEADS
-    for name in heads:
-        table.add_column(name, justify="right", no_wrap=True)
-    for row in shown:
-        cells = dict(zip(HEADS, _cells(row), strict=True))
-        table.add_row(Text(escaped(row.channel)), *(Text(cells[name]) for name in heads))
+    _fill(table, shown, fitting_heads(console.size.width, max((len(row.channel) for row in rows), default=0)), Text)
     return table
+
+
+def _fill(table: Any, rows: Sequence[ChannelRates], heads: Sequence[str], text: Callable[[str], Any]) -> None:
+    table.add_column("CHANNEL", ratio=1, no_wrap=True, min_width=CHANNEL_MIN)
+    for name in heads:
+        table.add_column(name, justify="right", no_wrap=True, min_width=WIDTHS[name])
+    for row in rows:
+        cells = dict(zip(HEADS, _cells(row), strict=True))
+        table.add_row(text(escaped(row.channel)), *(text(cells[name]) for name in heads))
 
 
 def _cells(row: ChannelRates) -> tuple[str, ...]:

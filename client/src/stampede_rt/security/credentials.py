@@ -7,6 +7,7 @@ import os
 import stat
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,8 +25,21 @@ def secret_file() -> Path:
     named = os.environ.get("STAMPEDE_SECRET_FILE")
     if named:
         return Path(named)
-    base = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
-    return Path(base) / "stampede" / "secret"
+    return user_folder(os.environ) / "secret"
+
+
+def user_folder(environ: Mapping[str, str]) -> Path:
+    """Return the folder with the secret and the saved contexts of this user. It may not exist.
+
+    A user without a home folder, as in some containers, has that of `/`, as a login gives it.
+    """
+    if base := environ.get("XDG_CONFIG_HOME"):
+        return Path(base) / "stampede"
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path("/")
+    return home / ".config" / "stampede"
 
 
 SECRETS_MAX = 2

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.errors import PermissionDenied
@@ -135,7 +136,7 @@ def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float, page:
     parts = f"{_count(settings.supernodes, 'supernode')}, {_count(settings.hosts, 'host')}, 1 front-end"
     return f"""\
 Stampede RT is ready at {address} ({parts}; {seconds:.1f} s).
-Everything is held in memory. Callers need the secret in {cluster.secret_file}, which
+{_kept(settings.archive)} Callers need the secret in {cluster.secret_file}, which
 programs of this user find by themselves.
 {see}
 In another terminal:
@@ -154,6 +155,12 @@ In Python:
       print(left.newest())
 
 {metrics}Ctrl-C stops it."""
+
+
+def _kept(archive: Path | None) -> str:
+    if archive is None:
+        return "Everything is held in memory."
+    return f"Archives of channels are in {escaped(str(archive))}; everything else is held in memory."
 
 
 def _count(number: int, noun: str) -> str:

@@ -11,11 +11,11 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
-from stampede_rt.escaping import TerminalParser, escaped
-from stampede_rt.values.timeline import parse_duration
+from stampede_rt.administration.output_forms import json_text
+from stampede_rt.errors import PermissionDenied, StampedeError
+from stampede_rt.escaping import escaped
 from stampede_rt_runtime.certificates import (
     CertificateContents,
     CertificateError,
@@ -26,12 +26,11 @@ from stampede_rt_runtime.certificates import (
     make_authority,
     serial_text,
 )
+from stampede_rt_runtime.certs_parser import CERTIFICATE_DAYS, DEFAULT_FOLDER, parser_of
 from stampede_rt_runtime.identity import SERVICES, Identity, Role
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_runtime.written import naming
 
-DEFAULT_FOLDER = Path("certs")
-AUTHORITY_DAYS, CERTIFICATE_DAYS = 3650, 365
 EXIT_FAILED = 1
 _SOON = timedelta(days=30)  # `show` points out certificates that end within this time
 
@@ -39,12 +38,11 @@ _SOON = timedelta(days=30)  # `show` points out certificates that end within thi
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `stampede certs`. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
-        arguments = _parser().parse_args(argv)
+        arguments = parser_of(RUNS).parse_args(argv)
     except SystemExit as end:  # argparse has printed the reason
         return int(end.code or 0)
     try:
-        for line in arguments.run(arguments):
-            sys.stdout.write(escaped(line) + "\n")
+        _print(arguments.run(arguments), arguments.output)
     except (CertificateError, StampedeError, ValueError) as error:
         sys.stderr.write(f"stampede certs: {escaped(str(error))}\n")
         return EXIT_BAD_SETTINGS if isinstance(error, ValueError) else EXIT_FAILED
@@ -56,95 +54,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = TerminalParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
-    verbs = parser.add_subparsers(metavar="VERB", required=True)
-    for add_verb in (_add_init, _add_issue, _add_renew, _add_revoke, _add_show):
-        add_verb(verbs)
-    return parser
+class Done(NamedTuple):
+    """The outcome of a verb: `lines` for people, and `facts` for programs."""
+
+    lines: list[str]
+    facts: dict[str, Any]
 
 
-def _add_init(verbs: Any) -> None:
-    init = verbs.add_parser("init", help="make the cluster's authority in a folder that only this user may open")
-    init.add_argument(
-        "folder", nargs="?", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the new folder; default: certs"
-    )
-    init.add_argument("--cluster", default="stampede", metavar="NAME", help="the cluster's name; default: stampede")
-    init.add_argument(
-        "--days",
-        type=_days,
-        default=AUTHORITY_DAYS,
-        metavar="N",
-        help=f"the authority is valid for N days; default: {AUTHORITY_DAYS}",
-    )
-    init.set_defaults(run=_init)
+def _print(done: Done, form: str) -> None:
+    if form == "table":
+        sys.stdout.writelines(escaped(line) + "\n" for line in done.lines)
+    else:
+        sys.stdout.write(json_text(done.facts, form) + "\n")
 
 
-def _add_issue(verbs: Any) -> None:
-    one = verbs.add_parser("issue", help="make the certificate of one part, or renew it")
-    one.add_argument(
-        "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
-    )
-    one.add_argument("--name", required=True, help="the part's name: a supernode's --id, a host's --name")
-    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="the part of the cluster")
-    one.add_argument(
-        "--address",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="HOST",
-        help="names and IP addresses at which a service is called; default: this machine's name and localhost",
-    )
-    one.add_argument("--out", type=Path, metavar="DIR", help="write the files to DIR; default: the authority's folder")
-    lifetime = one.add_mutually_exclusive_group()
-    lifetime.add_argument(
-        "--days", type=_days, metavar="N", help=f"the certificate is valid for N days; default: {CERTIFICATE_DAYS}"
-    )
-    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="valid for this time, such as 12h")
-    one.set_defaults(run=_issue)
-
-
-def _add_renew(verbs: Any) -> None:
-    renew = verbs.add_parser("renew", help="make certificates anew: same parts, addresses and lifetimes, same files")
-    renew.add_argument("files", nargs="+", type=Path, metavar="FILE", help="NAME.pem, with NAME.key beside it")
-    renew.add_argument(
-        "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
-    )
-    renew.set_defaults(run=_renew)
-
-
-def _add_revoke(verbs: Any) -> None:
-    revoke = verbs.add_parser("revoke", help="make all services refuse certificates, for good")
-    revoke.add_argument(
-        "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
-    )
-    revoke.add_argument("--url", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
-    revoke.set_defaults(run=_revoke)
-
-
-def _add_show(verbs: Any) -> None:
-    show = verbs.add_parser("show", help="print the owners of certificates, and when they end")
-    show.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    show.set_defaults(run=_show)
-
-
-def _days(text: str) -> int:
-    if not text.isdecimal() or not 0 < int(text) <= 36500:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: 1 to 36500")
-    return int(text)
-
-
-def _ttl(text: str) -> timedelta:
-    try:
-        lifetime = timedelta(microseconds=parse_duration(text, "ttl") // 1000)
-    except InvalidArgument as error:
-        raise argparse.ArgumentTypeError(error.message) from error
-    if not timedelta(minutes=1) <= lifetime <= timedelta(days=36500):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: 1 min to 36500 days")
-    return lifetime
-
-
-def _init(arguments: argparse.Namespace) -> list[str]:
+def _init(arguments: argparse.Namespace) -> Done:
     folder: Path = arguments.folder
     Identity(arguments.cluster, Role.CLIENT, "any")  # checks the cluster's name
     made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
@@ -153,17 +77,18 @@ def _init(arguments: argparse.Namespace) -> list[str]:
             f"{folder} already has the key of an authority (ca.key); to make another authority, name another folder"
         )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    write_pair(made, folder, "ca")
-    return [
-        f"{folder / 'ca.pem'}: the authority of cluster {arguments.cluster}; every part of the cluster needs this file",
-        f"{folder / 'ca.key'}: its private key; whoever has it can enter the cluster; keep it elsewhere",
+    certificate, key = write_pair(made, folder, "ca")
+    lines = [
+        f"{certificate}: the authority of cluster {arguments.cluster}; every part of the cluster needs this file",
+        f"{key}: its private key; whoever has it can enter the cluster; keep it elsewhere",
         "",
         f"Next, a certificate for each part: stampede certs issue{_from(folder)} --name NAME --role ROLE",
         f"(ROLE: {', '.join(Role)}; an operator adds and removes supernodes)",
     ]
+    return Done(lines, {"cluster": arguments.cluster, "certificate": str(certificate), "key": str(key)})
 
 
-def _issue(arguments: argparse.Namespace) -> list[str]:
+def _issue(arguments: argparse.Namespace) -> Done:
     folder: Path = arguments.dir
     authority = _authority(folder)
     identity = Identity(cluster_of(authority.certificate), Role(arguments.role), arguments.name)
@@ -174,9 +99,11 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
     out.mkdir(mode=0o700, parents=True, exist_ok=True)
     certificate, key = write_pair(made, out, identity.file_stem)
     reached = f", called at {', '.join(addresses)}" if addresses else ""
-    end = describe(made.certificate)[0].not_after
-    lines = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d %H:%M} UTC", f"{key}: its private key"]
-    return [*lines, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
+    contents = describe(made.certificate)[0]
+    until = f"{contents.not_after:%Y-%m-%d %H:%M} UTC"
+    lines = [f"{certificate}: {identity}{reached}, until {until}", f"{key}: its private key", ""]
+    lines += _how_to_use(identity, folder / "ca.pem", certificate, key)
+    return Done(lines, _facts(certificate, contents) | {"key": str(key)})
 
 
 def _authority(folder: Path) -> IssuedCertificate:
@@ -188,15 +115,17 @@ def _authority(folder: Path) -> IssuedCertificate:
     return IssuedCertificate((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
 
 
-def _renew(arguments: argparse.Namespace) -> list[str]:
+def _renew(arguments: argparse.Namespace) -> Done:
     """Renew certificates. Makes all new ones before it replaces any."""
     authority, now = _authority(arguments.dir), datetime.now(UTC)
     made = [(file, *_renewed(authority, file, now)) for file in arguments.files]
-    lines = []
+    lines, renewed = [], []
     for file, identity, issued in made:
         write_pair(issued, file.parent, file.stem)
-        lines.append(f"{file}: {identity}, until {describe(issued.certificate)[0].not_after:%Y-%m-%d %H:%M} UTC")
-    return lines
+        contents = describe(issued.certificate)[0]
+        lines.append(f"{file}: {identity}, until {contents.not_after:%Y-%m-%d %H:%M} UTC")
+        renewed.append(_facts(file, contents))
+    return Done(lines, {"certificates": renewed})
 
 
 def _renewed(authority: IssuedCertificate, file: Path, now: datetime) -> tuple[Identity, IssuedCertificate]:
@@ -238,9 +167,26 @@ def _own_addresses() -> tuple[str, ...]:
     return tuple(dict.fromkeys((socket.gethostname(), "localhost", "127.0.0.1", "::1")))
 
 
-def _show(arguments: argparse.Namespace) -> list[str]:
+def _show(arguments: argparse.Namespace) -> Done:
     now = datetime.now(UTC)
-    return [f"{file}: {_line(one, now)}" for file in arguments.files for one in _described(file)]
+    shown = [(file, one) for file in arguments.files for one in _described(file)]
+    lines = [f"{file}: {_line(one, now)}" for file, one in shown]
+    return Done(lines, {"certificates": [_facts(file, one) for file, one in shown]})
+
+
+def _facts(file: Path, one: CertificateContents) -> dict[str, Any]:
+    return {
+        "file": str(file),
+        "subject": str(one.identity or one.subject),
+        "role": str(one.identity.role) if one.identity else None,
+        "is_authority": one.is_authority,
+        "addresses": list(one.addresses),
+        "not_before": round(one.not_before.timestamp()) * 10**9,
+        "not_after": round(one.not_after.timestamp()) * 10**9,
+        "issuer": str(one.issuer),
+        "serial": serial_text(one.serial),
+        "sha256": one.sha256,
+    }
 
 
 def _described(file: Path) -> list[CertificateContents]:
@@ -251,7 +197,7 @@ def _described(file: Path) -> list[CertificateContents]:
         raise CertificateError(f"{file}: {error}") from error
 
 
-def _revoke(arguments: argparse.Namespace) -> list[str]:
+def _revoke(arguments: argparse.Namespace) -> Done:
     """Revoke the given certificates. If none is given, list all revoked serial numbers.
 
     The caller must prove the role `operator` by a certificate or token, or have the cluster's secret.
@@ -261,14 +207,15 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
     serials = [serial_of(text) for text in arguments.credentials]
     with reached(arguments.url, None) as cluster:
         if not serials:
-            return list(cluster.revoked_serials()) or ["no certificate or token is revoked"]
+            listed = list(cluster.revoked_serials())
+            return Done(listed or ["no certificate or token is revoked"], {"revoked": listed})
         version = max([cluster.revoke(serial) for serial in serials])
         try:
             behind = [f"not in force yet at {name}: {why}" for name, why in cluster.parts_behind(version).items()]
         except PermissionDenied as own:
             behind = [own.message]
-    done = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
-    return done + behind
+    lines = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
+    return Done(lines + behind, {"revoked": serials, "behind": behind})
 
 
 def serial_of(text: str) -> str:
@@ -323,6 +270,10 @@ def _replace(path: Path, content: bytes, mode: int) -> None:
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
+
+
+RUNS = {"init": _init, "issue": _issue, "renew": _renew, "revoke": _revoke, "show": _show}
+"""The function that runs each verb."""
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import pytest
 from stampede_rt.cli.commands import run
 from stampede_rt.cli.contexts import Contexts, context_applied
 from stampede_rt.errors import InvalidArgument, PermissionDenied
+from stampede_rt.security.credentials import secret_file
 
 SECRET = "a-very-secret-text"
 
@@ -91,18 +92,63 @@ def test_a_file_of_contexts_that_others_may_read_is_refused(folder: Path) -> Non
         Contexts.load(environment(folder))
 
 
+def contexts_of(text: str) -> bytes:
+    return b'{"current": null, "contexts": ' + text.encode() + b"}"
+
+
 @pytest.mark.parametrize(
-    "text",
-    ["", "[]", "{}", '{"current": "x", "contexts": {}}', '{"current": null, "contexts": {"../x": {"url": "a"}}}',
-     '{"current": null, "contexts": {"x": {"url": 5}}}', '{"current": null, "contexts": {"x": {"path": "a"}}}',
-     "[" * 9999],
+    ("text", "why"),
+    [
+        (b"", "no JSON object"), (b"[]", "no JSON object"), (b"\xff", "no JSON object"),
+        (b"[" * 9999, "no JSON object"),
+        (b'{"current": null, "contexts": {}} ' + b" " * 2**20, "no JSON object of at most"),
+        (b"{}", 'needs "current" and "contexts"'), (contexts_of("[]"), '"contexts" is an object'),
+        (contexts_of('{"../x": {"url": "a"}}'), "context '../x' has a name that is not allowed"),
+        (contexts_of('{"x": {}}'), "context 'x' has no \"url\""), (contexts_of('{"x": 5}'), "has no \"url\""),
+        (contexts_of('{"x": {"url": ""}}'), "has no \"url\""), (contexts_of('{"x": {"url": 5}}'), "no text in 'url'"),
+        (contexts_of('{"x": {"url": "a\\u001b[2J"}}'), "no text in 'url'"),
+        (contexts_of('{"x": {"url": "a\\u0000"}}'), "no text in 'url'"),
+        (contexts_of('{"x": {"url": "a", "tls_ca": null}}'), "no text in 'tls_ca'"),
+        (contexts_of('{"x": {"url": "a", "path": "b"}}'), "unknown field 'path'; allowed are url, secret_file"),
+        (b'{"current": "y", "contexts": {}}', "\"current\" is 'y', which is no context"),
+        (b'{"current": [], "contexts": {}}', '"current" is \\[\\]'),
+    ],
 )  # fmt: skip
-def test_a_damaged_file_of_contexts_is_refused(folder: Path, text: str) -> None:
-    folder.mkdir()
-    (folder / "contexts.json").write_text(text)
-    os.chmod(folder / "contexts.json", 0o600)
-    with pytest.raises(InvalidArgument, match="damaged"):
+@pytest.mark.parametrize("words", [["context", "use", "x"], ["context", "ls"], ["ls"]])
+def test_a_file_of_contexts_that_a_person_has_damaged_is_refused_with_the_reason(
+    folder: Path, text: bytes, why: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_contexts(folder, text)
+    with pytest.raises(InvalidArgument, match=why):
         Contexts.load(environment(folder))
+    assert run(words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("stampede: the contexts in ")
+    assert said.endswith("correct the file, or delete it\n")
+
+
+def write_contexts(folder: Path, text: bytes) -> None:
+    folder.mkdir()
+    (folder / "contexts.json").write_bytes(text)
+    os.chmod(folder / "contexts.json", 0o600)
+
+
+def test_a_folder_in_place_of_the_file_of_contexts_is_told_as_that(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "contexts.json").mkdir(parents=True)
+    assert run(["context", "ls"]) == 1
+    assert "contexts.json cannot be read: Is a directory" in capsys.readouterr().err
+
+
+def test_a_user_without_a_home_folder_has_no_contexts_and_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    assert Contexts.load({}).folder == Path("/.config/stampede")
+    assert secret_file() == Path("/.config/stampede/secret")
 
 
 @pytest.mark.parametrize(

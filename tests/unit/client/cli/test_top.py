@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.cli.channel_rates import SORTS
 from stampede_rt.cli.top import View
+from stampede_rt.cli.top_columns import GAP, HEADS, WIDTHS, fitting_heads
 
 
 def pressed(keys: str) -> View:
@@ -26,3 +27,20 @@ def test_a_filter_is_typed_erased_kept_and_cleared() -> None:
     assert (view.filter, view.is_typing, view.is_over) == ("cam", False, False)
     assert pressed("/cam\x1b").filter == ""
     assert pressed("/a\x00\x07b").filter == "ab"
+
+
+def test_a_narrower_terminal_shows_fewer_columns_and_always_half_a_name_or_32_characters() -> None:
+    former: set[str] = set()
+    for terminal in range(24, 200):
+        heads = fitting_heads(terminal, longest_name=60)
+        assert set(heads) >= former
+        used = sum(GAP + WIDTHS[head] for head in heads)
+        assert terminal - used >= min(32, terminal // 2)
+        former = set(heads)
+    assert fitting_heads(200, 60) == HEADS
+    assert fitting_heads(50, 10) == ("ITEMS/S", "IN/S", "AGE")
+    assert fitting_heads(40, 60) == ("ITEMS/S",)
+
+
+def test_short_names_leave_their_room_to_more_columns() -> None:
+    assert len(fitting_heads(100, 8)) > len(fitting_heads(100, 40))

@@ -13,7 +13,7 @@ _shtab_stampede_commands() {
     acl:'rules of access, which say who may do what; for operators and holders of the cluster'"'"'s secret'
     bench:'Benchmarks of Stampede RT and of similar software.'
     bw:'print a channel'"'"'s bytes per second, in and out, until Ctrl-C'
-    certs:'`stampede certs`: makes the authority of a cluster and the certificates of its parts, and shows their contents.'
+    certs:'make the authority of a cluster and the certificates of its parts, and show their contents'
     completion:'print the script with which a shell completes commands'
     configure:'change a channel'"'"'s policy, while it is in use'
     context:'saved addresses of clusters, with the files of their credentials'
@@ -368,6 +368,7 @@ _shtab_stampede_certs_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--cluster[the cluster\'s name\; default\: stampede]:NAME:"
   "--days[the authority is valid for N days\; default\: 3650]:N:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   ":the new folder\; default\: certs:"
 )
 
@@ -383,6 +384,7 @@ _shtab_stampede_certs_issue_options=(
   "--out[write the files to DIR\; default\: the authority\'s folder]:DIR:"
   "--days[the certificate is valid for N days\; default\: 365]:N:"
   "--ttl[valid for this time, such as 12h]:DURATION:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -391,6 +393,7 @@ _shtab_stampede_certs_issue_defaults_added=0
 _shtab_stampede_certs_renew_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--dir[the authority\'s folder\; default\: certs]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "(*):NAME.pem, with NAME.key beside it:_files"
 )
 
@@ -400,6 +403,7 @@ _shtab_stampede_certs_renew_defaults_added=0
 _shtab_stampede_certs_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends\; default \$STAMPEDE_URL]:HOST:PORT,...:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "(*)::certificates, or serial numbers\; left out\: list them all:"
 )
 
@@ -408,6 +412,7 @@ _shtab_stampede_certs_revoke_defaults_added=0
 
 _shtab_stampede_certs_show_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "(*):FILE:_files"
 )
 
@@ -454,6 +459,7 @@ _shtab_stampede_context_defaults_added=0
 
 _shtab_stampede_context_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--url[front-ends, comma-separated]:HOST:PORT:"
   "--secret-file[the file of the secret or token\; - keeps standard input]:FILE:_files"
   "--tls-ca[the file of the certificate authority]:FILE:_files"
@@ -475,6 +481,7 @@ _shtab_stampede_context_ls_defaults_added=0
 
 _shtab_stampede_context_none_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -482,6 +489,7 @@ _shtab_stampede_context_none_defaults_added=0
 
 _shtab_stampede_context_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   ":the context\'s name:"
 )
 
@@ -490,6 +498,7 @@ _shtab_stampede_context_rm_defaults_added=0
 
 _shtab_stampede_context_use_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   ":the context\'s name:"
 )
 
@@ -693,6 +702,8 @@ _shtab_stampede_group_defaults_added=0
 _shtab_stampede_group_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
   ":the channel\'s name:"
 )
@@ -703,6 +714,8 @@ _shtab_stampede_group_add_defaults_added=0
 _shtab_stampede_group_create_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   "--reference[the channel whose cut is the group\'s\; default\: the smallest cut of all]:CHANNEL:"
   "--bound[a channel\'s cut\: the start of its newest item (default), or its end]:bound:(start end)"
   "--idle-after[do not wait for a member that is silent for this time, such as \"2s\"]:DURATION:"
@@ -717,6 +730,8 @@ _shtab_stampede_group_create_defaults_added=0
 _shtab_stampede_group_delete_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
 )
 
@@ -777,6 +792,8 @@ _shtab_stampede_group_newest_defaults_added=0
 _shtab_stampede_group_remove_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
   ":the channel\'s name:"
 )
@@ -1098,6 +1115,8 @@ _shtab_stampede_queue_defaults_added=0
 _shtab_stampede_queue_delete_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   ":the queue\'s name:"
 )
 
@@ -1362,6 +1381,7 @@ _shtab_stampede_supernode_init_options=(
   "--listen[the address at which it will listen]:HOST:PORT:"
   "--advertise[the address at which others reach it\; default\: --listen]:HOST:PORT:"
   "--id[its id, never used before\; default\: a random one]:id:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1376,6 +1396,7 @@ _shtab_stampede_supernode_join_options=(
   "--listen[the address at which it will listen]:HOST:PORT:"
   "--advertise[the address at which others reach it\; default\: --listen]:HOST:PORT:"
   "--id[its id, never used before\; default\: a random one]:id:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1439,6 +1460,8 @@ _shtab_stampede_token_issue_defaults_added=0
 _shtab_stampede_token_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
   ":the token\'s serial number, which \`token issue\` printed, or the token\'s file:"
 )
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stampede_rt.administration.options import add_cluster_options
+from stampede_rt.administration.output_forms import add_output, json_text
 from stampede_rt.administration.running_cluster import reached
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
@@ -62,6 +63,7 @@ def prepare(argv: Sequence[str]) -> int:
             "--advertise", metavar="HOST:PORT", help="the address at which others reach it; default: --listen"
         )
         verb.add_argument("--id", help="its id, never used before; default: a random one")
+        add_output(verb)
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
@@ -88,7 +90,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
             write_founding(arguments.data_dir, founding)
     else:
         write_founding(arguments.data_dir, founding)
-    _say(f"Cluster {cluster_id} is founded, with supernode {name}. Start this supernode:", "", _start(arguments))
+    _done(arguments, founding, f"Cluster {cluster_id} is founded, with supernode {name}.")
     return 0
 
 
@@ -110,7 +112,8 @@ def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
         ) from error
     except (StoreDamaged, StoreRefused) as error:
         raise StampedeError(str(error)) from error
-    _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
+    if arguments.output == "table":
+        _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
     return replace(founding, started=True, takes_over=arguments.take_over)
 
 
@@ -134,13 +137,19 @@ def _run_join(arguments: argparse.Namespace) -> int:
     )
     write_founding(arguments.data_dir, founding)
     others = ", ".join(members)
-    _say(
-        f"Supernode {name} is ready to join the cluster of {others}. They check its token when it starts. "
-        "Start this supernode:",
-        "",
-        _start(arguments),
-    )
+    text = f"Supernode {name} is ready to join the cluster of {others}. They check its token when it starts."
+    _done(arguments, founding, text)
     return 0
+
+
+def _done(arguments: argparse.Namespace, founding: Founding, text: str) -> None:
+    """Print the outcome and the command that starts the supernode."""
+    if arguments.output == "table":
+        _say(f"{text} Start this supernode:", "", _start(arguments))
+        return
+    facts = {"supernode": founding.supernode_id, "address": founding.address, "cluster_id": founding.log_cluster_id}
+    facts |= {"data_dir": str(arguments.data_dir), "start": _start(arguments)}
+    sys.stdout.write(json_text(facts, arguments.output) + "\n")
 
 
 def _check_callable(address: str, members: Mapping[str, str]) -> None:

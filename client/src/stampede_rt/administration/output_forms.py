@@ -1,0 +1,19 @@
+"""The option --output, which the verbs of clients and of services share, and JSON in its forms."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+FORMS = ("table", "json", "jsonl")
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the form of the output."""
+    parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
+
+
+def json_text(value: Any, form: str) -> str:
+    """Return one JSON value: on several lines in the form "json", on one line in the form "jsonl"."""
+    return json.dumps(value, indent=2 if form == "json" else None)

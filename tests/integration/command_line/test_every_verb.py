@@ -1,0 +1,147 @@
+"""Every verb: the fields of its JSON, and a quiet end when the reader of its output has gone."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stampede_rt.cli.commands import full_parser, run
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.command_line.every_verb import EVERY, NOT_RUN, WAITS_FOR_NEWS, WITHOUT_JSON, Stage, stage
+
+cluster = cluster_fixture(hosts=2, supernodes=1, scope="module")
+PAGE = Path(__file__).parents[3] / "docs/command-line.md"
+FINDS_FAULTS = ("doctor", "host drain")  # these may tell of faults, and then have status 1
+SERVICE_NOUNS = ("supernode", "host", "certs", "demo", "bench")  # EVERY has verbs of these nouns, too
+
+
+@pytest.fixture(autouse=True)
+def environment(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
+
+
+@pytest.fixture(scope="module")
+def printed_things(cluster: LocalCluster, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    with stage(cluster, tmp_path_factory.mktemp("printed"), "printed") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def piped_things(cluster: LocalCluster, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    with stage(cluster, tmp_path_factory.mktemp("piped"), "piped") as made:
+        yield made
+
+
+def leaves(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """The verbs of a parser that have no verbs of their own, by their full names."""
+    nouns = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    if not nouns:
+        yield name, parser
+    for noun in nouns:
+        for verb, below in noun.choices.items():
+            yield from leaves(below, f"{name} {verb}".strip())
+
+
+def test_every_verb_of_a_client_is_run_here_and_has_the_option_output() -> None:
+    verbs = dict(leaves(full_parser()))
+    run_here = {name.partition(" -")[0] for name in EVERY}
+    assert set(verbs) == {name for name in run_here if name.split()[0] not in SERVICE_NOUNS}
+    without = {name for name, parser in verbs.items() if "--output" not in parser._option_string_actions}
+    assert without == {"completion"}
+
+
+def status_of(words: list[str], name: str, made: Stage) -> int:
+    with made.busy() if name in WAITS_FOR_NEWS else contextlib.nullcontext():
+        try:
+            return run(words)
+        except SystemExit as end:  # --help
+            return int(end.code or 0)
+
+
+def documented() -> dict[str, set[str]]:
+    """The fields of each command by the page. A word in capitals stands for the fields in its own row."""
+    rows = re.findall(r"^\| (.+) \| (`.+) \|$", PAGE.read_text().partition("## Fields")[2], flags=re.MULTILINE)
+    cells = {one.strip("`"): re.findall(r"`([^`]+)`", right) for left, right in rows for one in left.split(", ")}
+
+    def whole(path: str) -> set[str]:
+        head, _, word = path.rpartition(".")
+        if not word.isupper():
+            return {path}
+        return {f"{head}.{one}".removeprefix(".") for below in cells[word] for one in whole(below)}
+
+    return {name: set().union(*map(whole, paths)) for name, paths in cells.items() if not name.isupper()}
+
+
+DOCUMENTED = documented()
+
+
+def fields(value: Any, opened: set[str], prefix: str = "") -> Iterator[str]:
+    """The paths of all values. A path in `opened` is an object whose keys differ from case to case."""
+    if isinstance(value, list) and value:
+        for one in value:
+            yield from fields(one, opened, f"{prefix}[]")
+    elif isinstance(value, dict) and value:
+        for key, one in value.items():
+            path = f"{prefix}{{}}" if prefix in opened else f"{prefix}.{key}".removeprefix("[]").removeprefix(".")
+            yield from fields(one, opened, path)
+    else:
+        yield prefix
+
+
+def bare(path: str) -> str:
+    return path.removesuffix("?").removesuffix("[]").removesuffix("{}")
+
+
+def test_the_page_names_the_fields_of_every_verb() -> None:
+    assert set(DOCUMENTED) == {name for name in EVERY if name not in WITHOUT_JSON} | set(NOT_RUN)
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY if name not in WITHOUT_JSON])
+def test_a_verb_prints_the_fields_that_the_page_names(
+    name: str, printed_things: Stage, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", printed_things.path("config"))
+    status = status_of([*EVERY[name](printed_things), "--output", "json"], name, printed_things)
+    out, err = capsys.readouterr()
+    assert status == 0 or name in FINDS_FAULTS, err
+    try:
+        printed = json.loads(out)
+    except json.JSONDecodeError:  # one object in each line
+        printed = [json.loads(line) for line in out.splitlines()]
+    assert printed or name == "rebalance"  # there is nothing to even out
+    expected = DOCUMENTED[name]
+    opened = {path[: end.start()] for path in expected for end in re.finditer(r"\{\}", path)}
+    found = set(map(bare, fields(printed, opened))) if printed else set(map(bare, expected))
+    empty = {path for path in found if any(one.startswith((f"{path}[", f"{path}{{", f"{path}.")) for one in expected)}
+    needed = {bare(path) for path in expected if not path.endswith("?")}
+    lacking = {path for path in needed - found if not any(path.startswith(f"{one}") for one in empty)}
+    assert (sorted(found - set(map(bare, expected)) - empty), sorted(lacking)) == ([], []), printed
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_verb_whose_reader_has_gone_ends_quietly_with_status_0(
+    name: str, piped_things: Stage, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", piped_things.path("config"))
+    reading, writing = os.pipe()
+    words = list(EVERY[name](piped_things))
+    with os.fdopen(writing, "w") as output:
+        monkeypatch.setattr(sys, "stdout", output)
+        os.close(reading)  # as `head` does when it has its line
+        status = status_of(words, name, piped_things)
+        monkeypatch.undo()
+    said = capfd.readouterr().err
+    assert status == 0, said
+    for word in ("Broken pipe", "BrokenPipe", "Traceback", "a defect", "Exception ignored"):
+        assert word not in said
