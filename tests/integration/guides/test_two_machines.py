@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,7 +22,10 @@ MODULES = {
     "frontend": "stampede_rt_frontend",
     "host": "stampede_rt_channel_host",
 }
-MACHINES = {"The first machine": 0, "The second machine": 1, "Back at the first machine": 0}
+SECOND = "On the second machine"
+WITH_SECRET = {"The first machine": [0], "The second machine": [1], "Back at the first machine": [0]}
+WITH_CERTIFICATES = {"With certificates": [0, 1]}
+"""The machine of each part of a chapter. A second part begins with the word SECOND."""
 READY_SECONDS = 30.0
 
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
@@ -31,7 +35,7 @@ class Machine:
     """A namespace with a home folder of its own."""
 
     def __init__(self, namespace: NetworkNamespace, home: Path) -> None:
-        self.namespace = namespace
+        self.namespace, self.home = namespace, home
         self.environment = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
         self.environment |= {"HOME": str(home), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
         self.environment.pop("XDG_CONFIG_HOME", None)
@@ -40,9 +44,10 @@ class Machine:
         done = subprocess.run(
             self.namespace.command("bash", "-euc", block),
             env=self.environment,
+            cwd=self.home,
             capture_output=True,
             text=True,
-            timeout=40,
+            timeout=80,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -54,49 +59,67 @@ def network() -> Iterator[NamespaceNetwork]:
         yield made
 
 
-def blocks_of(network: NamespaceNetwork, homes: list[Path]) -> Iterator[tuple[str, int, str]]:
-    """Every block of the page up to the end of the scenario: its chapter, its machine, its text."""
+def blocks_of(walk: dict[str, list[int]], machines: list[Machine]) -> Iterator[tuple[Machine, str]]:
+    """Every block of these chapters: its machine, and its text with the addresses of the namespaces."""
     chapters = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
-    for title, text in zip(chapters[1::2], chapters[2::2], strict=True):
-        if title in MACHINES:
+    texts = dict(zip(chapters[1::2], chapters[2::2], strict=True))
+    for title, numbers in walk.items():
+        for number, text in zip(numbers, re.split(f"(?={SECOND})", texts[title]), strict=True):
             for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-                told = block.replace("scp -p 10.0.0.11:", f"cp -p {homes[0]}/")
-                told = told.replace("10.0.0.11", network.namespaces[0].address)
-                yield title, MACHINES[title], told
+                yield machines[number], here(block, machines)
 
 
-def test_the_recipe_for_two_machines_works_as_it_stands(
-    network: NamespaceNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def here(block: str, machines: list[Machine]) -> str:
+    if "scp " in block:
+        block = re.sub(r"'?10\.0\.0\.11:([^\s']+)'?", rf"{machines[0].home}/\1", block.replace("scp ", "cp "))
+    for number, machine in enumerate(machines):
+        block = block.replace(f"10.0.0.1{number + 1}", machine.namespace.address)
+    return block
+
+
+@pytest.fixture
+def machines(network: NamespaceNetwork, tmp_path: Path) -> list[Machine]:
     homes = [tmp_path / "first", tmp_path / "second"]
     for home in homes:
         home.mkdir()
-    machines = [Machine(namespace, home) for namespace, home in zip(network.namespaces, homes, strict=True)]
+    return [Machine(namespace, home) for namespace, home in zip(network.namespaces, homes, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("walk", "told"),
+    [(WITH_SECRET, "hello from the second machine"), (WITH_CERTIFICATES, "client-laptop.pem")],
+    ids=["secret", "certificates"],
+)
+def test_the_recipe_for_two_machines_works_as_it_stands(
+    walk: dict[str, list[int]], told: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
     services: list[ServiceProcess] = []
     printed = ""
     try:
-        for _, number, block in blocks_of(network, homes):
-            words = block.split()
+        for machine, block in blocks_of(walk, machines):
+            words = shlex.split(block.replace("\\\n", "").replace("certs/", f"{machine.home}/certs/"))
             if words[0] == "stampede" and words[1] in MODULES:
-                for name, value in machines[number].environment.items():
-                    monkeypatch.setenv(name, value)
-                monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
-                namespace = network.namespaces[number]
-                services.append(
-                    ServiceProcess(f"{words[1]} {number}", MODULES[words[1]], words[2:], namespace=namespace)
-                )
-                services[-1].start()
-                services[-1].wait_ready(READY_SECONDS)
+                services.append(start(machine, words, monkeypatch))
             else:
-                printed += machines[number].run(block)
+                printed += machine.run(block)
     finally:
         for service in reversed(services):
             service.stop()
     assert [service.address.rpartition(":")[0] for service in services if "host" in service.name] == [
-        namespace.address for namespace in network.namespaces
+        machine.namespace.address for machine in machines
     ]
     assert "Everything is well." in printed
-    assert "hello from the second machine" in printed
+    assert told in printed
+
+
+def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -> ServiceProcess:
+    for name, value in machine.environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    service = ServiceProcess(words[1], MODULES[words[1]], words[2:], namespace=machine.namespace)
+    service.start()
+    service.wait_ready(READY_SECONDS)
+    return service
 
 
 @pytest.mark.parametrize(

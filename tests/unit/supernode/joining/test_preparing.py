@@ -35,3 +35,14 @@ def test_the_command_to_start_is_a_line_of_its_own(
     assert first.endswith("Start this supernode:")
     assert empty == ""
     assert start == f"  stampede supernode --listen 127.0.0.1:7591 --data-dir {tmp_path}/a\\x1b[2Jb"
+
+
+def test_an_address_for_other_machines_needs_a_certificate_or_a_permission_and_the_text_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert preparing.prepare(["init", "--listen", "10.0.0.11:7590", "--data-dir", str(tmp_path / "s1")]) == 0
+    *_, start, empty, told = capsys.readouterr().out.splitlines()
+    assert start.startswith("  stampede supernode --listen 10.0.0.11:7590 ")
+    assert empty == ""
+    assert "--tls-ca" in told
+    assert "--allow-insecure-anywhere" in told

@@ -146,6 +146,8 @@ def _done(arguments: argparse.Namespace, founding: Founding, text: str) -> None:
     """Print the outcome and the command that starts the supernode."""
     if arguments.output == "table":
         _say(f"{text} Start this supernode:", "", _start(arguments))
+        if not (_is_secured() or is_loopback(arguments.listen)):
+            _say("", "Add its certificate (--tls-ca ...), or, on a network that you trust, --allow-insecure-anywhere.")
         return
     facts = {"supernode": founding.supernode_id, "address": founding.address, "cluster_id": founding.log_cluster_id}
     facts |= {"data_dir": str(arguments.data_dir), "start": _start(arguments)}
@@ -198,6 +200,9 @@ def _read(option: str, parse: Callable[[str], str], text: str) -> str:
 def _start(arguments: argparse.Namespace) -> str:
     advertise = f" --advertise {arguments.advertise}" if arguments.advertise else ""
     # The service reads other environment variables than this command, so the text names the flags.
-    secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)
-    tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if secured else ""
+    tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if _is_secured() else ""
     return f"  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}{tls}"
+
+
+def _is_secured() -> bool:
+    return any(os.environ.get(name) for name in CLIENT_VARIABLES)
