@@ -28,6 +28,7 @@ READY_SECONDS, WARM_UP_SECONDS, SETTLE_MILLIS = 60.0, 14.0, 2500
 TICK_SECONDS, SECOND = 0.1, 10**9
 HEIGHT, WIDTH, NARROW = 800, 1280, 400
 LATE_TURN, CAPTION_TURNS, DEPTH_TURNS = 60, 20, 3
+DEPTH_LATE_TURNS, DEPTH_LATE_NANOS = 40, 4 * SECOND  # depth comes late, so the group hides the newest pictures
 YY, XX = np.mgrid[0:120, 0:160]
 
 
@@ -41,7 +42,7 @@ def camera(turn: int, shift: int) -> bytes:
 
 
 def depth(turn: int) -> Any:
-    """The distances of the same scene in metres."""
+    """The distances in metres."""
     distance = np.hypot(XX - 80 - 45 * math.sin(turn / 9), YY - 60 - 20 * math.cos(turn / 9))
     return (0.5 + distance / 40).astype(np.float32)
 
@@ -65,7 +66,7 @@ class Scene:
         for channel, shift in ((self.left, 0), (self.right, 8)):
             channel.put(camera(turn, shift), time=now, duration="90ms", attributes={"exposure": "4 ms"})
         if turn % DEPTH_TURNS == 0:
-            self.depth.put(depth(turn), time=now, duration="90ms")
+            self.depth.put(depth(turn - DEPTH_LATE_TURNS), time=now - DEPTH_LATE_NANOS, duration="90ms")
         delay = SECOND if turn % LATE_TURN == LATE_TURN // 2 else 0
         self.imu.put({"yaw": math.sin(turn / 9), "pitch": 0.3 * math.cos(turn / 5)}, time=now - delay)
         if turn % CAPTION_TURNS == 0:

@@ -98,11 +98,16 @@ function newPlot(parent, xs, columns, isTime) {
   const axis = { stroke: colour("dim"), grid: { stroke: colour("line") }, ticks: { stroke: colour("line") }, font: "10px sans-serif" };
   const options = {
     width: Math.max(160, parent.clientWidth), height: PLOT_HEIGHT, cursor: { show: false }, legend: { show: false },
-    scales: { x: { time: isTime, range: (_, least, most) => (least < most ? [least, most] : [least - 1, most + 1]) } },
+    scales: { x: { time: isTime, range: xRange } },
     axes: [{ ...axis, size: 24 }, { ...axis, size: 44 }],
     series: [{}, ...columns.map((_, at) => ({ stroke: colours[at % colours.length], width: 1.2, points: { show: columns[at].length < 3 } }))],
   };
   return new uPlot(options, [xs, ...columns], parent);
+}
+
+// For a single point uPlot would show years.
+function xRange(plot, least, most) {
+  return plot.data[0].length > 1 ? [least, most] : [least - 1, least + 1];
 }
 
 function facts(item, others) {
