@@ -1,10 +1,7 @@
-"""Puts with ack="disk" at real hosts: what they acknowledge is there after kill -9, and a full disk refuses them."""
+"""Puts with ack="disk" at a real host, and puts that a full disk refuses. For kills see tests/robustness/archives."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import threading
 from collections.abc import Iterator
 from contextlib import redirect_stdout, suppress
 from io import StringIO
@@ -17,26 +14,20 @@ import stampede_rt as st
 import stampede_rt.aio
 from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.channel_host.small_disk import NoSmallDisk, small_disk
 from tests.support.cluster import running_cluster
 
 DISK_BYTES = 4 * 2**20
-KILLS = 6
-ACKS_BEFORE_KILL = 40
 
 
 @pytest.fixture(scope="module")
 def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A disk of 4 MiB."""
-    folder = tmp_path_factory.mktemp("disk")
-    if (
-        os.geteuid()
-        or subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "archive", folder], check=False, capture_output=True
-        ).returncode
-    ):
-        pytest.skip("a small disk needs root, and the right to mount a tmpfs")
-    yield folder
-    subprocess.run(["umount", "--lazy", folder], check=False)
+    try:
+        with small_disk(tmp_path_factory.mktemp("disk"), DISK_BYTES) as mounted:
+            yield mounted
+    except NoSmallDisk as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -49,56 +40,6 @@ def cluster(disk: Path) -> Iterator[LocalCluster]:
 def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
     with st.connect(cluster.address) as connection:
         yield connection
-
-
-class Putting:
-    """Puts numbers one after the other until it is told to stop. `acked` are the acknowledged ones."""
-
-    def __init__(self, channel: st.Channel) -> None:
-        self.acked: list[bytes] = []
-        self._channel = channel
-        self._stopping = threading.Event()
-        self._more = threading.Condition()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        number = 0
-        while not self._stopping.is_set():
-            try:
-                self._channel.put(b"%d" % number, timeout=5)
-            except st.StampedeError:  # the host is away: the same number again
-                continue
-            number += 1
-            with self._more:
-                self.acked.append(b"%d" % (number - 1))
-                self._more.notify_all()
-
-    def wait_for(self, count: int) -> None:
-        """Wait until so many further puts are acknowledged."""
-        wanted = len(self.acked) + count
-        with self._more:
-            assert self._more.wait_for(lambda: len(self.acked) >= wanted, 60)
-
-    def stop(self) -> None:
-        self._stopping.set()
-        self._thread.join(60)
-
-
-def test_each_acknowledged_item_is_there_after_each_of_many_kills(cluster: LocalCluster, rt: st.Connection) -> None:
-    channel = rt.channel("kill/many", max_items=50, archive="forever", ack="disk")
-    putting = Putting(channel)
-    try:
-        for _ in range(KILLS):
-            putting.wait_for(ACKS_BEFORE_KILL)
-            cluster.hosts[0].kill()
-            cluster.hosts[0].restart()
-        putting.wait_for(1)
-    finally:
-        putting.stop()
-    found = {item.payload for item in channel.get(st.OLDEST, st.NEWEST)}
-    assert len(putting.acked) > KILLS * ACKS_BEFORE_KILL
-    assert [one for one in putting.acked if one not in found] == []
 
 
 def test_a_put_states_another_ack_than_its_channel_and_only_one_that_the_channel_can_give(rt: st.Connection) -> None:

@@ -1,0 +1,60 @@
+"""A program that puts numbers with ack="disk", and remembers which were acknowledged."""
+
+from __future__ import annotations
+
+import threading
+
+import stampede_rt as st
+
+WAIT_SECONDS_MAX = 120
+PAYLOAD_BYTES = 200
+
+
+class Putting:
+    """Puts numbers one after the other, in a thread, until it is told to stop. A refused number is put again.
+
+    `acked` are the acknowledged numbers, as payloads. `refused` counts the puts that the disk did not take.
+    """
+
+    def __init__(self, channel: st.Channel, first: int) -> None:
+        self.acked: list[bytes] = []
+        self.refused = 0
+        self._channel = channel
+        self._number = first
+        self._stopping = threading.Event()
+        self._moved = threading.Condition()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            payload = b"%d " % self._number
+            try:
+                self._channel.put(payload.ljust(PAYLOAD_BYTES, b"."), timeout=5, ack="disk")
+            except st.NotArchived:
+                self.refused += 1
+                self._stopping.wait(0.01)
+            except st.StampedeError:  # the host is away
+                self._stopping.wait(0.01)
+            else:
+                self._number += 1
+                self.acked.append(payload.strip())
+            with self._moved:
+                self._moved.notify_all()
+
+    def wait_for_acks(self, count: int) -> None:
+        """Wait until so many further puts are acknowledged."""
+        wanted = len(self.acked) + count
+        with self._moved:
+            assert self._moved.wait_for(lambda: len(self.acked) >= wanted, WAIT_SECONDS_MAX)
+
+    def wait_for_refusals(self, count: int) -> None:
+        """Wait until the disk has refused so many further puts."""
+        wanted = self.refused + count
+        with self._moved:
+            assert self._moved.wait_for(lambda: self.refused >= wanted, WAIT_SECONDS_MAX)
+
+    def stop(self) -> None:
+        """Stop, after the present put."""
+        self._stopping.set()
+        self._thread.join(WAIT_SECONDS_MAX)
