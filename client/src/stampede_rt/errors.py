@@ -47,6 +47,15 @@ class InvalidInterval(InvalidArgument):
     reason = "INVALID_INTERVAL"
 
 
+class AheadOfClock(InvalidArgument):
+    """A read is as of an instant that is ahead of the host's clock.
+
+    `metadata["host_time_unix_nano"]` is that clock, in nanoseconds since the epoch.
+    """
+
+    reason = "AHEAD_OF_CLOCK"
+
+
 class InvalidName(InvalidArgument):
     """A name does not match `[A-Za-z0-9][A-Za-z0-9._/-]{0,127}`."""
 
@@ -292,8 +301,9 @@ class WatchRestart(StampedeError):
 _BY_REASON: dict[str, type[StampedeError]] = {
     cls.reason: cls
     for cls in (
-        InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
-        GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
+        InvalidArgument, InvalidInterval, AheadOfClock, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound,
+        ChannelExists, GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound,
+        HostExists,
         ChannelFull, QueueFull, NotReplicated, NotArchived, TooOld, InFuture, IncarnationLost, LeaseExpired,
         StaleRegistration, PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader,
         VersionMismatch, WatchRestart, WrongCluster,

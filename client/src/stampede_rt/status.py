@@ -37,6 +37,7 @@ _BROKEN_CODES = (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN)
 _CODES: dict[str, grpc.StatusCode] = {
     "INVALID_ARGUMENT": grpc.StatusCode.INVALID_ARGUMENT,
     "INVALID_INTERVAL": grpc.StatusCode.INVALID_ARGUMENT,
+    "AHEAD_OF_CLOCK": grpc.StatusCode.INVALID_ARGUMENT,
     "INVALID_NAME": grpc.StatusCode.INVALID_ARGUMENT,
     "MALFORMED_RUN": grpc.StatusCode.INVALID_ARGUMENT,
     "ITEM_TOO_LARGE": grpc.StatusCode.INVALID_ARGUMENT,

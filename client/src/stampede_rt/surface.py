@@ -23,6 +23,7 @@ from stampede_rt._sync.watch import PeerWatch, Watch
 from stampede_rt.cluster.connecting import Target, parse_target
 from stampede_rt.cluster.embedding import HostHere, HostOptions, embedder
 from stampede_rt.errors import (
+    AheadOfClock,
     ChannelExists,
     ChannelFull,
     ChannelNotFound,
@@ -112,6 +113,7 @@ __all__ = [
     "NOW",
     "OLDEST",
     "Ack",
+    "AheadOfClock",
     "Bound",
     "BoundLike",
     "Bounds",

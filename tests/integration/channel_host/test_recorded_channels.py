@@ -14,6 +14,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.waiting import wait_until
 
 ITEMS = 400
 MS = 10**6
@@ -49,10 +50,7 @@ def numbers(items: st.Items) -> list[int]:
 
 def wait_until_collected(channel: st.Channel, held: int) -> None:
     """Wait until the archive has so much that memory holds only `held` items."""
-    deadline = time.monotonic() + 20
-    while channel.stats().held > held:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_until(lambda: channel.stats().held <= held)
 
 
 def check_reads(channel: st.Channel, began: int) -> None:

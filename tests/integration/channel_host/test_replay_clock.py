@@ -15,6 +15,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.waiting import wait_until
 
 MS, SECOND = 10**6, 10**9
 FRAMES = 24
@@ -33,12 +34,10 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
         yield connection
 
 
-def depth(rt: Any, taken: list[str] | None = None) -> list[object]:
+def depth(rt: Any, found: list[object]) -> list[object]:
     """The consumer of the stereo demo in short: pairs of both cameras, and frames without a partner."""
-    found: list[object] = []
     with rt.group("stereo").match("eye/left", "4ms", partial=True) as matches:
-        if taken is not None:
-            taken.append("open")
+        found.append("open")
         for matched in islice(matches, FRAMES):
             right = None if matched.missing else matched["eye/right"]
             found.append((matched["eye/left"].payload, right and right.payload, right and right.seq, matched.time))
@@ -46,8 +45,12 @@ def depth(rt: Any, taken: list[str] | None = None) -> list[object]:
     return found
 
 
-def film(left: st.Channel, right: st.Channel, began: int) -> None:
-    """Put the frames of both cameras: some of the right ones late, out of order, or never."""
+def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) -> None:
+    """Put the frames of both cameras: some of the right ones late, out of order, or never.
+
+    Each frame waits until the live consumer has `seen` what is decided, so that it decides as early as it can.
+    """
+    decided = 0
     for number in range(FRAMES):
         at = began + number * 10 * MS
         left.put(b"left %d" % number, time=at)
@@ -55,7 +58,8 @@ def film(left: st.Channel, right: st.Channel, began: int) -> None:
             right.put(b"right %d late" % (number - 1), time=at - 9 * MS)
         if number % 7 != 6:
             right.put(b"right %d" % number, time=at + (number % 3) * MS)
-        time.sleep(0.004)  # the pace of the cameras
+            decided = number  # the frames before this one
+        wait_until(lambda decided=decided: len(seen) > decided)
     for channel in (left, right):
         channel.advance(began + SECOND)
 
@@ -63,17 +67,16 @@ def film(left: st.Channel, right: st.Channel, began: int) -> None:
 def test_ten_replays_at_three_speeds_give_a_consumer_what_it_got_live(rt: st.Connection) -> None:
     left, right = (rt.channel(f"eye/{side}", max_age="60s", archive="7d") for side in ("left", "right"))
     rt.group("stereo", [left, right])
-    start, taken, live = left.stats().host_time, [], []
-    consumer = threading.Thread(target=lambda: live.extend(depth(rt, taken)))
+    start, live = left.stats().host_time, []
+    consumer = threading.Thread(target=depth, args=(rt, live))
     consumer.start()
-    while not taken:
-        time.sleep(0.01)
-    film(left, right, time.time_ns() - 2 * SECOND)
+    wait_until(lambda: live)
+    film(left, right, time.time_ns() - 2 * SECOND, live)
     consumer.join(30)
-    assert len(live) == FRAMES + 1
+    assert len(live) == FRAMES + 2
     for speed in (0, 0, 0, 0, 0, 4.0, 4.0, 4.0, 1.0, 1.0):
         with rt.replay(start, speed=speed) as replay:
-            assert depth(replay) == live
+            assert depth(replay, []) == live
 
 
 def test_blocking_reads_move_the_clock_to_the_instant_of_their_answer(rt: st.Connection) -> None:

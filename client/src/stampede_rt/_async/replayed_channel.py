@@ -11,7 +11,7 @@ from stampede_rt._async.channel import Channel
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read
 from stampede_rt._async.virtual_clock import VirtualClock
-from stampede_rt.errors import DeadlineExceeded, InvalidArgument, VersionMismatch
+from stampede_rt.errors import AheadOfClock, DeadlineExceeded, InvalidArgument, VersionMismatch
 from stampede_rt.transports.concurrency_async import StepLock
 from stampede_rt.values.model import Item, Items, PastState, Reason
 from stampede_rt.values.policy import flag_of
@@ -86,8 +86,8 @@ class ReplayedChannel(Reader):
         """
         try:
             items = await read(self._session, self._state, replace(query, as_of=as_of))
-        except InvalidArgument:  # a wait has moved the replay's clock ahead of the host's
-            known = min(as_of, (await self._channel.stats()).host_time)
+        except AheadOfClock as error:  # a wait has moved the replay's clock ahead of the host's
+            known = int(error.metadata["host_time_unix_nano"])
             items = await read(self._session, self._state, replace(query, as_of=known))
         if items.past is None:
             raise VersionMismatch(f"the host of channel {self.name!r} knows no as_of; upgrade it")

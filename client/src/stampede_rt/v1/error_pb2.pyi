@@ -54,6 +54,7 @@ class ErrorReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ERROR_REASON_TOKEN_EXPIRED: _ClassVar[ErrorReason]
     ERROR_REASON_NOT_REPLICATED: _ClassVar[ErrorReason]
     ERROR_REASON_NOT_ARCHIVED: _ClassVar[ErrorReason]
+    ERROR_REASON_AHEAD_OF_CLOCK: _ClassVar[ErrorReason]
 
 class AbsenceReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -108,6 +109,7 @@ ERROR_REASON_CERTIFICATE_EXPIRED: ErrorReason
 ERROR_REASON_TOKEN_EXPIRED: ErrorReason
 ERROR_REASON_NOT_REPLICATED: ErrorReason
 ERROR_REASON_NOT_ARCHIVED: ErrorReason
+ERROR_REASON_AHEAD_OF_CLOCK: ErrorReason
 ABSENCE_REASON_UNSPECIFIED: AbsenceReason
 ABSENCE_REASON_COLLECTED: AbsenceReason
 ABSENCE_REASON_NEVER: AbsenceReason

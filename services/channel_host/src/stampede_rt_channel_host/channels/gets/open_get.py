@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import AheadOfClock, InvalidArgument
 from stampede_rt.values.timeline import format_instant
 from stampede_rt_channel_host.channels.gets.get_plans import GetPlan
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -51,11 +51,12 @@ class OpenGet:
         name = self.hosted.record.name
         if self.hosted.recording is None:
             why = f"channel {name} is not recorded, so its host does not know its past; open it with archive="
-        elif self.plan.wait_nanos or self.plan.group is not None:
-            why = f"the read of channel {name} waits, or is through a group; a read as of an instant does neither"
+        elif self.plan.wait_nanos:
+            why = f"the read of channel {name} waits, and a read as of an instant does not"
         elif as_of > now:
-            clock = format_instant(now)
-            why = f"{format_instant(as_of)} is ahead of the host's clock, {clock}; read as of a past instant"
+            text = f"{format_instant(as_of)} is ahead of the host's clock, {format_instant(now)}"
+            metadata = {"channel": name, "host_time_unix_nano": str(now)}
+            raise AheadOfClock(f"as_of: {text}; read as of a past instant", metadata=metadata)
         else:
             return
         raise InvalidArgument(f"as_of: {why}")
