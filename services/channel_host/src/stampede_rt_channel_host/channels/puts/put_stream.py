@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead, left_nanos
-from stampede_rt_channel_host.channels.puts.wanted_acks import check_wanted, held_ack, may_be_held
+from stampede_rt_channel_host.channels.puts.wanted_acks import check_disk, check_wanted, held_ack, may_be_held
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -215,6 +215,7 @@ class PutStream:
             except StampedeError as error:
                 hosted.puts.count_unread(len(put.run), error, now)
                 raise
+            check_disk(hosted, put.ack, is_repeated=hosted.puts.repeats(run, now))
             return hosted.puts.put(run, now) or (run, hosted)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)

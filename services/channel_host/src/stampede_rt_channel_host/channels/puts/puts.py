@@ -247,13 +247,20 @@ class ChannelPuts:
 
         Returns False if only the first items were judged before. The run then continues after these items.
         """
-        known = self.retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
+        known = self._known(run, now)
         if known is None:
             return False
         run.resume(known, now)
         if known.is_whole:
             run.finish(ack_of(run.first_number, known, self._channel.incarnation))
         return known.is_whole
+
+    def repeats(self, run: IncomingRun, now: int) -> bool:
+        """Whether the channel has accepted items of this run before. Raises InvalidArgument as `put`."""
+        return self._known(run, now) is not None
+
+    def _known(self, run: IncomingRun, now: int) -> RunOutcome | None:
+        return self.retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
 
     def _claim_and_offer(self, run: IncomingRun, now: int) -> bool:
         self._memory.claim(run.charged_bytes)

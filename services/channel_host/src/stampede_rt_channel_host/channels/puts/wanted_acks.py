@@ -23,7 +23,7 @@ def may_be_held(hosted: HostedChannel, stated: int) -> bool:
 
 
 def check_wanted(hosted: HostedChannel, stated: int) -> None:
-    """Raises InvalidArgument if the channel cannot ack a put so, and NotArchived while its archive takes no items."""
+    """Raises InvalidArgument if the channel cannot ack a put so."""
     name = hosted.record.name
     if stated not in channel_pb2.Ack.values():
         raise InvalidArgument(f"ack is {stated}, which this version does not know; see Ack for the values")
@@ -31,18 +31,20 @@ def check_wanted(hosted: HostedChannel, stated: int) -> None:
         raise InvalidArgument(
             f'a put states ack="replica", and channel {name} has no replicas; give it `replicas`, or leave ack out'
         )
-    if _waits_for_disk(hosted, stated):
-        _check_disk(hosted)
-
-
-def _check_disk(hosted: HostedChannel) -> None:
-    name, recording = hosted.record.name, hosted.recording
-    if recording is None:
+    if _waits_for_disk(hosted, stated) and hosted.recording is None:
         raise InvalidArgument(
             f'a put states ack="disk", and channel {name} is not recorded; give it `archive`, or leave ack out'
         )
-    if recording.recorder.failure:
-        raise not_archived(name, recording.recorder.failure)
+
+
+def check_disk(hosted: HostedChannel, stated: int, *, is_repeated: bool) -> None:
+    """Raises NotArchived for a put that waits for the disk while the archive of its channel takes no items.
+
+    Not for a repeated put, whose items the channel has accepted: it waits for them again.
+    """
+    recording = hosted.recording
+    if recording is not None and recording.recorder.failure and not is_repeated and _waits_for_disk(hosted, stated):
+        raise not_archived(hosted.record.name, recording.recorder.failure)
 
 
 def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float) -> pb.PutAck | HeldAck:
