@@ -92,6 +92,27 @@ def test_a_folder_is_for_its_owner_only_and_an_owner_file_that_cannot_be_read_is
         folder.open(b"h" * 16)
 
 
+def test_the_names_of_new_folders_come_to_stable_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr("stampede_rt_channel_host.archive.stable_writes.sync_folder", synced.append)
+    folder = ArchiveFolder(tmp_path / "a" / "b")
+    folder.open(b"h" * 16)
+    folder.close()
+    assert {tmp_path, tmp_path / "a", tmp_path / "a" / "b"} <= set(synced)
+
+
+def test_a_stop_that_cannot_be_noted_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario() -> None:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr(archive.folder, "note_stop", refuse)
+        await archive.close([], boot_incarnation=5)
+
+    asyncio.run(scenario())
+    assert [(one.levelname, vars(one)["event"]) for one in caplog.records] == [("ERROR", "archive_stop_unnoted")]
+
+
 class SlowDisk:
     """A disk whose next flush waits until the test lets it go on."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from stampede_rt_channel_host.archive.disk_use import FoundFolder, folders_of_channels
-from stampede_rt_channel_host.archive.stable_writes import sync_folder
+from stampede_rt_channel_host.archive.stable_writes import make_folder, sync_folder
 from stampede_rt_runtime.settings import SettingsError
 
 _LOCK_FILE, _OWNER_FILE, _CHANNELS, _STOPPED_FILE = "lock", "owner", "channels", "stopped"
@@ -32,8 +32,8 @@ class ArchiveFolder:
     def open(self, host_id: bytes) -> None:
         """Take the folder for this process and host."""
         try:
-            self.path.mkdir(mode=0o700, parents=True, exist_ok=True)  # the mode of parents is not this one
-            (self.path / _CHANNELS).mkdir(mode=0o700, exist_ok=True)
+            make_folder(self.path)
+            make_folder(self.path / _CHANNELS)
             self._lock = (self.path / _LOCK_FILE).open("a")
         except OSError as error:
             raise self._unwritable(error) from error

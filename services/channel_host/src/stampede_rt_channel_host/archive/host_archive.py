@@ -235,6 +235,7 @@ class HostArchive:
             _, late = await asyncio.wait([self._task], timeout=CLOSE_SECONDS_MAX)
         if not late:
             closing = asyncio.create_task(self._close_files(recorders, boot_incarnation), name="archive-close")
+            closing.add_done_callback(_log_defect)
             _, late = await asyncio.wait([closing], timeout=CLOSE_SECONDS_MAX)
         for task in late:
             task.cancel()
@@ -251,7 +252,16 @@ class HostArchive:
             except OSError as error:
                 self._note_failure(recorder, error)
         if boot_incarnation and all(one.clean_stop() is not None for one in recorders):
-            await loop.run_in_executor(self._writer, self.folder.note_stop, boot_incarnation)
+            await self._note_stop(boot_incarnation)
+
+    async def _note_stop(self, boot_incarnation: int) -> None:
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._writer, self.folder.note_stop, boot_incarnation)
+        except OSError as error:
+            logger.error(
+                "the host cannot note that its archive has all items; its recorded channels get new incarnations",
+                extra={"event": "archive_stop_unnoted", "folder": str(self.folder.path), "why": error.strerror},
+            )
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:
