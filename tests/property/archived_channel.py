@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from stampede_rt.values.model import Policy, Reason
-from stampede_rt.values.timeline import Bound
+from stampede_rt.values.timeline import Bound, ResolvedInterval
 from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import (
     ArchivedAdvance,
@@ -34,6 +34,7 @@ from stampede_rt_channel_host.core.channel import (
     make_run,
     run_to_end,
 )
+from stampede_rt_channel_host.core.group import Horizon, RecordedView
 
 
 class ArchivedChannel:
@@ -43,7 +44,7 @@ class ArchivedChannel:
         self.channel = ChannelCore(policy, incarnation=7)
         self.channel.record(1)
         self.now = 0
-        self.loads = 0
+        self.loads = self.loaded_max = 0  # the windows loaded, and the most bytes of one
         self._per_block, self._per_segment = runs_per_block, blocks_per_segment
         self._archived_to = 1
         self._runs: dict[int, Run] = {}  # by first seq
@@ -116,6 +117,28 @@ class ArchivedChannel:
         finally:
             moment.close()
 
+    def view(self, query: Query, horizon: Horizon, within: ResolvedInterval | None = None) -> RecordedView:
+        """The answer before a cut, to one request, of a get that may wait."""
+        moment = self.channel.snapshot(self.now)
+        try:
+            view = RecordedView(moment, span_of(self.segments), query, horizon)
+            for read in view.reads(within, waits=True):
+                self._perform(read, self.segments, self._blocks_of)
+            return view
+        finally:
+            moment.close()
+
+    def read_in_group(self, query: Query, horizon: Horizon) -> ReadAnswer:
+        """The answer before a cut, in as many requests as a host would need."""
+        within, left, answers = None, query, []
+        while True:
+            view = self.view(left, horizon, within)
+            within = view.within
+            answers.append(view.answer)
+            if not view.continues:
+                return joined(answers, down=query.newest_first)
+            left = rest_of(left, view.answer)
+
     def read_as_of(self, query: Query, as_of: int) -> ReadAnswer:
         """The answer as of an earlier instant, in as many requests as a host would need."""
         past = archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
@@ -132,18 +155,16 @@ class ArchivedChannel:
         answers = []
         while True:
             read = ArchivedRead(moment, span, query, within)
-            run_to_end(read.begin())
-            while (wanted := read.next_window()) is not None:
-                run_to_end(read.take(self._load(wanted, segments, blocks_of)))
+            self._perform(read, segments, blocks_of)
             answers.append(answer := read.answer())
             if not read.continues:
-                break
-            last = answer.slices[0] if query.newest_first else answer.slices[-1]
-            at = last.lo if query.newest_first else last.hi - 1
-            position = Position(last.run.times[at], last.run.first_seq + at)
-            left = None if query.limit is None else query.limit - sum(one.items for one in answer.slices)
-            query = replace(query, after=position, limit=left)
-        return joined(answers, down=query.newest_first)
+                return joined(answers, down=query.newest_first)
+            query = rest_of(query, answer)
+
+    def _perform(self, read: ArchivedRead, segments: Sequence[Segment], blocks_of: BlocksOf) -> None:
+        run_to_end(read.begin())
+        while (wanted := read.next_window()) is not None:
+            run_to_end(read.take(self._load(wanted, segments, blocks_of)))
 
     def subscribe(self, start: int) -> AllCursor:
         """A subscription to the items from the time `start` on."""
@@ -185,6 +206,7 @@ class ArchivedChannel:
     def _load(self, wanted: WantedWindow, segments: Sequence[Segment], blocks_of: BlocksOf) -> archive.ArchiveWindow:
         self.loads += 1
         chosen = archive.choose(segments, blocks_of, wanted.wanted)
+        self.loaded_max = max(self.loaded_max, sum(one.head.length for _, one in chosen.blocks))
         runs = []
         for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
             runs += self._runs_of(segment, block)
@@ -193,6 +215,15 @@ class ArchivedChannel:
     def _decode(self, body: bytes) -> Run:
         run = self._runs[int(body)]
         return make_run(run.first_seq, run.times, run.durations, run.lengths, body)
+
+
+def rest_of(query: Query, answer: ReadAnswer) -> Query:
+    """The query of the next page, as a reader makes it."""
+    last = answer.slices[0] if query.newest_first else answer.slices[-1]
+    at = last.lo if query.newest_first else last.hi - 1
+    position = Position(last.run.times[at], last.run.first_seq + at)
+    left = None if query.limit is None else query.limit - sum(one.items for one in answer.slices)
+    return replace(query, after=position, limit=left)
 
 
 def span_of(segments: Sequence[Segment]) -> ArchiveSpan:
@@ -210,5 +241,6 @@ def joined(answers: list[ReadAnswer], *, down: bool) -> ReadAnswer:
     for answer in answers:
         if answer.slices and answer.next_time is not None:
             next_times[answer.slices[-1].last_time, answer.slices[-1].end_seq] = answer.next_time
-    reason = last.reason if down and first.truncated and not last.more else first.reason
+    hidden = last.reason if last.reason == "HIDDEN" else None
+    reason = last.reason if down and first.truncated and not last.more else first.reason or hidden
     return first._replace(slices=slices, next_time=following, more=last.more, reason=reason, next_times=next_times)

@@ -87,7 +87,9 @@ def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, A
                 positions.append(Position(time, outcome.run.first_seq))
         if advances and draw.random() < 0.2:
             now += 1  # so that the order of the instants is that of the acceptances
-            small.advance(now - draw.randrange(3), now)
+            instant = now - draw.randrange(3)
+            small.advance(instant, now)
+            large.advance(instant, now)
             now += 1
         if draw.random() < 0.5:
             small.archive()
@@ -165,6 +167,18 @@ def test_a_read_of_the_newest_items_in_memory_loads_nothing_from_the_archive() -
     query = Query(interval=Interval(OLDEST, NOW), newest_first=True, limit=1)
     assert facts(items_of(small.read(query).slices)) == [(19, 20, None, 3)]
     assert small.loads == 0
+
+
+def test_a_read_whose_overlap_reaches_far_back_loads_it_window_by_window() -> None:
+    small = ArchivedChannel(Policy(max_items=3, overlap_nanos=1000), runs_per_block=1, blocks_per_segment=4)
+    for time in range(400):
+        small.put(Offer(times=[time], durations=[500 if time == 7 else 1], lengths=[3]), time)
+    small.archive()
+    for newest_first in (False, True):
+        small.loaded_max = 0
+        query = Query(interval=Interval(Bound(None, 390), Bound(None, 391)), newest_first=newest_first)
+        assert [item[0] for item in facts(items_of(small.read(query).slices))] == [7, 390, 391]
+        assert small.loaded_max < 1500  # bytes; the archive has 50 times as many
 
 
 def test_items_that_are_not_archived_stay_in_memory_until_its_bytes_force_them_out() -> None:

@@ -18,11 +18,15 @@ class Pages:
 
     @property
     def rest(self) -> ReadQuery:
-        """The query of the next page: the items after those that have come, as many as the limit leaves."""
+        """The query of the next page: the items after those that have come, as many as the limit leaves.
+
+        Through a group it reads at the cut of the first page.
+        """
         first = self._pages[0]
         left = None if self._query.limit is None else self._query.limit - sum(map(len, self._pages))
         last = next(page for page in reversed(self._pages) if page)[-1]
-        return replace(self._query, interval=fixed(self._query.interval, first.interval), after=last, limit=left)
+        interval, cut = fixed(self._query.interval, first.interval), self._query.cut
+        return replace(self._query, interval=interval, after=last, limit=left, cut=first.cut if cut is None else cut)
 
     def add(self, page: Items) -> None:
         """Take the next page."""
@@ -37,13 +41,14 @@ class Pages:
         items: list[Item] = [item for page in self._pages for item in page]
         lost = next((page.reason for page in self._pages if page.reason == "LOST"), None)
         by_last = self._query.newest_first and first.truncated and not last.more
+        hidden = last.reason if last.reason == "HIDDEN" else None  # the last page comes to the cut
         return Items(
             items,
             interval=first.interval,
             complete=first.complete,
             truncated=first.truncated,
             more=last.more,
-            reason=lost or (last.reason if by_last else first.reason),
+            reason=lost or (last.reason if by_last else first.reason or hidden),
             incarnation=first.incarnation,
             cut=first.cut,
             staleness_nanos=first.staleness_nanos,

@@ -21,19 +21,24 @@ class GroupReadParams:
     """The group through which a get reads.
 
     `floor`: the highest cut that the reader has seen; None: the reader has seen no cut. `at`: the cut at which the get
-    reads; None: the present cut.
+    reads; None: the present cut. `within_memory`: the get leaves the archive of the channel out.
     """
 
     group_id: bytes
     floor: int | None = None
     at: int | None = None
+    within_memory: bool = False
 
 
 class GroupAnswer(NamedTuple):
-    """The answer to a get, and the cut at which the get read the channel; None: the group had no cut yet."""
+    """The answer to a get, and the cut at which the get read the channel; None: the group had no cut yet.
+
+    `continues`: the answer was cut off for its length.
+    """
 
     answer: ReadAnswer
     cut: int | None
+    continues: bool = False
 
 
 class Cursor(Protocol):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import NamedTuple
+from collections.abc import Awaitable, Callable
+from typing import NamedTuple, TypeVar
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.host_archive import HostArchive
@@ -21,9 +22,22 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer
 
-_TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
-_RETRY_SECONDS = 0.02
+Done = TypeVar("Done")
+TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
+RETRY_SECONDS = 0.02
 ARCHIVED_WITHIN_SECONDS = 5.0  # the longest wait until the archive has the items that were accepted by then
+
+
+async def tried(read: Callable[[], Awaitable[Done]]) -> Done:
+    """Perform a read of the archive. Raises Unavailable if the archive cannot be read."""
+    for _ in range(TRIES):
+        try:
+            return await read()
+        except FileNotFoundError:  # a segment has just left the archive
+            await asyncio.sleep(RETRY_SECONDS)
+        except OSError as error:
+            raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
+    raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
 
 
 class PastSummary(NamedTuple):
@@ -61,18 +75,11 @@ class PastReader:
         """
         self._channel.check_positions(query)
         await self._archived(as_of)
-        for _ in range(_TRIES):
-            try:
-                return await self._read(query, as_of, scheduler)
-            except FileNotFoundError:  # a segment has just left the archive
-                await asyncio.sleep(_RETRY_SECONDS)
-            except OSError as error:
-                raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
-        raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+        return await tried(lambda: self._read(query, as_of, scheduler))
 
     async def _archived(self, as_of: int) -> None:
         """Wait until the archive has all items that the host had accepted by `as_of`."""
-        tries = round(ARCHIVED_WITHIN_SECONDS / _RETRY_SECONDS)
+        tries = round(ARCHIVED_WITHIN_SECONDS / RETRY_SECONDS)
         while (since := self._recorder.waiting_since) is not None and since <= as_of:
             tries -= 1
             if tries < 0:
@@ -80,7 +87,7 @@ class PastReader:
                     f"the archive does not have the items of that instant after {ARCHIVED_WITHIN_SECONDS} s; the disk "
                     "is full or too slow, read again later"
                 )
-            await asyncio.sleep(_RETRY_SECONDS)
+            await asyncio.sleep(RETRY_SECONDS)
 
     async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
         past, is_cut = await self._past(as_of)

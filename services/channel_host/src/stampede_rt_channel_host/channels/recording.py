@@ -14,12 +14,13 @@ from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
-from stampede_rt_channel_host.channels.past_reads import PastReader
+from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRead,
     ArchiveWindow,
+    Segment,
     Wanted,
     WantedWindow,
     deliver,
@@ -39,6 +40,7 @@ from stampede_rt_channel_host.core.channel import (
 )
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 RESTORED_BYTES = 2**20
@@ -47,8 +49,6 @@ _NOT_ARCHIVED = Reason(
     "the archive does not have the items: its limits have removed them, max_bytes collected them before they were "
     "archived, or their block is damaged",
 )
-_TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
-_RETRY_SECONDS = 0.02
 
 
 class OpenedChannelArchive:
@@ -132,7 +132,7 @@ class Recording:
             return False
         held, _ = self._channel.look(now)
         within = resolved_now(held, self.recorder.span, query, now)
-        return within is not None and reaches(held, within)
+        return within is not None and reaches(held, within.start)
 
     async def read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: Callable[[], int]
@@ -142,14 +142,23 @@ class Recording:
         Raises Unavailable if the archive cannot be read.
         """
         self._channel.check_positions(query)
-        for _ in range(_TRIES):
-            try:
-                return await self._read(query, within, scheduler, now())
-            except FileNotFoundError:  # a segment has just left the archive
-                await asyncio.sleep(_RETRY_SECONDS)
-            except OSError as error:
-                raise Unavailable(f"the archive of the channel cannot be read: {error.strerror}; read again") from error
-        raise Unavailable("the archive of the channel loses its oldest items faster than it is read; read later items")
+        return await tried(lambda: self._read(query, within, scheduler, now()))
+
+    def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:
+        """Whether a read through a group may want items that only the archive has."""
+        held, _ = self._channel.look(now)
+        return bool(self.recorder.segments) and reaches_archive(held, self.recorder.span, query, horizon, now)
+
+    async def read_in_group(
+        self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler,
+        now: Callable[[], int], *, waits: bool,
+    ) -> RecordedView:  # fmt: skip
+        """Read the items before a cut, over the archive and memory. `waits`: see `RecordedView.reads`.
+
+        Raises Unavailable if the archive cannot be read.
+        """
+        self._channel.check_positions(query)
+        return await tried(lambda: self._read_in_group(query, horizon, within, scheduler, now(), waits=waits))
 
     def past_reader(self) -> PastReader:
         """Reads the channel as it was at earlier instants."""
@@ -187,12 +196,12 @@ class Recording:
         return deliver(cursor, missing, part, held.next_time, _NOT_ARCHIVED, limit_bytes)
 
     async def _load_part(self, missing: tuple[int, int], limit_bytes: int) -> ArchivedPart:
-        for tries_left in reversed(range(_TRIES)):
+        for tries_left in reversed(range(TRIES)):
             try:
                 return await self._archive.load_part(self.recorder.files, self.recorder.segments, missing, limit_bytes)
             except OSError as error:
                 if tries_left and isinstance(error, FileNotFoundError):  # a segment has just left the archive
-                    await asyncio.sleep(_RETRY_SECONDS)
+                    await asyncio.sleep(RETRY_SECONDS)
                     continue
                 raise Unavailable(
                     f"the archive of the channel cannot be read: {error.strerror}; subscribe again"
@@ -207,14 +216,31 @@ class Recording:
             span = span_of(segments)
             within = within or resolved(snapshot, span, query)
             assert within is not None, "there is at least one archived item"
-            read = ArchivedRead(snapshot, span, query, within)
-            await scheduler.do(read.begin())
-            while (wanted := read.next_window()) is not None:
-                window = await self._archive.load(self.recorder.files, segments, wanted)
-                await scheduler.do(read.take(window))
-            return read
+            return await self._perform(ArchivedRead(snapshot, span, query, within), segments, scheduler)
         finally:
             snapshot.close()
+
+    async def _read_in_group(
+        self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int,
+        *, waits: bool,
+    ) -> RecordedView:  # fmt: skip
+        snapshot, segments = self._channel.snapshot(now), self.recorder.segments
+        try:
+            view = RecordedView(snapshot, span_of(segments), query, horizon)
+            for read in view.reads(within, waits=waits):
+                await self._perform(read, segments, scheduler)
+            return view
+        finally:
+            snapshot.close()
+
+    async def _perform(
+        self, read: ArchivedRead, segments: tuple[Segment, ...], scheduler: PieceScheduler
+    ) -> ArchivedRead:
+        await scheduler.do(read.begin())
+        while (wanted := read.next_window()) is not None:
+            window = await self._archive.load(self.recorder.files, segments, wanted)
+            await scheduler.do(read.take(window))
+        return read
 
 
 def _restore(channel: ChannelCore, opened: OpenedChannelArchive, cut: Callable[[bytes, int, int], bytes]) -> None:

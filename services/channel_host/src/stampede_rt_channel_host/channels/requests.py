@@ -151,4 +151,5 @@ def group_of(request: pb.GetRequest) -> GroupReadParams | None:
         group_id=request.group_id,
         floor=request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None,
         at=request.cut_unix_nano if request.HasField("cut_unix_nano") else None,
+        within_memory=request.within_memory,
     )

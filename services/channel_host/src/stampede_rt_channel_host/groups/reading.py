@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.timeline import ResolvedInterval
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.gets.waiting_gets import WAITING_GETS_MAX
@@ -20,6 +21,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.core.channel import (
+    Pending,
     Pieces,
     Query,
     ReadAnswer,
@@ -32,6 +34,7 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, VisibleNewest
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroup, CopiedGroups
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.recorded_gets import is_over, read_recorded_in_group, reads_archive
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
 from stampede_rt_runtime.access.control import check_access
@@ -65,6 +68,8 @@ class GroupReads:
         if group is None or not group.has_reached(_wanted(params)):
             return None
         view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(params.at)
+        if reads_archive(params, hosted, query, horizon, now):
+            return None
         found: ReadAnswer | WakeAt | Unfinished[ReadAnswer] | Unfinished[ReadAnswer | WakeAt]
         if wait_nanos:
             found = first_of(view.polling(view.begin(query, horizon, now), horizon, now))
@@ -94,7 +99,33 @@ class GroupReads:
             stalled_at = 0 if wanted is None else wanted
             return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
         self._check_served(hosted)
-        return await self._get(group, hosted, params.at, query, deadline_s)
+        if reads_archive(params, hosted, query, group.horizon(params.at), self._groups.channels.now()):
+            return await self._get_recorded(group, hosted, params.at, query, deadline_s)
+        begun = VisibleChannel(hosted.channel).begin(query, group.horizon(params.at), self._groups.channels.now())
+        return await self._get(group, hosted, PendingAt(begun, params.at), deadline_s)
+
+    async def _get_recorded(
+        self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
+    ) -> GroupAnswer:
+        """Read the archive and memory. Without an answer, wait until a later cut or a later item brings one."""
+        within: ResolvedInterval | None = None
+        has_waited, incarnation = False, group.record.incarnation
+        while True:  # an answer ends it
+            is_last = has_waited or at is not None or (deadline_s is not None and deadline_s <= _now_s())
+            found = await read_recorded_in_group(
+                self._groups.channels, hosted, query, group.horizon(at), within, waits=not is_last
+            )
+            self._check_served(hosted)
+            group.check_incarnation(incarnation)
+            member_of(group, hosted)
+            if is_last or is_over(found.view, query):
+                return found.answer
+            within = found.view.within
+            if found.view.released_by is not None:
+                await group.reach(found.view.released_by, _left_s(deadline_s))
+            else:
+                await self._get(group, hosted, PendingAt(Pending(query, within), at), deadline_s)
+                has_waited = True
 
     async def _read_copy(
         self,
@@ -119,26 +150,25 @@ class GroupReads:
         return GroupAnswer(found, horizon.cut)
 
     async def _get(
-        self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
+        self, group: HostedGroup, hosted: HostedChannel, pending: PendingAt, deadline_s: float | None
     ) -> GroupAnswer:
         """Look for the answer. Without an answer, wait until the get is released or `deadline_s` has come."""
         if len(hosted.group_gets) >= WAITING_GETS_MAX:
             raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         channels, view = self._groups.channels, VisibleChannel(hosted.channel)
-        pending = PendingAt(view.begin(query, group.horizon(at), channels.now()), at)
         while True:  # an answer ends it
-            horizon, stood = group.horizon(at), _state(group, hosted)
+            horizon, stood = group.horizon(pending.at), _state(group, hosted)
             found = await channels.scheduler.do(view.polling(pending, horizon, channels.now()))
             if not isinstance(found, WakeAt):
                 return GroupAnswer(found, horizon.cut)
             if _state(group, hosted) != stood:  # the state has changed between the pieces
                 member_of(group, hosted)
                 continue
-            left_s = -1 if deadline_s is None else max(deadline_s - _now_s(), 0.0)
+            left_s = _left_s(deadline_s)
             waiting = GroupGets.of(
                 group, hosted, channels.now, lambda: member_of(group, hosted), channels.scheduler, channels.limits
             )
-            released, cut = await waiting.wait(pending, found, round(left_s * 1e9))
+            released, cut = await waiting.wait(pending, found, -1 if left_s is None else round(left_s * 1e9))
             if isinstance(released, ReadAnswer):
                 return GroupAnswer(released, cut)
             rest: Pieces[ReadAnswer | WakeAt] = released.rest
@@ -256,6 +286,10 @@ def _state(group: HostedGroup, hosted: HostedChannel) -> object:
 def _wanted(params: GroupReadParams) -> int | None:
     """The cut that the request needs; None: any."""
     return max((one for one in (params.floor, params.at) if one is not None), default=None)
+
+
+def _left_s(deadline_s: float | None) -> float | None:
+    return None if deadline_s is None else max(deadline_s - _now_s(), 0.0)
 
 
 def _now_s() -> float:

@@ -242,7 +242,9 @@ class GetStream:
             self._refuse(call_id, error)
         else:
             now = self._store.now()
-            self._answer(OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
+            get = OpenGet(call_id, plan, hosted, now)
+            get.continues = found.continues
+            self._answer(get, found.answer, now, found.cut)
         self._outbox.kick()
 
     def _releaser(self, get: OpenGet) -> Callable[[Outcome], None]:

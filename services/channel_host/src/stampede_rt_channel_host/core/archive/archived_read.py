@@ -41,16 +41,16 @@ def resolved_now(
     return query.interval.resolve(now=now, newest=newest, oldest=earliest(held.oldest, span.oldest))
 
 
-def reaches(held: Holdings | HoldingsSnapshot, within: ResolvedInterval) -> bool:
-    """Whether the interval may select items that memory has no more."""
+def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
+    """Whether an interval that begins at `start` may select items that memory has no more."""
     split = held.newest_collected  # the bucket of the newest collected item may be in memory in part
     if held.newest is None or split is None:
         return held.newest is None
-    if within.start <= split or within.start < (held.gone_before or within.start):
+    if start <= split or start < (held.gone_before or start):
         return True
     following = held.next_time(split)
     is_split = held.oldest is not None and held.oldest <= split
-    return is_split and (following is None or within.start < following + held.overlap_nanos)
+    return is_split and (following is None or start < following + held.overlap_nanos)
 
 
 class WantedWindow(NamedTuple):
@@ -74,6 +74,9 @@ class ArchivedRead:
         self.within = within
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
+        # the read wants no archived items from `_border` on, and no hole after `_last_instant` concerns it
+        self._border, self._last_instant = self._held.floor, within.end
+        self._start = within.start  # it wants the items from here on, and the bucket before
         self._left = query.limit
         self._pages: list[Sequence[Slice]] = []
         self._last: ReadAnswer | None = None
@@ -92,9 +95,9 @@ class ArchivedRead:
         read goes downwards, because the latest items then come first.
         """
         archived, in_memory = self._held.newest_collected, self._held.newest is not None
-        if self._within.is_empty or not reaches(self._held, self._within):
+        if self._within.is_empty or not reaches(self._held, self._start):
             yield from self.take(ArchiveWindow(ChannelIndex(), None, None, None))
-        elif self._query.newest_first and in_memory and archived is not None and archived >= self._within.start:
+        elif self._query.newest_first and in_memory and archived is not None and archived >= self._start:
             yield from self.take(ArchiveWindow(ChannelIndex(), archived, None, None))
             self._of_memory = 1
 
@@ -105,22 +108,22 @@ class ArchivedRead:
         size = WINDOW_BYTES if self._windows > self._of_memory else FIRST_WINDOW_BYTES
         if self._query.newest_first:
             return self._window_down(size)
-        within, query, border = self._within, self._query, self._held.floor
+        within, query, border = self._within, self._query, self._border
         starts = [one.time for one in (query.after, query.newer_than) if one is not None]
         from_time, low = max(starts, default=None), FIRST_KEY
         if self._edge is not None:
             from_time, low = self._edge, (self._edge, 0)
         high = min(border, (within.end, SEQ_END))
-        return WantedWindow(Wanted(within.start, high, self._held.overlap_nanos, size, from_time), low, border)
+        return WantedWindow(Wanted(self._start, high, self._held.overlap_nanos, size, from_time), low, border)
 
     def _window_down(self, size: int) -> WantedWindow:
-        within, query, border = self._within, self._query, self._held.floor
+        within, query, border = self._within, self._query, self._border
         high = min(border, (within.end, SEQ_END))
         if self._windows > self._of_memory:
             high = border = min(border, (self._edge or 0, SEQ_END))
         if query.after is not None:
             high = min(high, (max(query.after.time, within.start), SEQ_END))
-        return WantedWindow(Wanted(within.start, high, self._held.overlap_nanos, size, down=True), FIRST_KEY, border)
+        return WantedWindow(Wanted(self._start, high, self._held.overlap_nanos, size, down=True), FIRST_KEY, border)
 
     def take(self, window: ArchiveWindow) -> Pieces[None]:
         """Read the items of a window, which lies behind the windows so far."""
@@ -128,14 +131,11 @@ class ArchivedRead:
             window = self._bounded(window, self._edge)
         searching_more = self._left == 0
         query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
-        items = RecordedItems(self._held, self._span, window)
-        reading = Reading(items, self._retention, self._moment.incarnation, self._moment.lost_before)
-        reading.lost_from = self._moment.lost_from
-        reading.advance = self._moment.advanced_to
+        reading = self._reading_of(RecordedItems(self._held, self._span, window))
         answer = yield from reading.answer(query, self._within, self._moment.clock)
         self._windows += 1
-        within = self._within
-        self._holes.update(one for one in window.holes if one.start <= within.end and one.end >= within.start)
+        first, last = self._within.start, self._last_instant
+        self._holes.update(one for one in window.holes if one.start <= last and one.end >= first)
         self._last, self._reading = answer, reading
         if searching_more:
             self._more = bool(answer.slices)
@@ -143,6 +143,12 @@ class ArchivedRead:
             self._keep(answer)
             self._more = answer.more
         self._go_on(window)
+
+    def _reading_of(self, items: RecordedItems) -> Reading:
+        reading = Reading(items, self._retention, self._moment.incarnation, self._moment.lost_before)
+        reading.lost_from = self._moment.lost_from
+        reading.advance = self._moment.advanced_to
+        return reading
 
     def _bounded(self, window: ArchiveWindow, edge: int) -> ArchiveWindow:
         """A window of items up to the bucket at `edge`, for a read that has all later ones."""

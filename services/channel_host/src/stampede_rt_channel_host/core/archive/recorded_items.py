@@ -72,6 +72,12 @@ class RecordedItems:
         return min((one for one in found if one is not None and one > time), default=None)
 
     def last_time_up_to(self, time: int) -> int | None:
-        """The time of the last visible bucket at or before `time`, or None if there is none."""
+        """The time of the last visible bucket at or before `time`, or None if there is none.
+
+        It may be the first bucket of the next window.
+        """
+        following = self._window.following
+        if self._window.end is not None and following is not None and following <= time:
+            return following
         held = None if self._window.end is not None else self._held.last_time_up_to(time)
         return self._items.last_time_up_to(time) if held is None else held

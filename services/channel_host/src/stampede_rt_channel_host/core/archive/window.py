@@ -72,7 +72,7 @@ def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> 
     """The blocks that the read loads next."""
     low = (_low_time(segments, blocks_of, wanted), 0)
     walk = _down(segments, blocks_of, low, wanted.high) if wanted.down else _up(segments, blocks_of, low)
-    growing, edge = _Growing(wanted), None
+    growing, edge = _Growing(wanted, low[0]), None
     for segment, block in walk:
         head = block.head
         if not wanted.down and head.low >= wanted.high:
@@ -88,14 +88,15 @@ def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> 
 class _Growing:
     """A window while blocks come in: `taken`, of `size` bytes.
 
-    A window cannot end within a bucket, or among the items before `start`. So `bytes_limit` bounds it.
+    A window cannot end within a bucket, so `bytes_limit` bounds it.
     """
 
-    def __init__(self, wanted: Wanted) -> None:
+    def __init__(self, wanted: Wanted, low: int) -> None:
+        """`low`: the time from which on the read needs items."""
         self.taken: list[tuple[Segment, PlacedBlock]] = []
         self.size = 0
         self._wanted = wanted
-        self._first = wanted.start if wanted.from_time is None else wanted.from_time
+        self._first = low if wanted.overlap else wanted.start if wanted.from_time is None else wanted.from_time
         self._least, self._greatest = LAST_KEY[0], FIRST_KEY  # of the keys with which a window may end
 
     def take(self, segment: Segment, block: PlacedBlock) -> None:
@@ -110,22 +111,21 @@ class _Growing:
         if self.size > self._wanted.bytes_limit and len(self.taken) > 1:
             when = format_instant(block.head.low[0])
             raise Overloaded(
-                f"more than {self._wanted.bytes_limit} bytes of archived items around {when} have one time, or spans "
-                "that may reach there (`overlap`), so the host cannot read them at once; subscribe with start= to read "
-                "them in the order of their acceptance"
+                f"more than {self._wanted.bytes_limit} bytes of archived items around {when} have one time, so the "
+                "host cannot read them at once; subscribe with start= to read them in the order of their acceptance"
             )
 
     def may_end(self, following: BlockHead) -> bool:
         """Whether the window may end before the block `following`.
 
-        It has a whole bucket then, and it does not end among the items before `start`, whose spans only a read of all
-        of them tells.
+        It has a whole bucket then. Without overlap it does not end among the items before `start`: that is one bucket.
         """
+        start = FIRST_KEY[0] if self._wanted.overlap else self._wanted.start
         if self._wanted.down:
             edge = following.high[0]
-            return edge >= self._wanted.start and self._greatest > (edge, SEQ_END)
+            return edge >= start and self._greatest > (edge, SEQ_END)
         edge = following.low[0]
-        return edge > self._wanted.start and self._least < edge
+        return edge > start and self._least < edge
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> int:

@@ -76,7 +76,7 @@ class Reading:
         """The answer to a query, in pieces. It is as of the first piece."""
         if within is None:
             return self._unresolved()
-        region = _region(query, within)
+        region = region_of(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
         # For an answer in several pieces: the reason if the limit cuts items off, and the reason if it does not.
@@ -106,7 +106,7 @@ class Reading:
 
     def reason(self, query: Query, within: ResolvedInterval, *, has_items: bool, more: bool) -> Reason | None:
         """The reason of an answer that the caller has put together: why it is empty or partial."""
-        region = _region(query, within)
+        region = region_of(query, within)
         if not has_items:
             return self._absence(query, region)
         truncated = not region.is_empty and self._is_truncated(region)
@@ -120,7 +120,7 @@ class Reading:
         within = pending.interval
         if within is None:
             return WakeAt(None)
-        over = self._is_over(_region(query, within))
+        over = self._is_over(region_of(query, within))
         if over or not query.complete:
             answer = yield from self.answer(query, within, clock)
             if over or answer.slices:
@@ -131,7 +131,7 @@ class Reading:
         """The events that may release the get, apart from the passing of time."""
         if pending.interval is None:
             return Needs(time=BEFORE_ALL)
-        region = _region(pending.query, pending.interval)
+        region = region_of(pending.query, pending.interval)
         passed = region.end + (not region.end_exclusive)
         if pending.query.complete:
             return Needs(passed)
@@ -248,7 +248,7 @@ class Reading:
         return Reason("NOT_YET", f"{held}; items up to {format_instant(region.end)} may still come")
 
 
-def _region(query: Query, within: ResolvedInterval) -> ResolvedInterval:
+def region_of(query: Query, within: ResolvedInterval) -> ResolvedInterval:
     """The part of the interval that `after` and `newer_than` leave. The answer's reason is about this part."""
     region = within
     if query.newer_than is not None:

@@ -12,6 +12,7 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. Reads of several channels at
   one cut use a `Horizon` with that cut, even when the group's cut has advanced. The shell polls blocked gets after each
   change of the channel and of the cut.
+- A read that may want archived items performs the reads of a `RecordedView`. `reaches_archive` tells which reads do.
 - Subscriptions through a group use `VisibleAll` or `VisibleNewest`.
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
@@ -32,6 +33,7 @@ from stampede_rt_channel_host.core.group.cut import (
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, StepPart
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
+from stampede_rt_channel_host.core.group.recorded_view import RecordedView, reaches_archive
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
 from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, RemoteTrack, Track
@@ -58,6 +60,7 @@ __all__ = [
     "Matcher",
     "Nearest",
     "OwnTimes",
+    "RecordedView",
     "RemoteTrack",
     "StepPart",
     "TimesBoard",
@@ -67,4 +70,5 @@ __all__ = [
     "VisibleNewest",
     "WantedChannels",
     "polling",
+    "reaches_archive",
 ]

@@ -28,7 +28,7 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY,
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.selection import behind, select
+from stampede_rt_channel_host.core.channel.selection import Readable, behind, select
 
 
 class Horizon(NamedTuple):
@@ -41,6 +41,11 @@ class Horizon(NamedTuple):
     held_by: Callable[[], str]
 
 
+def end_of(cut: int | None) -> ItemKey:
+    """The key below which a group with this cut shows items."""
+    return FIRST_KEY if cut is None else (cut, 0)
+
+
 class VisibleHoldings:
     """The held items before a cut, with the reading methods of `Holdings`. If `cut` is None, there are none."""
 
@@ -48,7 +53,7 @@ class VisibleHoldings:
 
     def __init__(self, held: Holdings | HoldingsSnapshot, cut: int | None) -> None:
         self._held = held
-        self._end: ItemKey = FIRST_KEY if cut is None else (cut, 0)
+        self._end = end_of(cut)
         self._last = self._end[0] - 1
         self.frontier = held.frontier
         self.gone_before = held.gone_before
@@ -87,13 +92,20 @@ class VisibleHoldings:
 class VisibleReading(Reading):
     """Answers one query from the part of a channel before a horizon."""
 
-    def __init__(self, channel: ChannelCore | ChannelSnapshot, horizon: Horizon, now: int) -> None:
-        """`now` is the host's clock. The channel first outdates the items that are too old at `now`."""
+    def __init__(
+        self, channel: ChannelCore | ChannelSnapshot, horizon: Horizon, now: int, shown: Readable | None = None
+    ) -> None:
+        """`now` is the host's clock. The channel first outdates the items that are too old at `now`.
+
+        `shown` are the items before the horizon; None: those in memory.
+        """
         self._all: Holdings | HoldingsSnapshot
         self._all, retention = channel.look(now)
-        held = VisibleHoldings(self._all, horizon.cut)
-        super().__init__(held, retention, channel.incarnation, channel.lost_before)
+        shown = VisibleHoldings(self._all, horizon.cut) if shown is None else shown
+        super().__init__(shown, retention, channel.incarnation, channel.lost_before)
         self.advance, self.consumed_up_to = channel.advanced_to, self._all.newest_consumed
+        self.lost_from = channel.lost_from
+        self._newest = self._all.newest  # of all items, hidden or not
         self._horizon = horizon
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
 
@@ -127,7 +139,7 @@ class VisibleReading(Reading):
 
     def _is_passed(self, region: ResolvedInterval) -> bool:
         """Whether an item, hidden or not, or an advance has passed the region's end."""
-        marks = [mark for mark in (self._all.newest, self.advance, self.consumed_up_to) if mark is not None]
+        marks = [mark for mark in (self._newest, self.advance, self.consumed_up_to) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
     def _reason(
@@ -153,17 +165,17 @@ class VisibleReading(Reading):
         return super()._not_yet(query, region)
 
     def _no_anchor(self) -> Reason:
-        return super()._no_anchor() if self._all.newest is None else self._hidden()
+        return super()._no_anchor() if self._newest is None else self._hidden()
 
     def _hides(self) -> bool:
         """Whether a held item that matches the query lies at or after the cut."""
         assert self._asked is not None, "set with every answer that gives reasons"
         query, within, clock = self._asked
-        cut, newest = self._horizon.cut, self._all.newest
-        if newest is None or (cut is not None and (newest < cut or within.end < cut)):
+        cut, newest = self._horizon.cut, self._newest
+        if newest is None or not may_hide(newest, within, cut):
             return False
         full_now = max(clock, newest)
-        found = run_to_end(select(self._all, _latest_of(query), within, full_now)).slices
+        found = run_to_end(select(self._all, latest_of(query), within, full_now)).slices
         return bool(found) and (cut is None or found[0].last_time >= cut)
 
     def _hidden(self) -> Reason:
@@ -173,7 +185,12 @@ class VisibleReading(Reading):
         return Reason("HIDDEN", f"the group hides it: {shown}, {self._horizon.held_by()}")
 
 
-def _latest_of(query: Query) -> Query:
+def may_hide(newest: int, within: ResolvedInterval, cut: int | None) -> bool:
+    """Whether an item of the interval may lie at or after the cut. `newest`: the time of the newest item."""
+    return cut is None or (newest >= cut and within.end >= cut)
+
+
+def latest_of(query: Query) -> Query:
     """A query for the latest item that `query` selects."""
     if query.newest_first:
         return replace(query, limit=1)
