@@ -14,8 +14,8 @@ from tests.contract.memory import MemoryConnection
 from tests.contract.surfaces import Surface, connected
 from tests.support.cluster import cluster_fixture, find_secret_of
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="session")
-grouped_cluster = cluster_fixture(hosts=2, supernodes=1, scope="session")
+cluster = cluster_fixture(hosts=1, supernodes=1, scope="package")
+grouped_cluster = cluster_fixture(hosts=2, supernodes=1, scope="package")
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +70,7 @@ def _parameters(item: pytest.Item) -> set[str]:
     return {one for one in parameters if isinstance(one, str)}
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def host_here(cluster: LocalCluster) -> Iterator[HostHere]:
     """A host in the process of the tests, which all tests share."""
     with pytest.MonkeyPatch.context() as patch:

@@ -22,17 +22,17 @@ _secret_files: dict[str, str] = {}  # by the address of each running cluster
 
 
 def cluster_fixture(
-    *, scope: Literal["function", "module", "session"] = "module", **settings: Any
+    *, scope: Literal["function", "module", "package"] = "module", **settings: Any
 ) -> Callable[..., Iterator[LocalCluster]]:
     """Return a fixture with a running LocalCluster, made with `settings`. Clients in this process find its secret.
 
-    A test that kills a part of it needs its own cluster: scope="function". A cluster of the whole session runs beside
-    those of other files. Clients find its secret only after `find_secret_of`.
+    A test that kills a part of it needs its own cluster: scope="function". Clients find the secret of a cluster of a
+    package only after `find_secret_of`, because two such clusters may run at the same time.
     """
 
     @pytest.fixture(scope=scope)
     def cluster() -> Iterator[LocalCluster]:
-        with running_cluster(is_found=scope != "session", **settings) as made:
+        with running_cluster(is_found=scope != "package", **settings) as made:
             yield made
 
     return cluster
