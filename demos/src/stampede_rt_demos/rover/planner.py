@@ -10,7 +10,7 @@ from stampede_rt_demos.rover.programme import PLANNER_JOINS, RIG
 from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.stereo.matching import Pair, pairs_of, take_pairs
-from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, DISPARITY_MAX, GROUP, Side
+from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, DISPARITY_MAX, END_DISPARITY, GROUP, Side
 
 PAIRS_PER_COMMAND = 4
 SEND_SECONDS = 2.0
@@ -28,7 +28,7 @@ def play(stage: Stage) -> dict[str, object]:
             nonlocal sent, unsent, pairs
             pairs += 1
             newest = depth.newest() if pairs % PAIRS_PER_COMMAND == 0 else None
-            if newest is None:
+            if newest is None or newest.value["disparity"] == END_DISPARITY:
                 return
             command = json.dumps({"speed": DISPARITY_MAX - newest.value["disparity"]}).encode()
             try:

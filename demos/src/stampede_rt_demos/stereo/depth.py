@@ -11,7 +11,7 @@ import stampede_rt as st
 from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.stereo.camera import picture_of
 from stampede_rt_demos.stereo.matching import Pair, ignore, number_of, pairs_of, take_pairs
-from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, GROUP, Side, true_disparity
+from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, END_DISPARITY, END_NANOS, GROUP, Side, true_disparity
 from stampede_rt_demos.stereo.scene import measured_disparity
 
 
@@ -38,7 +38,7 @@ def play(stage: Stage) -> dict[str, object]:
         threads = stack.enter_context(ThreadPoolExecutor(1))
         of_right = threads.submit(take_pairs, by_right, Side.RIGHT, ignore)
         of_left = take_pairs(by_left, Side.LEFT, handle)
-        depth.advance(start + stage.settings.length_nanos)
+        depth.put({"disparity": END_DISPARITY}, time=start + stage.settings.length_nanos + END_NANOS)
         records = {"left": of_left.as_record(), "right": of_right.result().as_record()}
     stage.tell("picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair])
     return {**records, "measured": measured}

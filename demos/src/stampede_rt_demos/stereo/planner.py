@@ -9,7 +9,15 @@ import time
 import stampede_rt as st
 from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.staging.statistics import percentile
-from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, DISPARITY_MAX, DISPARITY_MIN, MAPPER, PLANNER
+from stampede_rt_demos.stereo.programme import (
+    DEPTH_CHANNEL,
+    DISPARITY_MAX,
+    DISPARITY_MIN,
+    END_DISPARITY,
+    END_NUMBER,
+    MAPPER,
+    PLANNER,
+)
 
 NEAR_PIXELS = (DISPARITY_MIN + DISPARITY_MAX) // 2
 ANSWER_SECONDS = 3.0
@@ -25,13 +33,15 @@ def play(stage: Stage) -> dict[str, object]:
     round_trips: list[int] = []
     with st.connect(stage.settings.address, name=PLANNER) as rt:
         depth = rt.channel(DEPTH_CHANNEL, codec="json", create=False)
-        until = stage.wait_for_start() + stage.settings.length_nanos
+        stage.wait_for_start()
         seen: st.Item | None = None
-        while time.time_ns() < until:
+        while True:
             item = depth.newest(after=seen, timeout=LOOK_SECONDS)
             if item is None:
                 continue
             seen = item
+            if item.value["disparity"] == END_DISPARITY:
+                break
             if item.value["disparity"] < NEAR_PIXELS:
                 continue
             began = time.perf_counter_ns()
@@ -42,6 +52,7 @@ def play(stage: Stage) -> dict[str, object]:
             round_trips.append(time.perf_counter_ns() - began)
             stops += median >= NEAR_PIXELS
             stage.tell_progress(items=len(round_trips))
+        rt.send(MAPPER, json.dumps({"number": END_NUMBER}).encode())
     return {
         "answers": len(round_trips),
         "unanswered": unanswered,

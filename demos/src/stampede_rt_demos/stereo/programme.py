@@ -27,8 +27,10 @@ DEPTH_CHANNEL = "stereo/depth"
 PLANNER, MAPPER = "planner", "mapper"
 END_NUMBER = -1
 """The number of the item that each camera puts after its last frame."""
+END_DISPARITY = -1
+"""The value of the item that the depth consumer puts after its last one."""
 END_NANOS = 100_000_000
-"""The time of that item after the end of the programme: more than the tolerance, so that no frame is its partner."""
+"""The time of these items after the end of the programme: more than the tolerance, so that no frame is a partner."""
 
 
 class Side(Enum):
