@@ -22,7 +22,7 @@ def report() -> RoverReport:
 
 def test_no_pair_is_lost_and_none_is_wrong(report: RoverReport) -> None:
     assert len(report.puts) == report.frames > 0
-    assert (report.pairs, report.wrong, report.lost) == (report.pairs_possible, 0, 0)
+    assert (report.pairs, report.wrong, report.dropped) == (report.pairs_possible, 0, 0), report.events
 
 
 def test_the_planner_joins_the_host_is_drained_and_another_one_killed(report: RoverReport) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
@@ -56,11 +55,12 @@ class Faults:
         cameras = [self._rt.channel(side.value, create=False) for side in Side]
         for camera in cameras:
             camera.configure(replicas=1, ack="replica")
-        self._until(lambda: all(any(copy.in_sync for copy in camera.stats().copies) for camera in cameras))
+        self._await_replicas()
         self._note("each has a replica in sync")
 
     def _kill(self) -> None:
-        """Kill the host of the left camera's channel."""
+        """Kill the host of the left camera's channel, while each channel has a replica in sync."""
+        self._await_replicas()
         owner = self._rt.channel(Side.LEFT.value, create=False).host
         {f"h{number}": one for number, one in enumerate(self._cluster.hosts, 1)}[owner].kill()
         self._note(f"{owner} is killed")
@@ -75,9 +75,11 @@ class Faults:
     def _note(self, what: str) -> None:
         self.events.append((time.time_ns() - self._start, what))
 
-    def _until(self, holds: Callable[[], bool]) -> None:
+    def _await_replicas(self) -> None:
+        """Wait until each channel has a replica in sync. A replica that a busy machine delays leaves the sync."""
+        cameras = [self._rt.channel(side.value, create=False) for side in Side]
         deadline = time.monotonic() + SYNC_SECONDS
-        while not holds():
+        while not all(any(copy.in_sync for copy in camera.stats().copies) for camera in cameras):
             if time.monotonic() > deadline:
                 raise DemoFailed(f"the replicas were not in sync after {SYNC_SECONDS:.0f} s")
             time.sleep(LOOK_SECONDS)
