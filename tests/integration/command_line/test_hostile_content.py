@@ -13,7 +13,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli.commands import run
-from stampede_rt.cli.verbs import VERBS
+from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.command_line.terminal import run_in_terminal
@@ -39,6 +39,7 @@ SHOWING: dict[str, Words] = {
     "get": lambda _: [
         ["get", "hostile/a", "--all"],
         ["get", "hostile/a", "--format", "{payload}{attributes[k]}{content_type}"],
+        ["get", "hostile/a", "--format", "{seq:c}"],
     ],
     "echo": lambda _: [["echo", "hostile/a", "--from", "oldest", "--count", "3"]],
     "sub": lambda _: [["sub", "hostile/a", "--from", "oldest", "--count", "3"]],
@@ -63,6 +64,28 @@ SHOWING: dict[str, Words] = {
     "context": lambda _: [["context", "ls"], ["context", "use", HOSTILE], ["context", "add", HOSTILE, "--url", "a"]],
     "completion": lambda _: [["completion", HOSTILE]],
     "token": lambda _: [["token", "issue", HOSTILE]],
+}
+# The verbs that run parts of the system, with words that make them print texts of others, and end.
+SERVICES: dict[str, Words] = {
+    "dev": lambda _: [["dev", "--listen", HOSTILE], ["dev", HOSTILE]],
+    "frontend": lambda _: [["frontend", "--listen", HOSTILE], ["frontend", HOSTILE]],
+    "supernode": lambda path: [
+        ["supernode", "--id", HOSTILE],
+        ["supernode", HOSTILE],
+        ["supernode", "status"],
+        ["supernode", "add", HOSTILE],
+        ["supernode", "remove", HOSTILE],
+        ["supernode", "init", "--data-dir", str(path / "founded"), "--listen", HOSTILE],
+    ],
+    "host": lambda _: [["host", "--name", HOSTILE], ["host", HOSTILE], ["host", "drain", HOSTILE]],
+    "web": lambda _: [["web", "--listen", HOSTILE], ["web", HOSTILE]],
+    "certs": lambda path: [
+        ["certs", "show", HOSTILE],
+        ["certs", "init", str(path / HOSTILE)],
+        ["certs", "issue", "--dir", str(path / HOSTILE), "--name", HOSTILE, "--role", "host"],
+    ],
+    "demo": lambda _: [["demo", HOSTILE]],
+    "bench": lambda _: [["bench", HOSTILE]],
 }
 ENDLESS = {
     "echo": ["echo", "hostile/many", "--from", "oldest"],
@@ -113,11 +136,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_verb_is_looked_at() -> None:
     assert set(SHOWING) == set(VERBS)
+    assert set(SERVICES) == set(SERVICE_VERBS)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", [*VERBS, *SERVICE_VERBS])
 def test_no_verb_writes_control_characters_of_others_to_a_terminal(verb: str, folder: Path) -> None:
-    for words in SHOWING[verb](folder):
+    for words in (SHOWING | SERVICES)[verb](folder):
         screen = run_in_terminal(words, columns=120)
         assert screen.written, words
         assert "\x1b]" not in screen.written, words

@@ -135,7 +135,8 @@ def test_put_takes_one_item_for_each_line_of_standard_input(
 ) -> None:
     said = terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\ntwo\nlast\n\x04")
     assert said.text == "lines: 3 items put\n"
-    assert [item.payload for item in rt.channel("lines").get(st.OLDEST, st.NEWEST)] == [b"one", b"two", b"last"]
+    assert terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\n\x04").text == "lines: 1 item put\n"
+    assert [item.payload for item in rt.channel("lines").get(st.OLDEST, st.NEWEST)] == [b"one", b"two", b"last", b"one"]
 
 
 def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) -> None:
@@ -151,10 +152,32 @@ def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) ->
         (["text", "--count", "3"], "--count needs --rate or --lines"),
         (["text", "--rate", "1", "--time", "5"], "--time is for one item"),
         (["text", "--rate", "0"], "'0' is no rate"),
+        (["text", "--rate", "1e-300"], "'1e-300' is no rate"),
     ],
 )
 def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words: list[str], complaint: str) -> None:
     assert complaint in terminal("put", "refused", *words, status=2, columns=300).text
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["ls", "\udcff"], 2, "an argument is no text in UTF-8"),
+        (["move", "absent", "h1"], 1, "there is no channel absent; `stampede ls` lists the channels"),
+        (["proxy", "ls", "absent"], 1, "there is no channel absent; `stampede ls` lists the channels"),
+        (["get", "absent", "--format", "{seq:c}"], 2, "the format of 'seq' is not allowed"),
+        (["put", "absent", "x", "--consumers", "9999999999"], 2, "below 2**32"),
+        (["queue", "put", "absent", "x", "--copies", "9999999999"], 2, "below 2**32"),
+        (["replay", "absent", "--shift", "-1h"], 2, "there is no file and no channel absent"),
+        (["put", "absent", "x", "--duration", "-5s"], 2, "duration"),
+    ],
+)
+def test_wrong_arguments_are_told_in_a_sentence(
+    terminal: Terminal, words: list[str], status: int, complaint: str
+) -> None:
+    said = terminal(*words, status=status, progress=words[0] == "replay", columns=300).text
+    assert complaint in said
+    assert "expected one argument" not in said
 
 
 def test_items_are_printed_readably_as_a_format_says_and_in_local_time(

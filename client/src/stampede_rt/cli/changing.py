@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob
 from stampede_rt.cli.exit_statuses import FAILED
-from stampede_rt.cli.output import policy_text, print_facts, print_rows
+from stampede_rt.cli.output import number_of, policy_text, print_facts, print_rows
 from stampede_rt.cli.policy_options import add_limits, limits_of
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
@@ -68,7 +68,7 @@ def _matching(rt: Connection, glob: str, yes: bool) -> list[str]:
     if not yes:
         shown = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
         raise InvalidArgument(
-            f"{glob!r} matches {len(found)} channels ({shown}); nothing is deleted; --yes deletes them"
+            f"{glob!r} matches {number_of(len(found), 'channel')} ({shown}); nothing is deleted; --yes deletes them"
         )
     return found
 

@@ -21,7 +21,9 @@ def drain(words: Sequence[str]) -> int:
     verbs = parser.add_subparsers(dest="host_verb", metavar="VERB", required=True, parser_class=VerbParser)
     verb = add_verb(verbs, "drain", "move all channels of a host to other hosts, while they are in use", lambda _: 0)
     verb.add_argument("host", metavar="HOST", help="the host's name")
-    verb.add_argument("--timeout", default="60s", help="give up after this time, at most 60s; default: 60s")
+    verb.add_argument(
+        "--timeout", default="60s", metavar="DURATION", help="give up after this time, at most 60s; default: 60s"
+    )
     arguments = parser.parse_args(words)
     with connected(arguments) as rt, shown_progress(_progress(rt, arguments.host)):
         drained = rt.drain(arguments.host, timeout=arguments.timeout)

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from stampede_rt.cli.arguments import add_verb, connected
+from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.values.proxying import MoveInfo
 from stampede_rt.values.timeline import format_duration
@@ -21,14 +21,18 @@ def add_verbs(subparsers: Any) -> None:
     text = "show moves that would even out the loads of the hosts; with --apply perform them"
     rebalance = add_verb(subparsers, "rebalance", text, run_rebalance)
     rebalance.add_argument("--apply", action="store_true", help="perform the moves, one after the other")
-    rebalance.add_argument("--over", default="2s", help="measure the work of the channels for so long; default: 2s")
+    rebalance.add_argument(
+        "--over", default="2s", metavar="DURATION", help="measure the work of the channels for so long; default: 2s"
+    )
 
 
 def run_move(arguments: argparse.Namespace) -> int:
     """Move a channel or queue."""
     with connected(arguments) as rt:
-        move = rt.move_queue if arguments.queue else rt.move
-        moved = move(arguments.channel, arguments.host)
+        if arguments.queue:
+            moved = rt.move_queue(arguments.channel, arguments.host)
+        else:
+            moved = rt.move(existing(rt, arguments.channel), arguments.host)
     print_facts(move_row(moved, arguments.output), arguments.output)
     return 0
 

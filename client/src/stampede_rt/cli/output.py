@@ -102,11 +102,11 @@ def policy_text(policy: Policy) -> str:
         more = "" if longest is None else f" (to {format_duration(longest)} for consumers)"
         parts.append(f"{format_duration(policy.max_age_nanos)}{more}")
     if policy.max_items is not None:
-        parts.append(f"{policy.max_items} items")
+        parts.append(number_of(policy.max_items, "item"))
     if policy.max_bytes is not None:
         parts.append(bytes_text(policy.max_bytes))
     if policy.consumers is not None:
-        parts.append(f"{policy.consumers} consumers")
+        parts.append(number_of(policy.consumers, "consumer"))
     parts = parts or ["10 s (default)"]
     if policy.overlap_nanos is not None:
         parts.append(f"overlap {format_duration(policy.overlap_nanos)}")
@@ -117,8 +117,13 @@ def policy_text(policy: Policy) -> str:
         parts.append(f"archive {bytes_text(policy.archive_bytes)}")
     if policy.replicas:
         least = "" if policy.min_replicas is None else f", at least {policy.min_replicas}"
-        parts.append(f"{policy.replicas} replica{'s' if policy.replicas > 1 else ''} (ack {policy.ack}{least})")
+        parts.append(f"{number_of(policy.replicas, 'replica')} (ack {policy.ack}{least})")
     return ", ".join(parts)
+
+
+def number_of(count: int, noun: str) -> str:
+    """Return a number of things as a text for people, such as "1 item" or "2 items"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def bytes_text(count: float) -> str:

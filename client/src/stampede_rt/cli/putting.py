@@ -24,18 +24,20 @@ from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.messages import add_payload, payload_of
-from stampede_rt.cli.output import print_done
+from stampede_rt.cli.output import number_of, print_done
 from stampede_rt.cli.policy_options import add_policy, policy_of
 from stampede_rt.cli.standard_input import read_lines
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
+from stampede_rt.values.payloads import check_attributes
+from stampede_rt.values.timeline import parse_item_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Producer
 
 STOP_S = 1.0  # after Ctrl-C, until the last items are acknowledged
 FLUSH_S = 30.0  # how long the command waits for the last acknowledgements
-RATE_MAX = 1_000_000.0
+RATE_MIN, RATE_MAX = 1e-5, 1e6  # items per second; the least one is about one a day
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -74,7 +76,7 @@ def _rate(text: str) -> float:
         rate = float(text)
     except ValueError:
         rate = 0.0
-    if not 0 < rate <= RATE_MAX:
+    if not RATE_MIN <= rate <= RATE_MAX:
         raise argparse.ArgumentTypeError(f"{text!r} is no rate; write a number of items per second, such as 10 or 0.5")
     return rate
 
@@ -88,6 +90,8 @@ def run_put(arguments: argparse.Namespace) -> int:
         raise InvalidArgument("--count needs --rate or --lines")
     if arguments.time is not None and many:
         raise InvalidArgument("--time is for one item; with --rate or --lines each item has the time of its put")
+    parse_item_duration(arguments.duration)  # before the channel is created
+    check_attributes(dict(arguments.attribute or ()))
     payload = b"" if arguments.lines else payload_of(arguments)
     with connected(arguments) as rt:
         channel = rt.channel(arguments.channel, **policy_of(arguments))
@@ -117,7 +121,7 @@ def _put_many(channel: Channel, payload: bytes, arguments: argparse.Namespace) -
         refusal = _flushed(producer)
     refused = f", {producer.rejections} refused" if producer.rejections else ""
     done = {"channel": channel.name, "accepted": producer.accepted, "rejected": producer.rejections}
-    print_done(done, f"{channel.name}: {producer.accepted} items put{refused}", arguments.output)
+    print_done(done, f"{channel.name}: {number_of(producer.accepted, 'item')} put{refused}", arguments.output)
     if refusal is not None:
         print(f"stampede: the first refused item: {escaped(refusal.message)}", file=sys.stderr)
     return FAILED if producer.rejections else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,10 @@ from stampede_rt.escaping import TerminalParser
 
 class VerbParser(TerminalParser):
     """The parser of one verb. It allows options between the arguments, and refuses unknown arguments."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # a value such as -1h is no option
 
     _intermixed = False  # whether `parse_known_intermixed_args` runs, which calls `parse_known_args` again
 

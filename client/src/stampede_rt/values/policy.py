@@ -73,7 +73,7 @@ def parse_policy(
         max_age_nanos=duration_of("max_age", max_age, least=1),
         max_items=count_of("max_items", max_items),
         max_bytes=max_bytes_of(max_bytes),
-        consumers=count_of("consumers", consumers),
+        consumers=count_of("consumers", consumers, below=2**32),
         on_full=on_full,
         max_future_nanos=duration_of("max_future", max_future, least=0),
         content_type=content_type_of(content_type),
@@ -156,13 +156,16 @@ def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | N
     return nanos
 
 
-def count_of(what: str, value: int | None) -> int | None:
-    """Return `value`, a whole number of 1 or more; None if it is None. Raises InvalidArgument, which names `what`."""
+def count_of(what: str, value: int | None, *, below: int = 2**63) -> int | None:
+    """Return `value`, a whole number of 1 or more and less than `below`, a power of two; None if it is None.
+
+    Raises InvalidArgument, which names `what`.
+    """
     if value is None:
         return None
     count = whole_number_of(what, value)
-    if not 1 <= count < 2**63:
-        raise InvalidArgument(f"{what} is {value!r}; it must be 1 or more, and below 2**63")
+    if not 1 <= count < below:
+        raise InvalidArgument(f"{what} is {value!r}; it must be 1 or more, and below 2**{below.bit_length() - 1}")
     return count
 
 

@@ -194,9 +194,9 @@ def parse_queue_policy(
         max_items=count_of("max_items", max_items),
         max_bytes=max_bytes_of(max_bytes),
         on_full=on_full,
-        copies=count_of("copies", copies),
+        copies=count_of("copies", copies, below=2**32),
         lease_nanos=parse_lease(lease),
-        max_deliveries=count_of("max_deliveries", max_deliveries),
+        max_deliveries=count_of("max_deliveries", max_deliveries, below=2**32),
         dead_letter_queue_id=dead_letter_queue_id,
         content_type=content_type_of(content_type),
     )

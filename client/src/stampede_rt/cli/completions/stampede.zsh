@@ -863,7 +863,7 @@ _shtab_stampede_host_drain_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--timeout[give up after this time, at most 60s\; default\: 60s]:timeout:"
+  "--timeout[give up after this time, at most 60s\; default\: 60s]:DURATION:"
   ":the host\'s name:"
 )
 
@@ -1265,7 +1265,7 @@ _shtab_stampede_rebalance_options=(
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--apply[perform the moves, one after the other]"
-  "--over[measure the work of the channels for so long\; default\: 2s]:over:"
+  "--over[measure the work of the channels for so long\; default\: 2s]:DURATION:"
 )
 
 # guard to ensure default positional specs are added only once per session
