@@ -40,7 +40,10 @@ IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
 """The test modules that also run in a program that is the host of its channels: puts and gets by reference."""
 
 
-@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared", "here"], autouse=True)
+HERE = pytest.param("here", marks=pytest.mark.without_rules("a client token cannot host channels"))
+
+
+@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared", HERE], autouse=True)
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport that each client of a test must use."""
     transport, _, streams = str(request.param).partition("-")

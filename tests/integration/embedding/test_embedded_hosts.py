@@ -21,6 +21,7 @@ from stampede_rt_channel_host.embedded import embed
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
+pytestmark = pytest.mark.without_rules("a client token cannot host channels")
 cluster = cluster_fixture(hosts=1, supernodes=1)
 LIMIT_S = 90
 

@@ -95,6 +95,7 @@ def test_moves_in_a_row_under_load_lose_nothing_and_deliver_nothing_twice(rt: An
     assert queue.stats().consumed == len(put)
 
 
+@pytest.mark.without_rules("it acts as an operator")
 def test_a_drained_host_has_no_queue_and_no_mailbox(rt: Any, cluster: LocalCluster) -> None:
     queue = rt.queue(f"jobs/{next(numbers)}", host="h1")
     queue.put(b"x")
