@@ -56,7 +56,7 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
 
     chosen = [work for work in capacity_works() if not only or work.name in only]
     compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=_say)
-    for table in (report.rates(), report.memory_table()):
+    for table in report.tables():
         print(flush=True)
         table.print()
     print(f"\nThe report is in {folder}: capacity.md and capacity.json.")

@@ -52,8 +52,8 @@ async def _round(rt: aio.Connection, host: int, name: str, items: int) -> Mappin
 
 
 async def _open(rt: aio.Connection, name: str, count: int) -> None:
-    for number in range(count):
-        await rt.channel(f"{name}/{number}")
+    for number in range(count):  # a host knows a channel from its first item
+        await (await rt.channel(f"{name}/{number}", max_items=1)).put(bytes(SMALL))
 
 
 def _one_by_one(payload_bytes: int) -> Fill:
@@ -88,7 +88,7 @@ def resident_bytes(pid: int) -> int:
 
 
 KINDS: Mapping[str, tuple[float, Fill]] = {
-    "an idle channel": (CHANNELS_PER_ITEM, _open),
+    "a channel with one item of 64 B": (CHANNELS_PER_ITEM, _open),
     "an item of 64 B, put alone": (1, _one_by_one(SMALL)),
     "an item of 64 B, put in a run": (RUN_ITEMS_PER_ITEM, _in_runs),
     "an item of 18 KB": (FRAMES_PER_ITEM, _one_by_one(MEDIUM)),

@@ -48,13 +48,16 @@ class CapacityReport:
         table.notes = ["Items with their payload, in a channel without a reader."]
         return table
 
+    def tables(self) -> list[Table]:
+        """Return the tables that have rows."""
+        return [table for table in (self.rates(), self.memory_table()) if table.rows]
+
     def markdown(self) -> str:
         """Return the whole report as Markdown."""
         machine = "; ".join(f"{key}: {value}" for key, value in self.machine.items())
         conditions = f"Medians, with the least and the most in parentheses. Measured on: {machine}."
         parts = ["# Capacity of one host", f"`{self.command}`", conditions]
-        tables = [self.rates(), self.memory_table()]
-        parts += [table.markdown() for table in tables if table.rows]
+        parts += [table.markdown() for table in self.tables()]
         return "\n\n".join(parts + [f"Failed: {one.strip().splitlines()[0]}" for one in self.results.failures]) + "\n"
 
     def values(self) -> dict[str, object]:
