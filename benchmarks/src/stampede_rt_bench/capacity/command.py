@@ -50,6 +50,7 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
         report.write(folder)
 
     def done(results: Results, work: Work) -> None:
+        _say(f"measured: {work.title}")
         report.results = results
         report.machine["load after"] = f"{os.getloadavg()[0]:.1f}"
         report.write(folder)  # after each work, so that an interrupted run keeps its figures
