@@ -101,11 +101,11 @@ def supervisor(tmp_path: Path) -> Iterator[socket.socket]:
 def commands(cluster: LocalCluster) -> dict[str, list[str]]:
     credentials = ["--secret-file", str(cluster.secret_file), "--listen", "localhost:0"]
     return {
-        "supernode": ["stampede_rt_supernode", *credentials],
-        "frontend": ["stampede_rt_frontend", "--supernodes", cluster.supernodes[0].address, *credentials],
-        "host": ["stampede_rt_channel_host", "--frontend", cluster.address, *credentials],
-        "hosts": ["stampede_rt_channel_host", "--frontend", cluster.address, *credentials, "--processes", "2"],
-        "web": ["stampede_rt_web", "--url", cluster.address, *credentials],
+        "supernode": ["supernode", *credentials],
+        "frontend": ["frontend", "--supernodes", cluster.supernodes[0].address, *credentials],
+        "host": ["host", "--frontend", cluster.address, *credentials],
+        "hosts": ["host", "--frontend", cluster.address, *credentials, "--processes", "2"],
+        "web": ["web", "--url", cluster.address, *credentials],
     }
 
 
@@ -114,7 +114,7 @@ def test_a_service_tells_systemd_once_that_it_is_ready_and_then_that_it_stops(
     cluster: LocalCluster, supervisor: socket.socket, service: str
 ) -> None:
     environment = os.environ | {"NOTIFY_SOCKET": supervisor.getsockname()}
-    with started([sys.executable, "-m", *commands(cluster)[service]], env=environment) as process:
+    with started([str(INSTALLED / "stampede"), *commands(cluster)[service]], env=environment) as process:
         assert supervisor.recv(100) == b"READY=1"
         process.send_signal(signal.SIGTERM)
         assert supervisor.recv(100) == b"STOPPING=1"

@@ -13,7 +13,7 @@ from stampede_rt.cli.exit_statuses import INTERRUPTED
 from stampede_rt.cli.interrupts import ended_at_once, run_interruptibly
 
 # These verbs install their own signal handlers, which Python allows only on the main thread.
-ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
+ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "web", "certs", "demo", "bench")
 
 
 def _prepare_output() -> None:

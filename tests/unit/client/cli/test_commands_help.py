@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from stampede_rt.cli.commands import full_parser, parser_of, run
-from stampede_rt.cli.verbs import VERBS
+from stampede_rt.cli.main import ON_THE_MAIN_THREAD
+from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 
 # An empty interpreter has about 35 modules.
 HELP_MODULES_MAX = 110
@@ -82,3 +83,7 @@ def test_help_loads_few_modules_so_that_it_comes_at_once() -> None:
 @pytest.mark.parametrize("verb", ["dev", "frontend", "supernode", "host", "web"])
 def test_the_help_of_a_service_comes_from_its_settings_without_its_modules(verb: str) -> None:
     assert modules_of(verb, "--help") < SERVICE_MODULES_MAX
+
+
+def test_every_verb_of_another_package_runs_on_the_main_thread_where_it_may_handle_signals() -> None:
+    assert set(SERVICE_VERBS) <= set(ON_THE_MAIN_THREAD)
