@@ -127,7 +127,7 @@ docs: setup  ## the site of the documentation, in out/site; see it with: python3
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
 
-bench-moves: setup  ## 100 moves of a channel under load: the pauses that producers and readers notice
+bench-moves: setup  ## 100 moves of a channel and a queue under load: a table of the pauses that producers and readers notice
 	$(RUN)/python -m tests.benchmarks.moves
 
 bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a quiet machine; BENCH='--rounds 3' for less

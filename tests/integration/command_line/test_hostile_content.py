@@ -49,6 +49,7 @@ SHOWING: dict[str, Words] = {
     "peers": lambda _: [["peers"], ["peers", HOSTILE]],
     "mailbox": lambda _: [["mailbox", "info", HOSTILE], ["mailbox", "send", HOSTILE, "x"]],
     "proxy": lambda _: [["proxy", "ls", HOSTILE]],
+    "replicas": lambda _: [["replicas", "hostile/a"], ["replicas", HOSTILE]],
     "hz": lambda _: [["hz", "hostile/*", "--every", "0.1", "--count", "1"]],
     "bw": lambda _: [["bw", "hostile/a", "--every", "0.1", "--count", "1"]],
     "top": lambda _: [["top", "--every", "0.1", "--count", "1"]],

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
+from stampede_rt.cli.commands import run
 from stampede_rt_local.cluster import LocalCluster
 from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
 from tests.integration.replicas.test_replicas import holds_all, in_sync, opened, owner_of
@@ -53,12 +54,16 @@ def test_a_channel_with_a_replica_moves_under_load_and_then_survives_its_new_hos
 
 
 @pytest.mark.without_rules("it acts as an operator")
-def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(cluster: LocalCluster) -> None:
+def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(
+    cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
+) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt, replicas=2)
         eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
         with reading(channel, 2) as readers, produced(channel) as producing:
             passes(producing, 50)
+            assert run(["replicas", "cam", "--url", cluster.address]) == 0
+            assert [line.split()[1:3] for line in capsys.readouterr().out.splitlines()[1:]] == [["in", "sync"]] * 2
             assert rt.drain("h1").left == {}
             assert owner_of(rt, channel) in ("h2", "h3")
             passes(producing, 50)

@@ -10,6 +10,7 @@ from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.channel_users import user_facts
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
+from stampede_rt.cli.replicas import replica_rows
 from stampede_rt.values.model import ChannelInfo
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.statistics import ChannelStats
@@ -70,7 +71,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         stats = channel.stats()
         info = channel.info
         proxies = rt.proxies(channel) if stats.copies else []
-        replicas = _replicas(rt, stats) if stats.policy.replicas else []
+        replicas = replica_rows(rt, stats) if stats.policy.replicas else []
     people = arguments.output == "table"
     instant = instant_text if people else (lambda value: value)
     facts: dict[str, Any] = {
@@ -116,17 +117,6 @@ def _consumers(stats: ChannelStats) -> str:
     held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]
     of = "" if stats.policy.consumers is None else f" of {stats.policy.consumers}"
     return f"{len(stats.consumers)}{of} taken" + (f" ({', '.join(held)})" if held else "")
-
-
-def _replicas(rt: Connection, stats: ChannelStats) -> list[dict[str, Any]]:
-    """Return the replicas of a channel, those in sync first."""
-    names = {one.host_id: one.name for one in rt.hosts()}
-    replicas = [
-        {"host": names.get(one.host_id, one.host_id.hex()), "in_sync": one.in_sync, "waiting": one.waiting}
-        for one in stats.copies
-        if one.replica
-    ]
-    return sorted(replicas, key=lambda one: (not one["in_sync"], one["host"]))
 
 
 def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:

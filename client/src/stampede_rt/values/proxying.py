@@ -65,7 +65,7 @@ class CopyStats:
 
     `waiting`: the items that the host has still to send. `subscriptions`: as the copy last reported them. `ready`: the
     copy serves readers. `replica`: it is a replica, which serves no readers and becomes the owner if the owner is lost
-    while the replica is `in_sync`.
+    while the replica is `in_sync`. `heard_ago_nanos`: the time since the copy last sent a word.
     """
 
     host_id: bytes
@@ -74,3 +74,4 @@ class CopyStats:
     ready: bool
     replica: bool = False
     in_sync: bool = False
+    heard_ago_nanos: int = 0

@@ -185,6 +185,7 @@ def channel_stats(
                 ready=one.ready,
                 replica=one.replica,
                 in_sync=one.in_sync,
+                heard_ago_nanos=one.heard_ago_nanos,
             )
             for one in status.fed_copies
         ],

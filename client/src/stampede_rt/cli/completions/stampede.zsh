@@ -43,6 +43,7 @@ _shtab_stampede_commands() {
     rebalance:'show moves that would even out the loads of the hosts; with --apply perform them'
     record:'record channels to an MCAP file, until Ctrl-C'
     replay:'play an MCAP file, or channels, into channels'
+    replicas:'list the replicas of a channel, which become the owner if the owner is lost'
     rm:'delete channels with all their items, for everyone'
     sub:'print the items of all matching channels as one stream in the order of time, until Ctrl-C'
     supernode:'Runs one replica of the directory: alone, or with the other members, of which a majority must run. `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for supernodes that run. Each has --help.'
@@ -1306,6 +1307,17 @@ _shtab_stampede_replay_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_stampede_replay_defaults_added=0
 
+_shtab_stampede_replicas_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
+  ":the channel\'s name:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_replicas_defaults_added=0
+
 _shtab_stampede_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
@@ -1562,6 +1574,7 @@ _shtab_stampede() {
         rebalance) _arguments -C -s $_shtab_stampede_rebalance_options ;;
         record) _arguments -C -s $_shtab_stampede_record_options ;;
         replay) _arguments -C -s $_shtab_stampede_replay_options ;;
+        replicas) _arguments -C -s $_shtab_stampede_replicas_options ;;
         rm) _arguments -C -s $_shtab_stampede_rm_options ;;
         sub) _arguments -C -s $_shtab_stampede_sub_options ;;
         supernode) _shtab_stampede_supernode ;;
