@@ -13,6 +13,7 @@ import pytest
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.refusals import SHUTTING_DOWN
 from stampede_rt_channel_host.copies import draining
 from stampede_rt_channel_host.copies.draining import Drained, Draining
@@ -33,9 +34,10 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
     """A host that refuses the first channels with `errors`, and takes the others. `always`: it refuses all."""
 
     def __init__(
-        self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False
+        self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False,
+        has_archive: bool = False,
     ) -> None:  # fmt: skip
-        self.errors, self.always, self.is_frozen = [*errors], always, is_frozen
+        self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []
 
     def add_to(self, server: grpc.aio.Server) -> None:
@@ -55,18 +57,21 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         return pb.MoveHereResponse()
 
 
-async def drained(channels: int, *hosts: Host) -> Drained:
+async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Drained:
     """Drain so many channels, which are in no groups, to these hosts. Returns the outcome."""
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
         for number, host in enumerate(hosts):
             server = await servers.enter_async_context(serving(host.add_to))
-            others.append(OtherHost(b"%d" % number, f"h{number}", server.address, 0, number))
+            others.append(OtherHost(b"%d" % number, f"h{number}", server.address, 0, number, host.has_archive))
 
         async def other_hosts() -> list[OtherHost]:
             return others
 
-        records = [SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}") for one in range(channels)]
+        policy = Policy(archive_nanos=1) if recorded else Policy()
+        records = [
+            SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}", policy=policy) for one in range(channels)
+        ]
         own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
         store: Any = SimpleNamespace(all=lambda: own, serves=lambda hosted: True)
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
@@ -85,6 +90,14 @@ async def test_a_host_that_has_too_many_moves_under_way_is_asked_again() -> None
     busy = Host(*[FULL] * 5)
     assert await drained(3, busy) == Drained(3, {})
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
+
+
+async def test_a_recorded_channel_goes_to_a_host_with_an_archive_or_nowhere() -> None:
+    plain, archiving = Host(), Host(has_archive=True)
+    assert await drained(3, plain, archiving, recorded=True) == Drained(3, {})
+    assert (len(plain.taken), len(archiving.taken)) == (0, 3)
+    moved, left = await drained(1, Host(), recorded=True)
+    assert (moved, [*left.values()]) == (0, ["it is recorded (archive), and no other live host has an archive"])
 
 
 async def test_a_host_that_stops_too_gets_nothing() -> None:

@@ -85,6 +85,10 @@ class HostArchive:
             )
         return files, found
 
+    def give_up(self, files: SegmentFiles) -> None:
+        """Close the files of a channel that is not recorded here after all."""
+        self._writer.submit(files.close, None)
+
     def record(self, recorder: ChannelRecorder) -> None:
         """A channel is recorded from now on, until `forget`."""
         self._recorders.add(recorder)

@@ -46,8 +46,10 @@ class ChannelRecorder:
         files: SegmentFiles,
         segments: tuple[Segment, ...],
         disk: ChannelDiskUse | None = None,
+        *,
+        from_memory: bool = False,
     ) -> None:
-        """`disk` counts the bytes of the files."""
+        """`disk` counts the bytes of the files. `from_memory`: see `Recording`."""
         self.files = files
         self.disk = disk or DiskUse().of_channel(b"", "")
         self.keep(segments)
@@ -62,7 +64,7 @@ class ChannelRecorder:
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
         self._channel = channel
-        self.archived_to = channel.next_seq
+        self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
         """All seqs below this one are on stable storage, or lost to the archive."""
         # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
         self._ends: list[int] = []
@@ -249,6 +251,14 @@ class ChannelRecorder:
             return self.failure or ("the host gave the channel up" if self.is_stopped else "the disk is too slow")
         is_lost = any(one.first_seq < end_seq and one.end_seq > first_seq for one in self._gaps)
         return "max_bytes collected items before they were written" if is_lost else ""
+
+
+def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
+    """The first seq that an archive lacks: after its last item, or of the first item that the channel holds."""
+    if segments:
+        return max(one.end_seq for one in segments)
+    held = next(iter(channel.accepted_from(0)), None)
+    return channel.next_seq if held is None else held.first_seq
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:

@@ -89,14 +89,19 @@ class Recording:
         channel: ChannelCore,
         cut: Callable[[bytes, int, int], bytes],
         on_archived: Callable[[], None],
+        *,
+        from_memory: bool = False,
     ) -> None:
+        """`from_memory`: also write the items that the channel holds already, if the archive lacks them."""
         self.is_stopped = False
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
         if channel.next_seq == 1 and (opened.newest is not None or opened.found.stop is not None):
             _restore(channel, opened, cut)
-        self.recorder = ChannelRecorder(channel, opened.files, opened.found.segments, opened.disk)
+        self.recorder = ChannelRecorder(
+            channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
+        )
         archive.record(self.recorder)
 
     def set_policy(self, policy: Policy, epoch: int = 0) -> None:

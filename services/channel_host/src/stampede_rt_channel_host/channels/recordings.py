@@ -48,10 +48,42 @@ class Recordings:
         is_same = hosted is not None and hosted.record.incarnation == record.incarnation
         if self.archive is None or not record.policy.is_recorded or (is_same and hosted and hosted.recording):
             return
+        if record.channel_id in self._opened:  # a move has opened it
+            return
         if hosted is not None and hosted.recording is not None:
             hosted.recording.stop()
         opened = await open_archive(self.archive, record)
         self._opened[record.channel_id] = opened
+
+    def check_move(self, record: RecordedChannel) -> None:
+        """Raises InvalidArgument if a recorded channel is to move here, and this host has no archive."""
+        if record.policy.is_recorded and self.archive is None:
+            raise InvalidArgument(
+                f"channel {record.name} is recorded (archive), and this host has no archive; move it to a host that "
+                "has one, or start this host with --archive FOLDER",
+                metadata={"channel": record.name},
+            )
+
+    async def prepare_move(self, record: RecordedChannel, next_seq: int) -> None:
+        """Open the archive of a channel that is about to move here, before its changes are held.
+
+        `next_seq`: the channel's. Raises the errors of `prepare`, and InvalidArgument if this host has items with these
+        seqs in its archive, from another incarnation.
+        """
+        await self.prepare(record, None)
+        opened = self._opened.get(record.channel_id)
+        if opened is not None and any(one.end_seq > next_seq for one in opened.found.segments):
+            raise InvalidArgument(
+                f"this host has an archive of an earlier incarnation of channel {record.name}, with later seqs; move "
+                "the channel to another host",
+                metadata={"channel": record.name},
+            )
+
+    def give_up(self, channel_id: bytes) -> None:
+        """Close the archive that a failed move has opened. Idempotent."""
+        opened = self._opened.pop(channel_id, None)
+        if opened is not None and self.archive is not None:
+            self.archive.give_up(opened.files)
 
     async def adopt(
         self,
@@ -92,7 +124,10 @@ class Recordings:
         """Record the channel from now on, if `prepare` has opened its archive."""
         opened = self._opened.pop(hosted.record.channel_id, None)
         if opened is not None and self.archive is not None:
-            recording = Recording(self.archive, opened, hosted.channel, slice_run, hosted.archived)
+            has_moved = hosted.moving is not None  # the archive gets all items that came with the move
+            recording = Recording(
+                self.archive, opened, hosted.channel, slice_run, hosted.archived, from_memory=has_moved
+            )
             self._keep_retries(hosted, opened, recording)
             hosted.record_with(recording)
             self._drop_stopped()

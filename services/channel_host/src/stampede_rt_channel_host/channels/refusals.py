@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, IncarnationLost, InvalidArgument, StampedeError, Unavailable, error_for
-from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, Unavailable, error_for
 
 SHUTTING_DOWN = error_for(
     "SHUTTING_DOWN", "this host is shutting down; resolve the channel again for its new host, or wait for this one"
@@ -51,13 +50,6 @@ def moved_to(name: str, host_id: bytes, target: str, epoch: int, spec_version: i
             "spec_version": str(spec_version),
         },
     )
-
-
-def check_movable(record: RecordedChannel) -> None:
-    """Raises InvalidArgument if a channel with this record stays at its host."""
-    if record.policy.is_recorded:
-        text = "is recorded, and its archive stays at its host, so it cannot move; leave it there"
-        raise InvalidArgument(f"channel {record.name} {text}", metadata={"channel": record.name})
 
 
 def move_conflict(name: str) -> StampedeError:

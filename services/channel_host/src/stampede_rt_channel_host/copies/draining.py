@@ -50,6 +50,7 @@ class _Own(Protocol):
     id: bytes
     name: str
     request: pb.MoveHereRequest
+    needs_archive: bool
 
     @property
     def is_here(self) -> bool:
@@ -65,6 +66,7 @@ class _OwnChannel:
         self._store, self._hosted = store, hosted
         self.id, self.name = hosted.record.channel_id, hosted.record.name
         self.request = pb.MoveHereRequest(channel_id=self.id)
+        self.needs_archive = hosted.record.policy.is_recorded
 
     @property
     def is_here(self) -> bool:
@@ -80,6 +82,7 @@ class _OwnQueue:
         self._store, self._hosted = store, hosted
         self.id, self.name = hosted.record.queue_id, f"queue {display_name(hosted.record)}"
         self.request = pb.MoveHereRequest(queue_id=self.id)
+        self.needs_archive = False
 
     @property
     def is_here(self) -> bool:
@@ -191,15 +194,20 @@ class _Others:
         """Choose this host no more, because it stops. Idempotent."""
         self._hosts = [one for one in self._hosts if one is not host]
 
-    def after(self, host: OtherHost) -> OtherHost | None:
+    def first(self, own: _Own, host: OtherHost) -> OtherHost | None:
+        """`host`, or another one if the channel cannot be there. None: it can be nowhere."""
+        return host if host.has_archive or not own.needs_archive else self.after(own, host)
+
+    def after(self, own: _Own, host: OtherHost) -> OtherHost | None:
         """The host to try after `host`: each in turn, those that answer before the others. None: there is none."""
-        hosts = [one for one in self._hosts if one.host_id not in self._silent] or self._hosts
+        fitting = [one for one in self._hosts if one.has_archive or not own.needs_archive]
+        hosts = [one for one in fitting if one.host_id not in self._silent] or fitting
         later = [one for one in hosts if one.host_id > host.host_id]
         return min(later or hosts, key=lambda one: one.host_id, default=None)
 
-    def answering(self, host: OtherHost) -> OtherHost | None:
+    def answering(self, own: _Own, host: OtherHost) -> OtherHost | None:
         """The host, or another one if this one was silent."""
-        return self.after(host) if host.host_id in self._silent else host
+        return self.after(own, host) if host.host_id in self._silent else host
 
     async def aclose(self) -> None:
         """Close the connections."""
@@ -207,18 +215,18 @@ class _Others:
             await connection.close(None)
 
 
-async def _move(
-    own: _Own, host: OtherHost | None, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]
-) -> None:
+async def _move(own: _Own, place: OtherHost, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other for as long as they have no room, have too many moves, or do not answer.
     """
-    delay_s = RETRY_SECONDS_MIN
+    delay_s, host = RETRY_SECONDS_MIN, others.first(own, place)
+    if host is None:
+        left[own.name] = "it is recorded (archive), and no other live host has an archive"
     while host is not None and own.is_here:  # paced by the sleep; `Draining.run` ends it
         try:
             async with limit:
-                host = others.answering(host) or host
+                host = others.answering(own, host) or host
                 await others.move(own, host)
                 break
         except (ChannelNotFound, QueueNotFound):  # deleted meanwhile
@@ -229,7 +237,7 @@ async def _move(
                 others.leave_out(host)
             elif not isinstance(error, _AGAIN) and error.reason != "MOVE_CONFLICT":
                 return
-        host = others.after(host)
+        host = others.after(own, host)
         await asyncio.sleep(delay_s)
         delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
     if host is not None or not own.is_here:

@@ -29,6 +29,7 @@ Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 RELEASED_SECONDS_MAX = 1.0
+ARCHIVED_SECONDS_MAX = 4.0  # puts wait meanwhile
 HANDOFF_SECONDS_MAX = 4.0  # shorter than the source holds puts
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
 
@@ -69,21 +70,12 @@ class IncomingMoves:
         if move is None:
             if self._is_closing:
                 raise refusals.SHUTTING_DOWN
-            self._check(record)
+            self._store.recordings.check_move(record)
             self._slots.take(record)
             move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
             self._moves[record.channel_id] = move
             move.add_done_callback(lambda done: self._over(record, done))
         return await asyncio.shield(move)
-
-    def _check(self, record: RecordedChannel) -> None:
-        """Refuse a channel that stays where it is before this host gives up its own copy, perhaps a replica in sync.
-
-        Raises InvalidArgument.
-        """
-        held = self._store.known(record.channel_id)
-        for one in (record,) if held is None else (record, held.record):
-            refusals.check_movable(one)
 
     def _over(self, record: RecordedChannel, move: asyncio.Task[Moved]) -> None:
         self._moves.pop(record.channel_id, None)
@@ -118,18 +110,24 @@ class IncomingMoves:
             await asyncio.gather(feeding, return_exceptions=True)
             await channel.close(None)
             self._keeper.resume(record, state)
+            self._store.recordings.give_up(record.channel_id)
 
     async def _take_over(
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
     ) -> Moved:
         await _unless_ended(feeding, asyncio.ensure_future(state.caught_up_once()))
+        await self._prepare_archive(record, state)
         held_at = time.monotonic_ns()
         feed.hold()
-        state.may_inherit = await _handoff(record.name, feed, feeding)
+        inheritance = await _handoff(record.name, feed, feeding)
+        await self._prepare_archive(record, state)  # the policy may have changed before the changes were held
+        state.may_inherit = inheritance
         request_id = secrets.token_bytes(16)
         commit = partial(self._directory.commit, record.channel_id, source.epoch, request_id)
-        hosted = self._store.adopt(await until_known(commit))
+        committed = await until_known(commit)
+        hosted = await self._store.recordings.adopt(committed, self._store.known(record.channel_id), self._store.adopt)
         feed.committed(hosted.epoch)
+        await self._archived(hosted)
         await self._remove_heir(hosted, source.host_id)
         blackout_nanos = time.monotonic_ns() - held_at
         hosted.end_move()
@@ -137,6 +135,30 @@ class IncomingMoves:
         await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source hears of it
         logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
         return Moved(hosted, blackout_nanos)
+
+    async def _prepare_archive(self, record: RecordedChannel, state: CopyState) -> None:
+        """Open the archive of a recorded channel, unless it is open. Raises InvalidArgument and Unavailable."""
+        copy = self._store.copies.of(record.channel_id)
+        present = record if copy is None else copy.record
+        self._store.recordings.check_move(present)
+        await self._store.recordings.prepare_move(present, state.source_next_seq)
+
+    async def _archived(self, hosted: HostedChannel) -> None:
+        """Have the archive of this host write the items. Wait for it if their puts waited for a disk.
+
+        The former owner, which has them on its disk, is the heir meanwhile. Waits ARCHIVED_SECONDS_MAX at most.
+        """
+        if hosted.recording is None:
+            return
+        hosted.changed(self._store.now())  # the recorder notes the items
+        if hosted.record.policy.ack == "disk":
+            hosted.recording.hurry()
+            held = next(iter(hosted.core.accepted_from(0)), None)
+            first_seq = hosted.core.next_seq if held is None else held.first_seq
+            why = await hosted.recording.recorder.stored(first_seq, hosted.core.next_seq, ARCHIVED_SECONDS_MAX)
+            if why:
+                extra = {"event": "move_not_archived", "channel": hosted.record.name, "why": why}
+                logger.warning("the archive has not all items of a channel that has moved here", extra=extra)
 
     async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
         """Let the former owner be the heir no more. Tries again for as long as this host has the channel.

@@ -75,7 +75,14 @@ class MoveDirectory:
             if not request.page_token:
                 break
         return [
-            OtherHost(one.host_id, one.name, one.gatekeepers[0].target, one.load.busy_permille, one.channels)
+            OtherHost(
+                one.host_id,
+                one.name,
+                one.gatekeepers[0].target,
+                one.load.busy_permille,
+                one.channels,
+                one.load.has_archive,
+            )
             for one in hosts
             if one.host_id != self._identity.host_id
         ]

@@ -45,12 +45,11 @@ class OutgoingMoves:
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def check(self, hosted: HostedChannel) -> None:
-        """Raises MOVE_CONFLICT or InvalidArgument if the channel cannot move now, Overloaded if too many move, and
-        Unavailable if too few of its replicas are in sync.
+        """Raises MOVE_CONFLICT if the channel cannot move now, Overloaded if too many move, and Unavailable if too few
+        of its replicas are in sync.
         """
         if hosted.moving is not None:
             raise refusals.move_conflict(hosted.record.name)
-        refusals.check_movable(hosted.record)
         if hosted.replication is not None:
             hosted.replication.check_movable()
         self._slots.check(hosted.record)

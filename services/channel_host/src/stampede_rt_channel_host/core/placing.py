@@ -10,13 +10,17 @@ BUSY_STEP_PERMILLE = 100
 
 
 class OtherHost(NamedTuple):
-    """A live host, with the share of a core that it uses, as it last reported (0: it has not), and its channels."""
+    """A live host, with the share of a core that it uses, as it last reported (0: it has not), and its channels.
+
+    `has_archive`: recorded channels can be there.
+    """
 
     host_id: bytes
     name: str
     target: str
     busy_permille: int
     channels: int
+    has_archive: bool = False
 
 
 def together(groups_of: Mapping[bytes, Collection[bytes]]) -> list[list[bytes]]:

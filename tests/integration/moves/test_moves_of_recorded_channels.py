@@ -1,0 +1,99 @@
+"""Moves of recorded channels between real hosts: the archive of the new host goes on where memory begins."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import running_cluster
+from tests.support.waiting import wait_until
+
+MS = 10**6
+HELD = 20
+numbers = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    """Two hosts with an archive, and a third one without."""
+    with running_cluster(hosts=3, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
+        plain = running.hosts[2]
+        plain.stop()
+        at = plain.arguments.index("--archive")
+        del plain.arguments[at : at + 2]
+        plain.restart()
+        yield running
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[Any]:
+    with st.connect(cluster.address, transport="grpc") as made:
+        yield made
+
+
+def filled(rt: Any, **policy: Any) -> tuple[Any, int]:
+    """A channel at h1 with 100 items, the earlier ones only in its archive; and the time of the first item."""
+    channel = rt.channel(f"rig/{next(numbers)}", host="h1", max_items=HELD, archive="7d", **policy)
+    began = time.time_ns() - 10**9
+    put(channel, began, 0, 100)
+    wait_until(lambda: channel.stats().held == HELD, "the archive has the earlier items")
+    return channel, began
+
+
+def put(channel: Any, began: int, first: int, end: int) -> None:
+    for number in range(first, end):
+        channel.put(b"%d" % number, time=began + number * MS)
+
+
+def read(channel: Any, began: int, first: int, end: int) -> Any:
+    return channel.get(began + first * MS, began + (end - 1) * MS)
+
+
+def payloads(items: Any) -> list[int]:
+    return [int(item.payload) for item in items]
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_a_recorded_channel_moves_with_its_memory_and_is_recorded_at_the_new_host(rt: Any) -> None:
+    channel, began = filled(rt)
+    incarnation = channel.incarnation
+    with channel.subscribe(after=channel.newest()) as items:
+        rt.move(channel, "h2")
+        put(channel, began, 100, 200)
+        assert [int(next(items).payload) for _ in range(100)] == [*range(100, 200)]
+    assert channel.incarnation == incarnation
+    wait_until(lambda: channel.stats().held == HELD, "the new host has archived the items that moved, too")
+    assert payloads(read(channel, began, 100 - HELD, 200)) == [*range(100 - HELD, 200)]
+    earlier = read(channel, began, 0, 10)
+    assert (len(earlier), earlier.reason) == (0, "COLLECTED")
+    rt.move(channel, "h1")
+    put(channel, began, 200, 210)
+    assert payloads(read(channel, began, 0, 100)) == [*range(100)], "the first host has its part of the archive"
+    assert payloads(read(channel, began, 190, 210)) == [*range(190, 210)]
+    whole = channel.get(began, st.NEWEST)
+    assert whole.reason == "LOST"
+    assert set(payloads(whole)) == {*range(100), *range(200 - HELD, 210)}
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, cluster: LocalCluster) -> None:
+    channel, began = filled(rt, ack="disk")
+    rt.move(channel, "h2")
+    cluster.hosts[1].kill()
+    cluster.hosts[1].restart()
+    wait_until(lambda: payloads(read(channel, began, 100 - HELD, 100)) == [*range(100 - HELD, 100)], "it is back")
+
+
+@pytest.mark.without_rules("it acts as an operator")
+def test_a_host_without_an_archive_takes_no_recorded_channel_and_a_drain_leaves_it_out(rt: Any) -> None:
+    channel, _ = filled(rt)
+    with pytest.raises(st.InvalidArgument, match="this host has no archive; move it to a host that has one"):
+        rt.move(channel, "h3")
+    assert rt.drain("h1").left == {}
+    assert next(one.host for one in rt.channels(channel.name)) == "h2"
