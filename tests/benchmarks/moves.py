@@ -149,7 +149,7 @@ class Load:
             stream.close()
 
     def wrong(self) -> list[str]:
-        """Those that saw an item twice, or not at all."""
+        """The producers and readers that saw an item twice, or not at all."""
         last, jobs = self.putting.seqs[-1], self.jobs.seqs
         of_frames = {"put": [self.putting], "subscription": self.subscribed, "get": self.got, "cut event": [self.cut]}
         found = [what for what, those in of_frames.items() for one in those if not one.is_whole(last)]
