@@ -175,6 +175,7 @@ EVERY: dict[str, Words] = {
     "proxy add": lambda s: ["proxy", "add", s.name("proxied"), s.other_host("proxied")],
     "proxy ls": lambda s: ["proxy", "ls", s.name("unproxied")],
     "proxy rm": lambda s: ["proxy", "rm", s.name("unproxied"), s.other_host("unproxied")],
+    "replicas": lambda s: ["replicas", s.name("used")],
     "hz": lambda s: ["hz", s.name("left"), "--every", "0.05", "--count", "1"],
     "bw": lambda s: ["bw", s.name("left"), "--every", "0.05", "--count", "1"],
     "top": lambda s: ["top", s.name("left"), "--every", "0.05", "--count", "1"],
