@@ -144,14 +144,15 @@ class IncomingMoves:
         await self._store.recordings.prepare_move(present, state.source_next_seq)
 
     async def _archived(self, hosted: HostedChannel) -> None:
-        """Have the archive of this host write the items. Wait for it if their puts waited for a disk.
+        """Have the archive of this host write the items. Wait for it if their puts waited for a disk, or if the archive
+        has an earlier part: readers hear of the hole between the two once it is written.
 
         The former owner, which has them on its disk, is the heir meanwhile. Waits ARCHIVED_SECONDS_MAX at most.
         """
         if hosted.recording is None:
             return
         hosted.changed(self._store.now())  # the recorder notes the items
-        if hosted.record.policy.ack == "disk":
+        if hosted.record.policy.ack == "disk" or hosted.recording.recorder.segments:
             hosted.recording.hurry()
             held = next(iter(hosted.core.accepted_from(0)), None)
             first_seq = hosted.core.next_seq if held is None else held.first_seq
