@@ -52,7 +52,7 @@ def test_the_awaited_program_prints_what_it_put(cluster: LocalCluster) -> None:
     assert "b'live'" in run_program(PROGRAMS[1], cluster)
 
 
-@pytest.mark.timeout(300)  # mypy reads all that gRPC and protobuf say of themselves
+@pytest.mark.timeout(300)  # mypy also reads the types of gRPC and protobuf
 def test_the_programs_pass_a_strict_type_check(tmp_path: Path) -> None:
     for number, program in enumerate(PROGRAMS):
         (tmp_path / f"program_{number}.py").write_text(program)

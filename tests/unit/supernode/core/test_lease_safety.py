@@ -66,7 +66,7 @@ class LeaseMachine(RuleBasedStateMachine):
 
     @rule(delay=delays, again=st.sampled_from([False, False, True]))
     def register(self, delay: int, again: bool = True) -> None:
-        """A registration takes effect that was sent a while ago."""
+        """A registration that was sent a while ago takes effect."""
         if self.live() and not again:
             return
         self.log.apply(register(1))
@@ -95,7 +95,7 @@ class LeaseMachine(RuleBasedStateMachine):
 
     @rule(at_once=st.booleans())
     def elect_the_other(self, at_once: bool) -> None:
-        """The one that led before does not hear of it by this."""
+        """The other supernode begins to lead. The former leader does not learn of it here."""
         self.leader, self.tenure = 1 - self.leader, self.tenure + 1
         if at_once:
             self.take_over()

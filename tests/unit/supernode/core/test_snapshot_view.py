@@ -58,7 +58,7 @@ def test_later_changes_are_not_in_a_snapshot(log: Log, snapshots_before: int) ->
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 
 
-def test_a_later_one_takes_only_the_channels_that_changed(log: Log) -> None:
+def test_a_later_snapshot_takes_only_the_channels_that_changed(log: Log) -> None:
     position = snapshot_view(log.directory).position
     go_on(log)
     view = snapshot_view(log.directory, position)

@@ -21,19 +21,19 @@ THING_PERMILLE = 20
 STEP_PERMILLE = 100
 """Loads within the same tenth count as equal. Then the numbers of channels decide."""
 FULL_PERMILLE = 950
-"""A host with less room than this is chosen only if all hosts are like that."""
+"""A host with less room than this is chosen only if no host has more."""
 GROUPS_LOOKED_AT_MAX, MEMBERS_LOOKED_AT_MAX = 8, 64
 SHARE_FACTOR, SHARE_FREE = 4, 64
-"""Loads are the hosts' own word. A host gets channels and queues for its low load only until it owns this many times as
-many as the others on average, and this number more."""
+"""Hosts report their own loads, and a report may be wrong. A host gets channels and queues for its low load only until
+it owns this many times as many as the others on average, and this number more."""
 
 
 def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[HostRecord], int]) -> HostRecord | None:
     """The host of `hosts` with the lowest load; None if there is none.
 
-    Full hosts come last, before them those without room, and before these the hosts that own far more than the others
-    (SHARE_FACTOR). Among hosts with about the same load it is the one with the lowest `count`, and among these the
-    first one. If no load is known, as below LOADS_LEVEL, only `count` decides.
+    Three kinds of hosts come after the others, in this order: hosts that own far more than the others (SHARE_FACTOR),
+    hosts without room, and full hosts. Among hosts with about the same load it is the one with the lowest `count`, and
+    among these the first one. If no load is known, as below LOADS_LEVEL, only `count` decides.
     """
     among = list(hosts)
     if all(host.load is None for host in among):
