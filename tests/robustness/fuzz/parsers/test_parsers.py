@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from tests.robustness.fuzz.parsers import unguided
 from tests.robustness.fuzz.parsers.catalogue import BY_NAME
 from tests.robustness.fuzz.parsers.guided import run_guided
 from tests.robustness.fuzz.parsers.unguided import run_unguided
@@ -17,6 +20,16 @@ INPUTS, SECONDS = 1000, 20.0
 @pytest.mark.parametrize("name", sorted(BY_NAME))
 def test_a_parser_takes_or_refuses_any_input(name: str) -> None:
     assert run_unguided(name, inputs=INPUTS, seconds=SECONDS, seed=11)
+
+
+@pytest.mark.parametrize(("clock", "is_fine"), [("monotonic", True), ("process_time", False)])
+def test_an_input_is_slow_by_its_processor_time_and_not_because_the_machine_is_busy(
+    monkeypatch: pytest.MonkeyPatch, clock: str, is_fine: bool
+) -> None:
+    jumps = itertools.count(0.0, 2 * unguided.INPUT_SECONDS_MAX)
+    clocks = {"monotonic": lambda: 0.0, "process_time": lambda: 0.0, clock: lambda: next(jumps)}
+    monkeypatch.setattr(unguided, "time", SimpleNamespace(**clocks))
+    assert run_unguided("glob", inputs=3, seconds=3600, seed=11) is is_fine
 
 
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not there: uv sync --group fuzz")
