@@ -105,6 +105,7 @@ stubs: setup  ## generate the stubs, the synchronous client, the completion scri
 robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
 	$(RUN)/pytest -m slow -n 2
 	GRPC_VERBOSITY=NONE $(RUN)/python -m tests.robustness --report out/robustness.md
+	$(RUN)/python -m tests.robustness.archives --rounds 10
 
 soak-metrics: setup  ## Prometheus scrapes a cluster for ten minutes, while each part is killed in turn; MINUTES=1 for less
 	$(RUN)/python -m tests.robustness.soaks.scraped --minutes $${MINUTES:-10}

@@ -19,6 +19,7 @@ from tests.robustness.archives.putting import PAYLOAD_BYTES, Putting
 PROGRAMS = 2
 ACKS_BETWEEN = 30
 REFUSALS = 3
+READS_MAX = 10
 BLOCK_ITEMS_MAX = 2**18 // PAYLOAD_BYTES + 1
 RESTART_SECONDS_MAX = 180.0
 
@@ -87,6 +88,10 @@ class Campaign:
             program.wait_for_acks(ACKS_BETWEEN)
 
     def _items(self) -> st.Items:
+        """All items. A busy machine may need several tries, because the host has just started."""
+        for _ in range(READS_MAX - 1):
+            with suppress(st.DeadlineExceeded, st.Unavailable):
+                return self._channel.get(self._began, st.NEWEST)
         return self._channel.get(self._began, st.NEWEST)
 
     def kill(self) -> None:
