@@ -12,9 +12,10 @@ from tests.support.cluster import running_cluster
 
 
 @pytest.fixture(scope="package")
-def cluster() -> Iterator[LocalCluster]:
-    """Two hosts, one supernode, one front-end: real processes."""
-    with running_cluster(hosts=2, supernodes=1, durable=False) as running:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    """Two hosts with archives, one supernode, one front-end: real processes."""
+    archive = tmp_path_factory.mktemp("archive")
+    with running_cluster(hosts=2, supernodes=1, durable=False, archive=archive) as running:
         yield running
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,17 @@ def test_items_of_a_client_in_one_language_are_read_by_clients_in_the_others(
             assert texts_of(said["subscribed"]) == [f"from {client.language}"]
         assert texts_of(said["last"]) == expected
         assert [item.payload.decode() for item in channel.get(*st.last("30s"))] == expected
+
+
+def test_a_client_in_node_reads_as_of_an_earlier_instant(client_in: ClientIn, cluster: LocalCluster) -> None:
+    client = client_in("node")
+    with st.connect(cluster.address, name="polyglot") as rt:
+        channel = rt.channel("polyglot/recorded", max_age="60s", archive="1h")
+        channel.put(b"known")
+        then = channel.stats().host_time
+        channel.put(b"not known yet")
+    client = replace(client, environment={**client.environment, "AS_OF": str(then)})
+    assert texts_of(report(client, cluster, "polyglot/recorded")["last"]) == ["known"]
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

@@ -3,6 +3,7 @@
 //   node client.js PROTO_FOLDER ADDRESS SECRET_FILE CHANNEL TEXT...
 //
 // Puts each TEXT as one item and prints what it put, what the last 30 s hold and what the subscription brought.
+// With AS_OF, an instant in nanoseconds, it prints what the host of a recorded channel knew then of the last 30 s.
 "use strict";
 
 const crypto = require("node:crypto");
@@ -92,8 +93,9 @@ async function put({ data, at }, texts) {
 // The items whose span shares an instant with the last `seconds`.
 async function last({ data, at }, seconds) {
   const start = { meta_time: "META_TIME_NOW", offset_nanos: `-${seconds}000000000` };
+  const asOf = process.env.AS_OF && { as_of_unix_nano: process.env.AS_OF };
   const stream = data.Get(metadata);
-  stream.end({ ...at, call_id: 1, interval: { start, end: { meta_time: "META_TIME_NOW" } } });
+  stream.end({ ...at, ...asOf, call_id: 1, interval: { start, end: { meta_time: "META_TIME_NOW" } } });
   const items = [];
   for await (const response of stream) {
     if (response.error) throw new Error(`${response.error.reason}: ${response.error.message}`);
