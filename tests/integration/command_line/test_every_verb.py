@@ -7,6 +7,8 @@ import contextlib
 import json
 import os
 import re
+import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +20,8 @@ from stampede_rt.cli.commands import full_parser, run
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.command_line.every_verb import EVERY, NOT_RUN, WAITS_FOR_NEWS, WITHOUT_JSON, Stage, stage
+from tests.support.processes import started
+from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2, supernodes=1, scope="module")
 PAGE = Path(__file__).parents[3] / "docs/command-line.md"
@@ -127,6 +131,54 @@ def test_a_verb_prints_the_fields_that_the_page_names(
     needed = {bare(path) for path in expected if not path.endswith("?")}
     lacking = {path for path in needed - found if not any(path.startswith(f"{one}") for one in empty)}
     assert (sorted(found - set(map(bare, expected)) - empty), sorted(lacking)) == ([], []), printed
+
+
+# Commands that go on until Ctrl-C, or wait for long, with their statuses after Ctrl-C. NAME is a channel without news.
+# `put` that reads a payload loads gRPC after its input, so tests/unit/client/cli/test_standard_input.py has it.
+UNENDING: dict[str, tuple[int, ...]] = {
+    "echo NAME": (130,),
+    "sub NAME": (130,),
+    "watch NAME": (130,),
+    "hz NAME": (130,),
+    "bw NAME": (130,),
+    "top NAME": (130,),
+    "get NAME now now+1h --timeout 1h": (130,),
+    "group watch GROUP": (130,),
+    "group match GROUP --per NAME --tolerance 1s": (130,),
+    "queue get QUEUE --timeout 1h": (130,),
+    "mailbox get every-waiter --timeout 1h": (130,),
+    "put NAME --lines": (0, 130),
+    "put NAME x --rate 5": (0, 130),
+    "record NAME -o FILE": (0, 3, 130),
+    "rebalance --over 1h": (130,),
+}
+
+
+def test_ctrl_c_ends_every_command_that_goes_on(printed_things: Stage) -> None:
+    made = printed_things
+    channel = made.rt.channel(made.name("quiet"))
+    made.rt.group(made.name("quiet"), [channel])
+    made.rt.queue(made.name("quiet"))
+    names = {"NAME": made.name("quiet"), "FILE": made.path("quiet.mcap")}
+    names |= {"GROUP": names["NAME"], "QUEUE": names["NAME"]}
+    with contextlib.ExitStack() as stack:
+        processes = {}
+        for command in UNENDING:
+            words = [sys.executable, "-m", "stampede_rt.cli", *(names.get(word, word) for word in command.split())]
+            processes[command] = stack.enter_context(started(words, stderr=subprocess.PIPE))
+        for command, process in processes.items():
+            wait_until(lambda process=process: has_loaded_grpc(process.pid), command)  # type: ignore[misc]
+            process.send_signal(signal.SIGINT)
+        for command, process in processes.items():
+            said = process.communicate(timeout=100)[1]
+            assert process.returncode in UNENDING[command], (command, said)
+            assert "Traceback" not in said, command
+            assert "a defect" not in said, command
+
+
+def has_loaded_grpc(pid: int) -> bool:
+    """Whether a process has loaded gRPC. The command line handles Ctrl-C before it loads gRPC."""
+    return "cygrpc" in Path(f"/proc/{pid}/maps").read_text()
 
 
 @pytest.mark.parametrize("name", EVERY)

@@ -237,6 +237,13 @@ def test_hz_prints_the_rates_of_many_channels_with_jitter_and_lag(rt: st.Connect
     assert all(row["items_per_second"] > 0 and row["jitter_nanos"] > 0 and row["lag_nanos"] > 0 for row in rows)
 
 
+def test_hz_ends_with_the_reason_when_its_channel_is_deleted(rt: st.Connection, terminal: Terminal) -> None:
+    channel = rt.channel("hz/gone")
+    look = lambda: terminal("hz", "hz/gone", "--every", "0.05", status=1)  # noqa: E731
+    screen = while_something_happens(lambda number: number != 50 or channel.delete() is None, look)
+    assert "hz/gone" in screen.lines[-1]
+
+
 def test_top_is_sorted_paused_filtered_and_ended_by_keys(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("top/one").put(b"x")
     rt.channel("top/two").put(b"x")

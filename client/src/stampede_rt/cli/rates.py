@@ -65,6 +65,8 @@ def run_hz(arguments: argparse.Namespace) -> int:
             existing(rt, name)
         for before, after in _looks(rt, name, arguments):
             rows = [_hz_row(rt, one, arguments) for one in arranged(rates_of(before, after), "name")]
+            if not rows and not is_glob(name):
+                existing(rt, name).stats()  # raises the reason: the channel or its host has gone
             if arguments.output != "table":
                 sys.stdout.writelines(json.dumps(row) + "\n" for row in rows)
             elif not is_glob(name):
