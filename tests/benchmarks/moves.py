@@ -51,7 +51,7 @@ class Seen:
 
     def is_whole(self, last: int) -> bool:
         """Whether each item from the first one to `last` came once, in order."""
-        return self.seqs == [*range(self.seqs[0], last + 1)]
+        return [one for one in self.seqs if one <= last] == [*range(self.seqs[0], last + 1)]
 
     def stop(self) -> None:
         self.stopped.set()
