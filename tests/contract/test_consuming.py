@@ -12,8 +12,10 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryChannel, MemoryConnection
 from tests.contract.surfaces import Surface
+from tests.support.cluster import find_secret_of
 
 
 class Team:
@@ -33,12 +35,14 @@ class Team:
 
 
 @pytest.fixture(params=["memory", "aio", "sync"])
-async def team(request: pytest.FixtureRequest) -> AsyncIterator[Team]:
+async def team(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Team]:
     if request.param == "memory":
         home = MemoryConnection()
         yield Team([Surface(home), *[Surface(MemoryConnection(joins=home)) for _ in range(2)]], "aclose")
         return
-    address = request.getfixturevalue("cluster").address
+    cluster: LocalCluster = request.getfixturevalue("cluster")
+    find_secret_of(cluster, monkeypatch)
+    address = cluster.address
     async with AsyncExitStack() as stack:
         if request.param == "aio":
             yield Team([Surface(await stack.enter_async_context(aio.connect(address))) for _ in range(3)], "aclose")
