@@ -26,7 +26,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt_bench.clusters import SECRET_VARIABLE
+from stampede_rt_bench.clusters import secret_found
 from stampede_rt_bench.tables import Table
 from stampede_rt_local.cluster import LocalCluster
 
@@ -247,8 +247,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=3.0, help="the length of each part of a round (default: 3)")
     asked = parser.parse_args()
     table = Table(["put", "one stalled", "host CPU a reader and put, us", "age p50, ms", "p99, ms", "most grown, MiB"])
-    with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster:
-        os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
+    with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster, secret_found(cluster):
         for work in WORKS:
             table.rows += measure(cluster, work, asked.readers, asked.rounds, asked.seconds)
     table.notes.append(

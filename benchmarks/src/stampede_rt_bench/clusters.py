@@ -20,16 +20,22 @@ def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Itera
     The cluster is on this machine's loopback. With a `network` the hosts are in its first namespaces, and all other
     services are in that of this process. This process and its children find the secret by themselves.
     """
-    with _cluster(hosts, network) as cluster:
-        before = os.environ.get(SECRET_VARIABLE)
-        os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
-        try:
-            yield cluster.address
-        finally:
-            if before is None:
-                del os.environ[SECRET_VARIABLE]
-            else:
-                os.environ[SECRET_VARIABLE] = before
+    with _cluster(hosts, network) as cluster, secret_found(cluster):
+        yield cluster.address
+
+
+@contextmanager
+def secret_found(cluster: LocalCluster) -> Iterator[None]:
+    """This process and its children find the secret of the cluster by themselves, up to the end of the context."""
+    before = os.environ.get(SECRET_VARIABLE)
+    os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SECRET_VARIABLE]
+        else:
+            os.environ[SECRET_VARIABLE] = before
 
 
 def _cluster(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:

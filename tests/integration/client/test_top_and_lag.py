@@ -77,7 +77,7 @@ def terminal() -> Iterator[Terminal]:
 
 def test_the_live_view_shows_channels_and_obeys_its_keys(terminal: Terminal) -> None:
     terminal.until(r"2 channels, sorted by bytes")
-    terminal.until(r"top/left\s+h1")
+    terminal.until(r"top/left\s+\d")
     terminal.press("s")
     terminal.until("sorted by items")
     terminal.press("/right\n")

@@ -56,7 +56,7 @@ def test_a_group_is_made_listed_and_deleted(run: Command, base: int) -> None:
     )
     listed = json.loads(run("ls", "sh*", "-o", "json")[1])
     assert [(row["group"], row["channels"], row["idle_after"]) for row in listed] == [
-        ("short", ["rig/left", "rig/right"], "3 s")
+        ("short", ["rig/left", "rig/right"], 3_000_000_000)
     ]
     assert run("remove", "short", "rig/right")[1] == "short: rig/left\n"
     assert run("add", "short", "rig/right")[1] == "short: rig/left, rig/right\n"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import sys
+import tempfile
 from collections.abc import Callable
 
 import pytest
@@ -58,12 +58,12 @@ def test_programs_read_and_write_json(stampede: Run) -> None:
 def test_standard_input_is_put_and_payloads_come_raw(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    class Stdin:
-        buffer = io.BytesIO(b"\x00\xff")
-
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
-    monkeypatch.setattr(sys, "stdin", Stdin)
-    assert main(["queue", "put", "cli/raw"]) == 0
+    with tempfile.TemporaryFile() as file:
+        file.write(b"\x00\xff")
+        file.seek(0)
+        monkeypatch.setattr(sys, "stdin", file)
+        assert main(["queue", "put", "cli/raw"]) == 0
     capfdbinary.readouterr()
     assert main(["queue", "get", "cli/raw", "--raw"]) == 0
     assert capfdbinary.readouterr().out == b"\x00\xff"
@@ -133,7 +133,7 @@ def test_queues_are_listed_with_their_policy_and_counters(stampede: Run) -> None
 
 def test_a_queue_is_deleted(stampede: Run) -> None:
     stampede("queue", "put", "cli/gone", "x")
-    assert stampede("queue", "delete", "cli/gone") == ("", "")
+    assert stampede("queue", "delete", "cli/gone") == ("cli/gone is deleted\n", "")
     for verb in ("get", "info", "delete"):
         _, said = stampede("queue", verb, "cli/gone", status=1)
         assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")

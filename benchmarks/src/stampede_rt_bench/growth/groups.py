@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import stampede_rt as st
-from stampede_rt_bench.clusters import SECRET_VARIABLE
+from stampede_rt_bench.clusters import secret_found
 from stampede_rt_bench.measuring import NANOS_PER_US, PAYLOAD_BYTES, Spread
 from stampede_rt_local.cluster import LocalCluster
 
@@ -17,29 +16,29 @@ def measure_groups(counts: Sequence[int], operations: int, runs: int) -> dict[in
     """By the number of groups, the CPU time of the host's process for a put, a get, and a get through a group."""
     costs: dict[int, dict[str, Spread]] = {}
     payload = bytes(PAYLOAD_BYTES)
-    with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster:
-        os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
-        with st.connect(cluster.address, transport="socket") as rt:  # shared memory costs the host nothing
-            channel, other = rt.channel("bench/shared", max_items=100), rt.channel("bench/other", max_items=100)
-            groups: list[st.Group] = []
-            for count in counts:
-                while len(groups) < count:
-                    groups.append(rt.group(f"bench/{len(groups)}", [channel, other]))
-                for group in groups:
-                    group.newest()  # from now on the host knows the group
-                other.put(payload)
-                works: dict[str, Callable[[], object]] = {
-                    "put": lambda: channel.put(payload),
-                    "put that moves all cuts": _in_turn(other, channel, payload),
-                    "get of the newest": channel.newest,
-                    "get through a group": groups[0][channel].newest,
-                }
-                costs[count] = {
-                    name: Spread.of(
-                        [_host_us(cluster.hosts[0].pid, work, max(1, operations // 4)) for _ in range(runs)]
-                    )
-                    for name, work in works.items()
-                }
+    with (
+        LocalCluster(hosts=1, supernodes=1, durable=False) as cluster,
+        secret_found(cluster),
+        st.connect(cluster.address, transport="socket") as rt,  # shared memory costs the host nothing
+    ):
+        channel, other = rt.channel("bench/shared", max_items=100), rt.channel("bench/other", max_items=100)
+        groups: list[st.Group] = []
+        for count in counts:
+            while len(groups) < count:
+                groups.append(rt.group(f"bench/{len(groups)}", [channel, other]))
+            for group in groups:
+                group.newest()  # from now on the host knows the group
+            other.put(payload)
+            works: dict[str, Callable[[], object]] = {
+                "put": lambda: channel.put(payload),
+                "put that moves all cuts": _in_turn(other, channel, payload),
+                "get of the newest": channel.newest,
+                "get through a group": groups[0][channel].newest,
+            }
+            costs[count] = {
+                name: Spread.of([_host_us(cluster.hosts[0].pid, work, max(1, operations // 4)) for _ in range(runs)])
+                for name, work in works.items()
+            }
     return costs
 
 

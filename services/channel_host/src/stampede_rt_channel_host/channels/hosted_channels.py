@@ -57,7 +57,7 @@ class HostedChannel:
     """The number of the host's last registration when the store took `record` over."""
     fed: FedCopies | None = None
     """The copies that this host feeds; most channels have none."""
-    due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
+    due: int | None  # when the sweep looks at the channel; `Deadlines` sets it
     changes = 0
     """The number of changes of the channel at this host."""
     delivered_items = delivered_bytes = 0
@@ -107,6 +107,7 @@ class HostedChannel:
         self.group_readers: dict[object, None] = {}
         self.deliveries = deliveries or SharedDeliveries()
         self.order = next(_orders)  # decides between channels that are due at the same time
+        self.due = None  # set here: Python shares the names of at most 30 attributes between the channels
         self._on_touched, self._now = on_touched, now
         if self.replication is not None:
             self.puts.check_room = self.replication.check_room
