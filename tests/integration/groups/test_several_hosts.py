@@ -6,12 +6,13 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+import grpc
 import pytest
 
 from stampede_rt.v1 import error_pb2, group_pb2, item_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.groups.exchange import FLOORS_MAX_PER_HOST
-from tests.support.channel_host.group_rig import Cluster, CutReader, GroupedChannel, running_cluster
+from tests.support.channel_host.group_rig import WAIT_SECONDS, Cluster, CutReader, GroupedChannel, running_cluster
 from tests.support.channel_host.rig import MAX_INSTANT, MS, S
 from tests.support.clock import ManualClock
 
@@ -138,6 +139,17 @@ async def test_cut_events_over_two_hosts_fit_together(pair: Pair) -> None:
             await pair.left.put(t + 12)
             await pair.right.put(t + 13)
     assert brought == {"left": [t, t + 2], "right": [t + 1, t + 3]}
+
+
+async def test_cut_events_end_when_another_member_comes_to_their_host(pair: Pair) -> None:
+    reader = CutReader(pair.left.host, pair.group, decides=True)
+    assert [one.channel_id for one in (await reader.opened()).channels] == [pair.left.channel_id]
+    await pair.cluster.directory.called("Watch", times=2)
+    record = pair.cluster.directory.give_to(pair.right.channel_id, LOWER)
+    await pair.left.host.bound(record)
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert await reader.call.code() is grpc.StatusCode.UNAVAILABLE
+    assert "has come to this host" in await reader.call.details()
 
 
 async def test_matches_reach_over_hosts(pair: Pair) -> None:

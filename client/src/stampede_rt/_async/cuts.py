@@ -27,12 +27,14 @@ class _HostStream:
     def __init__(self, conversation: BidiStream[group_pb.SubscribeCutsResponse]) -> None:
         self.conversation = conversation
         self._responses: Any = conversation.__aiter__()
+        self.channel_ids: list[bytes] = []  # the members that the host follows until the stream ends
 
     async def open(self, request: group_pb.SubscribeCutsOpen) -> group_pb.CutCursor:
         """Open the subscription at this host. Returns the cursor at which the host begins."""
         await self.conversation.send(group_pb.SubscribeCutsRequest(open=request))
         response = await self._responses.__anext__()
         cursor: group_pb.CutCursor = response.opened
+        self.channel_ids = [one.channel_id for one in cursor.channels]
         return cursor
 
     async def event(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
@@ -196,6 +198,7 @@ class CutSubscription(BoundToProcess):
                 opened = await stream.open(self._opening(decides=len(self._opening_streams) == 1))
                 self._cursor = self._cursor or opened
                 self._learn(opened)
+            self._check_members()
         except StopAsyncIteration:
             raise Unavailable("a host ended the subscription while it began") from None
         except BaseException:
@@ -204,6 +207,17 @@ class CutSubscription(BoundToProcess):
         self._streams, self._opening_streams = self._opening_streams, []
         if self._closed:  # somebody called `close` during the opening
             self._hang_up()
+
+    def _check_members(self) -> None:
+        """Raises Unavailable unless each member is on one stream. A member that moves may be on none, or on two.
+
+        An event without a member would take the cursor beyond items that no stream has brought.
+        """
+        followed = sorted(one for stream in self._opening_streams for one in stream.channel_ids)
+        if followed != sorted(channel.info.channel_id for channel in self._group.channels):
+            raise Unavailable(
+                f"a member of group {self._group.name!r} is moving, and its new host does not serve it yet; try again"
+            )
 
     def _opening(self, *, decides: bool) -> group_pb.SubscribeCutsOpen:
         return group_pb.SubscribeCutsOpen(

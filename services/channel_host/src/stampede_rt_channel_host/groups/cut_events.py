@@ -60,8 +60,8 @@ class CutEvents:
         self._incarnation = 0  # of the group, at the beginning of the subscription
         self._spec_version = 0  # of the group, at the beginning of the subscription
         self._followed: dict[bytes, _Followed] = {}
-        # the reader's cursors of channels that this host does not follow yet
-        self._kept: dict[bytes, pb.ChannelCursor] = {}
+        # the reader's cursors at the opening; None once the subscription has begun
+        self._kept: dict[bytes, pb.ChannelCursor] | None = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
         self._credit = Credit(self._waiter.wake)  # in events; not used if another host decides
         self._room = asyncio.Event()  # there is room for another boundary
@@ -117,6 +117,7 @@ class CutEvents:
         self._kept = {one.channel_id: one for one in opening.after.channels}
         self._spec_version = opening.spec_version or group.record.spec_version
         self._follow(group)
+        self._kept = None
 
     def _opened(self, group: HostedGroup) -> pb.CutCursor:
         return pb.CutCursor(
@@ -128,9 +129,9 @@ class CutEvents:
     def _follow(self, group: HostedGroup) -> None:
         """Follow the members at this host, also those that came back to it.
 
-        Raises StaleBinding if a followed member has left the host, Unavailable if the group has other members now. The
-        new members may be at hosts to which the reader has no stream yet. So the reader must subscribe again, after its
-        last event.
+        Raises StaleBinding if a followed member has left the host. Raises Unavailable if the group has other members
+        now, or if another member has come to this host: this host does not know which of its items the reader has.
+        The reader must subscribe again, after its last event.
         """
         if group.generation == self._generation:
             return
@@ -149,7 +150,7 @@ class CutEvents:
 
     def _take_up(self, hosted: HostedChannel, held: _Followed | None) -> None:
         channel_id = hosted.record.channel_id
-        cursor = self._kept.pop(channel_id, None) if held is None else held.cursor()
+        cursor = self._kept_cursor(hosted) if held is None else held.cursor()
         follower = CutFollower(
             hosted.channel,
             self._cut,
@@ -161,6 +162,15 @@ class CutEvents:
             held.hosted.group_readers.pop(self, None)
         hosted.group_readers[self] = None
         self._followed[channel_id] = _Followed(hosted, follower)
+
+    def _kept_cursor(self, hosted: HostedChannel) -> pb.ChannelCursor | None:
+        """The reader's cursor of a channel, None if it has none. Raises Unavailable once the subscription has begun."""
+        if self._kept is None:
+            raise Unavailable(
+                f"channel {hosted.record.name} has come to this host; subscribe again at the hosts of all members, "
+                "after the last event"
+            )
+        return self._kept.get(hosted.record.channel_id)
 
     async def _read(self, group: HostedGroup, *, decides: bool) -> None:
         """Read requests: credit, or the boundaries that another host decided."""
