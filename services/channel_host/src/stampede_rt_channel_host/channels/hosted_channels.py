@@ -57,7 +57,7 @@ class HostedChannel:
     """The number of the host's last registration when the store took `record` over."""
     fed: FedCopies | None = None
     """The copies that this host feeds; most channels have none."""
-    due: int | None  # when the sweep looks at the channel; `Deadlines` sets it
+    due: int | None  # when the sweep looks at the channel; `Deadlines` sets it, and `order` decides between equal ones
     changes = 0
     """The number of changes of the channel at this host."""
     delivered_items = delivered_bytes = 0
@@ -106,8 +106,7 @@ class HostedChannel:
         # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
         self.group_readers: dict[object, None] = {}
         self.deliveries = deliveries or SharedDeliveries()
-        self.order = next(_orders)  # decides between channels that are due at the same time
-        self.due = None  # set here: Python shares the names of at most 30 attributes between the channels
+        self.order, self.due = next(_orders), None  # set here: Python shares at most 30 attribute names of all channels
         self._on_touched, self._now = on_touched, now
         if self.replication is not None:
             self.puts.check_room = self.replication.check_room
