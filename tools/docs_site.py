@@ -50,7 +50,7 @@ def page(path: Path) -> str:
 
 
 def copy(file: Path) -> None:
-    """Copy a file that is no page to its place beside the pages."""
+    """Copy a file that is not a page to its place beside the pages."""
     place = OUT / file.relative_to(ROOT)
     if file.suffix != ".md" and not place.exists():
         place.parent.mkdir(parents=True, exist_ok=True)

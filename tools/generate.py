@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from tools.sync_rules import synchronous  # noqa: E402  (the folder is no installed package)
+from tools.sync_rules import synchronous  # noqa: E402  (the folder is not an installed package)
 
 PROTO = ROOT / "proto"
 CLIENT = Path("client/src")

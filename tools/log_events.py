@@ -40,7 +40,7 @@ def names_event(call: ast.Call, function: ast.AST) -> bool:
 
 
 def _events(node: ast.AST) -> set[str]:
-    """Return the values of the key "event" in all dictionaries below `node`; "" for one that is no literal."""
+    """Return the values of the key "event" in all dictionaries below `node`; "" for one that is not a literal."""
     found: set[str] = set()
     for one in ast.walk(node):
         if isinstance(one, ast.Dict):

@@ -41,7 +41,7 @@ def _complaint(test: PurePosixPath, sources: Mapping[str, frozenset[str]]) -> st
     if name == "__init__":
         return ""
     if not name.startswith("test_"):
-        return f"{UNIT_TESTS}/{test} is no test; move it to tests/support"
+        return f"{UNIT_TESTS}/{test} is not a test; move it to tests/support"
     if folder not in sources:
         return f"{UNIT_TESTS}/{test} mirrors no folder of the sources; move it beside the tests of its module's folder"
     subject = name.removeprefix("test_")

@@ -53,7 +53,7 @@ def one_whose_process_ends() -> None:
         (one_whose_process_ends, "status 7"),
     ],
 )
-def test_work_that_hangs_or_fails_is_told(work: Any, why: str) -> None:
+def test_work_that_hangs_or_fails_is_reported(work: Any, why: str) -> None:
     with pytest.raises(Unfinished, match=why):
         in_own_process(work, seconds=0.1 if work is one_that_hangs else 30.0)
 

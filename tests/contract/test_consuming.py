@@ -114,7 +114,7 @@ async def test_a_channel_that_counts_no_consumption_says_so(team: Team) -> None:
         await ann.consume(await put_three(ann))
 
 
-async def test_the_items_of_another_channel_are_told_as_such(team: Team) -> None:
+async def test_items_of_another_channel_are_refused_and_the_error_says_so(team: Team) -> None:
     (channel, *_), (other, *_) = await team.open(consumers=1), await team.open(consumers=1)
     await other.put(b"x")
     item = await other.newest()

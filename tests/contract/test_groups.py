@@ -86,7 +86,7 @@ async def test_a_deleted_group_is_gone_and_its_channels_stay(surface: Surface) -
     ("settings", "said"),
     [
         ({"bound": "middle"}, "bound"),
-        ({"reference": "contract/elsewhere"}, "no member"),
+        ({"reference": "contract/elsewhere"}, "not a member"),
         ({"idle_after": 5}, "idle_after"),
     ],
 )

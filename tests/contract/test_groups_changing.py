@@ -170,9 +170,9 @@ async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) 
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda group, left: group.add("a name"), "'a name' is no channel"),
-        (lambda group, left: group.remove(None), "None is no channel"),
-        (lambda group, left: anext(aiter(group.match(None, "1ms"))), "None is no member of the group"),
+        (lambda group, left: group.add("a name"), "'a name' is not a channel"),
+        (lambda group, left: group.remove(None), "None is not a channel"),
+        (lambda group, left: anext(aiter(group.match(None, "1ms"))), "None is not a member of the group"),
         (lambda group, left: anext(aiter(group.match(left, "-1ms"))), "tolerance is '-1ms'"),
         (lambda group, left: anext(aiter(group.subscribe("-1s"))), "max_wait is '-1s'"),
     ],
@@ -188,7 +188,7 @@ async def test_a_channel_that_a_group_cannot_take_is_refused_and_named(
 
 async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface) -> None:
     left, right = await channel_at_each_host(surface)
-    for others, said in ((right, "give a list"), (["a name"], "'a name' is no channel")):
+    for others, said in ((right, "give a list"), (["a name"], "'a name' is not a channel")):
         with pytest.raises(st.InvalidArgument, match=said):
             await surface.cross_section(left, others)
 

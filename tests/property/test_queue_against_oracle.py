@@ -73,7 +73,7 @@ def settle(rng: RandomSource, pair: QueuePair) -> None:
 
 
 def latest(rng: RandomSource, pair: QueuePair) -> tuple[int, int]:
-    """A delivery, more often one of the newest."""
+    """Pick a delivery, usually one of the newest."""
     return pair.deliveries[-1 - rng.below(min(len(pair.deliveries), rng.pick((2, 5, 50))))]
 
 

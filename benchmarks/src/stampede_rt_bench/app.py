@@ -249,14 +249,14 @@ def _seconds(text: str) -> float:
     except ValueError:
         seconds = 0.0
     if not SECONDS_MIN <= seconds <= SECONDS_MAX:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from {SECONDS_MIN:g} to {SECONDS_MAX:g}")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds from {SECONDS_MIN:g} to {SECONDS_MAX:g}")
     return seconds
 
 
 def _between(least: int, most: int) -> Callable[[str], int]:
     def number(text: str) -> int:
         if not text.isdecimal() or not least <= int(text) <= most:
-            raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {least} to {most}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} to {most}")
         return int(text)
 
     return number

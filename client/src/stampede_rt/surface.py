@@ -298,7 +298,7 @@ def host(
     the cluster use them like others, and the directory may place channels of other programs here.
 
     - `name`: the name of the host, and the name of this connection as a peer. Default: the host gets the name of the
-      machine with a random end, and the connection is no peer. With certificates it is the name in the certificate.
+      machine with a random end, and the connection is not a peer. With certificates it is the name in the certificate.
     - `listen`: the address at which the host listens, as "HOST:PORT". Default: any free port at localhost, or, if a
       front-end is on another machine, at this machine's address towards it; this needs certificates.
     - `advertise`: the address at which others reach the host. Default: `listen`.

@@ -87,7 +87,7 @@ def _rover(arguments: argparse.Namespace) -> int:
 def _seconds(text: str) -> int:
     """Return whole seconds in the range that the roles of the TV watcher accept."""
     if not text.isdecimal() or not 2 <= int(text) <= 600:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of seconds from 2 to 600")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds from 2 to 600")
     return int(text)
 
 

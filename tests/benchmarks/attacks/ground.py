@@ -72,7 +72,7 @@ class Ground:
         return known
 
     def to_line(self) -> str:
-        """For the attacker's standard input: a secret is no argument."""
+        """For the attacker's standard input: a secret is not an argument."""
         return json.dumps(asdict(self))
 
     @classmethod

@@ -17,7 +17,7 @@ from tests.benchmarks.attacks.ground import Ground, all_of
 from tests.support.raw_stream import RawStream, raw_stream
 
 SILENT, UNFINISHED, UNREAD = 1100, 1000, 200  # the sockets of each attack
-UNREAD_MESSAGES = 10  # the messages that are no puts, for each socket of `malformed_frames`
+UNREAD_MESSAGES = 10  # the messages that are not puts, for each socket of `malformed_frames`
 PAUSE_SECONDS = 0.05  # between the end of a socket and the next one in its place
 
 
@@ -42,7 +42,7 @@ async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> No
 
 
 async def malformed_frames(ground: Ground, under_way: Callable[[], None]) -> None:
-    """200 sockets at a time that send no frames, or messages that are no puts."""
+    """200 sockets at a time that send no frames, or messages that are not puts."""
     numbers = itertools.count()
 
     async def send(stream: RawStream) -> None:

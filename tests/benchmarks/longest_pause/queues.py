@@ -11,7 +11,7 @@ from tests.support.channel_host.rig import Rig
 
 
 async def batches(rig: Rig, items: int) -> tuple[str, Work]:
-    """The core alone, as its shell moves it: `tick` when it is due."""
+    """The core alone. The case calls `tick` as the shell would."""
     queue = QueueCore(QueueLimits(max_items=items, max_bytes=2**40), incarnation=1)
     takers = [TakerState(taker_id, None) for taker_id in range(1, 101)]
     for _ in range(items):

@@ -71,7 +71,7 @@ async def test_each_item_takes_its_payload_and_64_bytes_and_the_last_one_may_tak
     call.cancel()
 
 
-async def test_the_newest_is_chosen_when_the_credit_comes_and_what_was_passed_over_is_told_with_it(rig: Rig) -> None:
+async def test_the_newest_is_chosen_when_the_credit_comes_and_skipped_items_are_counted_with_it(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     call = await begun(channel, mode=pb.SUBSCRIBE_MODE_NEWEST)
@@ -141,7 +141,7 @@ async def test_a_stream_that_does_not_begin_with_open_or_opens_twice_is_refused(
             pass
 
 
-async def test_an_advance_is_told_only_when_everything_before_it_was_sent(rig: Rig) -> None:
+async def test_an_advance_is_reported_only_when_everything_before_it_was_sent(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     call = await begun(channel)

@@ -75,7 +75,7 @@ async def test_each_match_selects_what_the_time_model_says(rig: Rig) -> None:
     assert await matching(time_pb2.MATCH_SPAN, 25, 30) == []
 
 
-async def test_the_last_bucket_behind_the_answer_is_told(rig: Rig) -> None:
+async def test_the_answer_names_the_bucket_after_its_last_item(rig: Rig) -> None:
     channel, t = await filled(rig)
     got = await channel.get(interval=between(t, t + 5))
     assert got.payloads == [b"a"]
@@ -114,7 +114,7 @@ async def test_delivered_items_are_counted(rig: Rig) -> None:
     assert (await channel.status()).counters.delivered_bytes == 3
 
 
-async def test_meta_times_are_resolved_and_told(rig: Rig) -> None:
+async def test_meta_times_are_resolved_and_reported(rig: Rig) -> None:
     channel, t = await filled(rig)
     interval = time_pb2.Interval(
         start=time_pb2.Bound(meta_time=time_pb2.META_TIME_NEWEST, offset_nanos=-10),

@@ -128,7 +128,7 @@ async def test_a_run_with_a_seq_or_unknown_fields_is_refused(rig: Rig) -> None:
 
 async def test_garbage_instead_of_a_request_ends_the_stream_with_a_reason(rig: Rig) -> None:
     method = rig.connection.stream_stream("/stampede_rt.v1.ChannelService/Put")
-    with pytest.raises(Exception, match="no valid PutRequest"):
+    with pytest.raises(Exception, match="not a valid PutRequest"):
         [response async for response in method(iter((b"\xff\xff\xff",)))]
 
 

@@ -107,7 +107,7 @@ async def test_a_reader_goes_on_behind_its_last_item(rig: Rig) -> None:
     reader.call.cancel()
 
 
-async def test_a_late_items_end_is_told(rig: Rig) -> None:
+async def test_a_late_items_end_is_reported(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     reader = await Reader.of(channel)
@@ -245,7 +245,7 @@ async def test_a_subscription_that_cannot_be_is_refused(rig: Rig, fields: dict[s
     assert words in (error.details() or "")
 
 
-async def test_an_advance_is_told_at_once_though_there_is_no_item_to_send(
+async def test_an_advance_is_reported_at_once_though_there_is_no_item_to_send(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""Connections that are cut while grpc.aio writes to them: gRPC tells of some of these cuts as INTERNAL."""
+"""Connections that are cut while grpc.aio writes to them: gRPC reports some of these cuts as INTERNAL."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class Told:
         return made
 
 
-async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
+async def test_a_cut_that_grpc_reports_as_internal_is_an_outage_like_others(
     world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """About one of fifty cuts. The test goes on until it has met one."""
+    """gRPC reports about one of fifty cuts as INTERNAL. The test goes on until it has met one."""
     told = Told(monkeypatch)
     failures: list[st.StampedeError] = []
 
@@ -68,7 +68,7 @@ async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
         await cutting
         assert (await channel.put(b"goes on")).payload == b"goes on"
     if not told.internal:
-        pytest.skip(f"gRPC told of no cut as INTERNAL within {CUT_SECONDS_MAX:g} s, as happens on a very busy machine")
+        pytest.skip(f"gRPC reported no cut as INTERNAL within {CUT_SECONDS_MAX:g} s, as happens on a very busy machine")
     assert all(isinstance(error, st.Unavailable) and error.retryable for error in told.internal)
     assert all(error.retryable or isinstance(error, st.DeadlineExceeded) for error in failures)
 

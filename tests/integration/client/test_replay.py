@@ -116,7 +116,7 @@ def test_a_channel_that_would_refuse_the_items_is_named_before_the_first_one(rt:
         assert rt.channel(name).stats().accepted == 0
 
 
-def test_refused_items_are_counted_and_the_first_refusal_is_told(rt: st.Connection, tmp_path: Path) -> None:
+def test_refused_items_are_counted_and_the_first_refusal_is_reported(rt: st.Connection, tmp_path: Path) -> None:
     advance = FileAdvance("cam", INCARNATION, START + 8 * MS, 5)
     path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 6)), advance, *entries("cam", range(6, 11))])
     summary = rt.import_file(path, "refused/").wait()

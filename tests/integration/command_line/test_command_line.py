@@ -192,7 +192,7 @@ def test_a_time_without_a_zone_is_local_time(stampede: Run, environment: dict[st
     "words",
     ["ls", "supernode status", "supernode snapshot", "supernode init --data-dir s1 --listen 127.0.0.1:1", "certs init"],
 )
-def test_a_full_disk_below_the_output_is_told_as_that(
+def test_the_error_names_a_full_disk_below_the_output(
     stampede: Run, environment: dict[str, str], words: str, tmp_path: Path
 ) -> None:
     stampede("put", "cli/full", "x")
@@ -210,7 +210,7 @@ def test_a_full_disk_below_the_output_is_told_as_that(
     assert (done.returncode, done.stderr) == (1, "stampede: the output cannot be written: No space left on device\n")
 
 
-def test_a_front_end_in_the_place_of_a_supernode_and_the_reverse_are_told_as_that(
+def test_the_error_names_a_front_end_in_place_of_a_supernode_and_the_reverse(
     stampede: Run, cluster: LocalCluster
 ) -> None:
     [member] = json.loads(stampede("supernode", "status", "-o", "json").stdout)

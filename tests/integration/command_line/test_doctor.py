@@ -71,7 +71,7 @@ def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
-def test_a_host_that_was_killed_and_what_it_held_are_told_until_it_is_back(
+def test_a_host_that_was_killed_and_what_it_held_are_reported_until_it_is_back(
     cluster: LocalCluster, doctor: Doctor
 ) -> None:
     empty = cluster.add_host()
@@ -110,7 +110,7 @@ def put_until_refused(handle: st.Channel | st.Queue) -> None:
         told = raised.value
 
 
-def test_puts_that_a_full_host_refuses_are_counted_logged_and_told(cluster: LocalCluster, doctor: Doctor) -> None:
+def test_puts_that_a_full_host_refuses_are_counted_logged_and_reported(cluster: LocalCluster, doctor: Doctor) -> None:
     words = ["--frontend", cluster.address, "--name", "small", "--memory-bytes-max", "1MiB"]
     words += ["--secret-file", str(cluster.secret_file)]
     small = ServiceProcess("host small", "stampede_rt_channel_host", words)
@@ -175,7 +175,7 @@ def use(files: st.TlsFiles, patch: pytest.MonkeyPatch) -> None:
         patch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
 
 
-def test_certificates_that_end_soon_or_have_ended_are_told_with_whose_they_are(
+def test_certificates_that_end_soon_or_have_ended_are_reported_with_their_owners(
     secured: LocalCluster, doctor: Doctor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     certificates = secured.certificates

@@ -65,7 +65,7 @@ def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() ->
 
 
 @pytest.mark.parametrize(("nanos", "how"), [(1500 * MS, "1.5 s ahead of"), (-60 * MS, "60 ms behind")])
-def test_a_clock_that_is_off_is_told_with_whose_it_is_how_far_and_what_is_allowed(nanos: int, how: str) -> None:
+def test_the_report_of_a_wrong_clock_names_its_owner_its_offset_and_the_allowed_offset(nanos: int, how: str) -> None:
     clocks = found(changed("h1", clock_offset_nanos=nanos), "clocks")
     assert clocks.advice == f"the clock of host h1 is {how} the others'; synchronise it (chrony, ntpd)"
     assert "apart, give or take 1 ms, 50 ms are allowed" in clocks.state
@@ -91,12 +91,12 @@ def test_an_answer_that_took_two_seconds_tells_nothing_of_a_clock() -> None:
     assert (clocks.state, clocks.advice) == ("unknown: answers took 2 s or longer, too long to compare clocks", "")
 
 
-def test_a_clock_that_is_off_by_more_than_a_slow_answer_can_explain_is_told() -> None:
+def test_a_clock_that_is_off_by_more_than_a_slow_answer_can_explain_is_reported() -> None:
     slow = changed("f1", clock_offset_nanos=3000 * MS, round_trip_nanos=2000 * MS)
     assert found(slow, "clocks").advice.startswith("the clock of front-end f1 is 3 s ahead of the others'")
 
 
-def test_a_peer_whose_clock_is_off_is_told_as_a_host_would_be() -> None:
+def test_a_peer_whose_clock_is_off_is_reported_as_a_host_would_be() -> None:
     clocks = found([*WELL, seen(PEER, "robot/3", clock_offset_nanos=-1500 * MS)], "clocks")
     assert clocks.advice == "the clock of peer robot/3 is 1.5 s behind the others'; synchronise it (chrony, ntpd)"
     assert clocks.state == "1.5 s apart, give or take 1 ms, 50 ms are allowed"
@@ -125,7 +125,7 @@ def test_a_peer_that_told_nothing_of_its_clock_is_not_taken_to_be_right_or_wrong
     assert found([*WELL, peer], "peer older").state == "ok"
 
 
-def test_two_versions_are_told_with_who_runs_which() -> None:
+def test_two_versions_are_reported_with_the_parts_that_run_them() -> None:
     versions = found(changed("s2", version="0.9"), "versions")
     assert versions.state == "0.9, 1.0"
     assert "0.9: supernode s2; 1.0: this caller, front-end f1, supernode s1" in versions.advice
@@ -136,11 +136,11 @@ def test_two_versions_are_told_with_who_runs_which() -> None:
     ("left_s", "advice"),
     [(13.5 * DAY_S, "its certificate ends in 13.5 days; issue it"), (-5.0, "its certificate has expired; issue it")],
 )
-def test_a_certificate_that_ends_soon_or_has_ended_is_told(left_s: float, advice: str) -> None:
+def test_a_certificate_that_ends_soon_or_has_ended_is_reported(left_s: float, advice: str) -> None:
     assert found(changed("h1", certificate_left_s=left_s), "host h1").advice.startswith(advice)
 
 
-def test_a_short_lived_certificate_is_told_with_a_third_of_it_left() -> None:
+def test_a_short_lived_certificate_is_reported_when_a_third_of_its_life_is_left() -> None:
     short = {"certificate_lasts_s": DAY_S}
     assert found(changed("h1", certificate_left_s=DAY_S / 2, **short), "host h1").advice == ""
     told = found(changed("h1", certificate_left_s=DAY_S / 4, **short), "host h1").advice
@@ -156,12 +156,12 @@ def test_a_short_lived_certificate_is_told_with_a_third_of_it_left() -> None:
         ({"failure": "gone"}, "unreachable"),
     ],
 )
-def test_a_host_without_its_lease_or_out_of_reach_is_told(facts: dict[str, Any], state: str) -> None:
+def test_a_host_without_its_lease_or_out_of_reach_is_reported(facts: dict[str, Any], state: str) -> None:
     host = found(changed("h1", **facts), "host h1")
     assert (host.state, bool(host.advice)) == (state, True)
 
 
-def test_puts_that_a_host_refused_lately_are_told_with_how_full_it_is_and_older_ones_as_well() -> None:
+def test_puts_that_a_host_refused_are_reported_with_its_use_of_memory_also_older_ones() -> None:
     facts = {"refused_items": 12, "held_bytes": 2**30, "memory_bytes_max": 2**30}
     host = found(changed("h1", refused_ago_nanos=3000 * MS, **facts), "host h1")
     assert host.state == "12 puts refused"
@@ -170,7 +170,7 @@ def test_puts_that_a_host_refused_lately_are_told_with_how_full_it_is_and_older_
     assert (host.state, host.advice) == ("ok, 12 puts refused before", "")
 
 
-def test_calls_that_a_host_refused_are_told_beside_the_puts() -> None:
+def test_calls_that_a_host_refused_are_reported_beside_the_puts() -> None:
     host = found(changed("h1", refused_calls=3, refused_call_ago_nanos=5000 * MS), "host h1")
     assert host.state == "3 calls refused"
     assert "it refused or ended calls as Overloaded, the last one 5 s ago" in host.advice
@@ -195,7 +195,7 @@ def test_calls_beyond_quotas_are_counted_and_lately_refused_ones_lead_to_those_w
     assert found(changed("h1", quota_refusals=3, quota_refused_ago_nanos=3600_000 * MS), "quotas").advice == ""
 
 
-def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
+def test_lost_channels_and_queues_are_reported_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
     held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]
     findings = diagnose(WELL, held, own_version="1.0", certificate_s_min=14 * DAY_S)
@@ -215,7 +215,7 @@ def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> Non
     assert "has no leader; look again in 5 s, then start s1 again with its data folder" in found(down, "quorum").advice
 
 
-def test_a_cluster_in_memory_alone_is_told_as_that_and_is_no_fault() -> None:
+def test_a_cluster_in_memory_alone_is_reported_and_is_no_fault() -> None:
     quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in WELL], "quorum")
     assert (quorum.state, quorum.advice) == ("3 of 3 serve, in memory alone", "")
 
@@ -248,7 +248,7 @@ def test_a_cluster_without_hosts_is_told_to_start_one() -> None:
         ),
     ],
 )
-def test_the_feature_level_is_told_and_who_holds_it_down(
+def test_the_report_names_the_feature_level_and_the_supernodes_that_hold_it_down(
     levels: dict[str, tuple[int, int]], state: str, advice: str
 ) -> None:
     told = [

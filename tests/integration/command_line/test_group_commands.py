@@ -126,7 +126,7 @@ def test_cuts_and_matches_are_printed_as_they_come(
 
 
 @pytest.mark.parametrize("words", [["status"], ["newest"], ["get", "oldest", "newest"], ["watch"], ["delete"]])
-def test_a_group_that_is_not_there_is_told_in_the_words_of_the_shell(run: Command, words: list[str]) -> None:
+def test_a_group_that_is_not_there_is_reported_in_the_words_of_the_shell(run: Command, words: list[str]) -> None:
     verb, *rest = words
     status, _, said = run(verb, "rig/nowhere", *rest)
     assert (status, "`stampede group ls` lists" in said) == (1, True)

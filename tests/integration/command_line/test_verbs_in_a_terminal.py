@@ -151,8 +151,8 @@ def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) ->
         (["--lines", "text"], "--lines reads the payloads from standard input"),
         (["text", "--count", "3"], "--count needs --rate or --lines"),
         (["text", "--rate", "1", "--time", "5"], "--time is for one item"),
-        (["text", "--rate", "0"], "'0' is no rate"),
-        (["text", "--rate", "1e-300"], "'1e-300' is no rate"),
+        (["text", "--rate", "0"], "'0' is not a rate"),
+        (["text", "--rate", "1e-300"], "'1e-300' is not a rate"),
     ],
 )
 def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words: list[str], complaint: str) -> None:
@@ -172,7 +172,7 @@ def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words:
         (["put", "absent", "x", "--duration", "-5s"], 2, "duration"),
     ],
 )
-def test_wrong_arguments_are_told_in_a_sentence(
+def test_wrong_arguments_are_reported_in_a_sentence(
     terminal: Terminal, words: list[str], status: int, complaint: str
 ) -> None:
     said = terminal(*words, status=status, progress=words[0] == "replay", columns=300).text

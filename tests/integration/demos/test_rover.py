@@ -42,7 +42,7 @@ def test_commands_reach_the_mailbox_of_the_rover(report: RoverReport) -> None:
     assert 0 < received <= sent
 
 
-def test_the_run_is_told_in_words_and_drawn(report: RoverReport, tmp_path: Path) -> None:
+def test_the_run_is_described_in_words_and_drawn(report: RoverReport, tmp_path: Path) -> None:
     assert "lost: 0" in render(report)
     from stampede_rt_demos.rover.picture import draw  # matplotlib: a second
 

@@ -54,7 +54,7 @@ def test_the_mapper_answers_what_the_planner_asks(outcome: Outcome) -> None:
     assert outcome.report.unanswered == 0
 
 
-def test_the_run_is_told_in_words_and_drawn(outcome: Outcome, tmp_path: Path) -> None:
+def test_the_run_is_described_in_words_and_drawn(outcome: Outcome, tmp_path: Path) -> None:
     assert "exactly these" in render(outcome.report)
     from stampede_rt_demos.stereo.picture import draw  # matplotlib: a second
 

@@ -67,7 +67,7 @@ def test_the_channels_lie_on_both_hosts(outcome: Outcome):
     assert len({figure.host for figure in outcome.report.figures}) == 2
 
 
-def test_the_times_are_measured_and_told(outcome: Outcome):
+def test_the_times_are_measured_and_reported(outcome: Outcome):
     for figure in outcome.report.figures:
         assert figure.latency_p50_nanos is not None
         assert figure.latency_p99_nanos is not None

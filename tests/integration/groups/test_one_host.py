@@ -107,7 +107,7 @@ async def test_a_blocked_get_ends_when_its_channel_leaves_the_group(host: Host) 
         while not opened.group_gets:
             await host.status(group)
     host.directory.change_members(group.group_id, [right])
-    with pytest.raises(AssertionError, match="is no member of group pair"):
+    with pytest.raises(AssertionError, match="is not a member of group pair"):
         await waiting
 
 

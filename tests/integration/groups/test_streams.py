@@ -27,7 +27,7 @@ async def host() -> AsyncIterator[Host]:
 
 @asynccontextmanager
 async def busy(channel: GroupedChannel, start: int) -> AsyncIterator[None]:
-    """The channel gets one item after the other, as fast as they are taken."""
+    """Put one item after the other into the channel until the block ends, as fast as the host accepts them."""
 
     async def put() -> None:
         time = start
@@ -51,7 +51,7 @@ def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) 
 
 
 @pytest.mark.parametrize("kind", ["items", "cuts", "matches"])
-async def test_a_stream_gives_signs_of_life_though_news_wake_it_all_the_time(
+async def test_a_stream_gives_signs_of_life_although_new_items_wake_it_all_the_time(
     host: Host, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.05)
@@ -67,19 +67,19 @@ async def test_a_stream_gives_signs_of_life_though_news_wake_it_all_the_time(
     else:
         call = matching(left, group)
         await call.read()
-    async with busy(left, t), asyncio.timeout(WAIT_SECONDS):  # the other one is silent: there is nothing to show
+    async with busy(left, t), asyncio.timeout(WAIT_SECONDS):  # the right channel is silent, so the group shows no item
         for _ in range(3):
             assert await call.read() is not grpc.aio.EOF
 
 
-async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice(host: Host) -> None:
+async def test_a_subscription_gets_a_cursor_at_its_start_so_that_nothing_comes_twice(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)
     await right.put(t + 3)
     begun = left.subscribe(group)
     cursor = (await begun.call.read()).cursor
-    begun.call.cancel()  # cancelled before the first event: the reader is not owed the items that were visible before
+    begun.call.cancel()  # the subscription began after these items became visible, so it does not get them
     resumed = left.subscribe(group, cursor=cursor)
     assert not (await resumed.call.read()).HasField("gap")
     await left.put(t + 1, t + 6)
@@ -97,7 +97,7 @@ async def test_a_cursor_comes_only_after_all_runs_that_became_visible_together(
         await left.put(t + at)
     await right.put(t)
     call = (await left.subscribe(group).opened()).call
-    await right.put(t + 5)  # the cut moves, and shows nothing of the left one
+    await right.put(t + 5)  # the cut moves, but no item of the left channel becomes visible
     await right.put(t + 25)
     async with asyncio.timeout(WAIT_SECONDS):
         responses = [await call.read() for _ in range(3)]
@@ -118,7 +118,7 @@ async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the
     assert await resumed.take(1) == [t]
 
 
-async def test_matches_go_on_where_they_began_though_none_had_come_yet(host: Host) -> None:
+async def test_matches_continue_at_their_first_cursor_if_no_match_had_come_yet(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
@@ -146,9 +146,9 @@ async def test_reads_of_a_member_through_the_group_end_when_the_member_leaves(ho
     await host.directory.called("Watch", times=1)
     host.directory.change_members(group.group_id, [right])
     async with asyncio.timeout(WAIT_SECONDS):
-        assert "no member" in (await items.details())
-        assert "no member" in (await matches.details())
-        assert "no member" in (await waiting.read()).error.message
+        assert "not a member" in (await items.details())
+        assert "not a member" in (await matches.details())
+        assert "not a member" in (await waiting.read()).error.message
 
 
 async def test_cut_events_end_when_the_group_has_other_members_and_go_on_with_them(host: Host) -> None:
@@ -210,7 +210,7 @@ async def status_of(channel: GroupedChannel) -> Any:
 
 
 async def until_counted(channel: GroupedChannel, **expected: int) -> None:
-    """Ask for the channel's status, as fast as it is answered, until it is as expected."""
+    """Ask for the channel's status again and again, until it is as expected."""
     async with asyncio.timeout(WAIT_SECONDS):
         while True:
             status = await status_of(channel)

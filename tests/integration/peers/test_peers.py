@@ -44,7 +44,7 @@ def test_a_named_connection_is_listed_while_it_is_open(cluster: LocalCluster) ->
             watching.peer("list/me")
 
 
-def test_a_connection_without_a_name_is_nobody_in_particular(cluster: LocalCluster) -> None:
+def test_a_connection_without_a_name_is_not_a_peer(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         before = rt.peers(include_dead=True)
         with st.connect(cluster.address) as nameless:
@@ -53,7 +53,7 @@ def test_a_connection_without_a_name_is_nobody_in_particular(cluster: LocalClust
                 _ = nameless.mailbox
 
 
-def test_a_second_live_peer_of_a_name_is_refused_and_told_why(cluster: LocalCluster) -> None:
+def test_a_second_live_peer_of_a_name_is_refused_with_the_reason(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="only/one") as first:
         with pytest.raises(st.PeerExists, match="another live peer has the name 'only/one'"):
             st.connect(cluster.address, name="only/one")
@@ -73,7 +73,7 @@ def test_a_refused_connection_leaves_nothing_running(cluster: LocalCluster) -> N
         ]
 
 
-def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cluster: LocalCluster) -> None:
+def test_a_killed_peer_comes_back_with_its_proof_and_its_mailbox(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         with started([sys.executable, "-c", STAY, cluster.address, "phoenix"]) as process:
             assert process.stdout is not None
@@ -87,12 +87,12 @@ def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cl
             assert message.payload == b"while it was alive"
 
 
-def test_of_two_live_processes_with_one_proof_the_later_has_the_name_and_the_other_is_told(
+def test_the_later_of_two_live_processes_with_one_proof_gets_the_name_and_the_other_an_error(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Earlier, they took the name from each other again and again, with the other's messages.
+    """Earlier, the two took the name and the messages from each other again and again.
 
-    The end of one freed the name.
+    When one of them ended, the name was free although the other still lived.
     """
     proof = "0123456789abcdef"
     former = st.connect(cluster.address, name="twice", proof=proof)
@@ -121,7 +121,7 @@ def test_a_proof_that_anybody_could_guess_is_refused(cluster: LocalCluster, proo
         st.connect(cluster.address, name="weak", proof=proof)
 
 
-def test_coming_and_going_is_watched(cluster: LocalCluster) -> None:
+def test_a_watch_shows_peers_that_come_and_go(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt, rt.watch_peers("seen/*") as changes:
         with st.connect(cluster.address, name="seen/one"), st.connect(cluster.address, name="unseen/one"):
             change = next(changes)
@@ -129,7 +129,7 @@ def test_coming_and_going_is_watched(cluster: LocalCluster) -> None:
         assert next(changes).kind == "removed"
 
 
-async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:
+async def test_peers_are_listed_refused_and_watched_with_asyncio(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address) as rt, rt.watch_peers("aio/*") as changes:
         async with aio.connect(cluster.address, name="aio/one"):
             assert [peer.name for peer in await rt.peers("aio/*")] == ["aio/one"]
@@ -138,7 +138,7 @@ async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:
         assert [(await anext(changes)).kind for _ in range(2)] == ["added", "removed"]
 
 
-def test_a_lease_is_kept_and_one_that_ended_is_taken_again(cluster: LocalCluster) -> None:
+def test_a_peer_whose_lease_has_ended_registers_again(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="sleeper") as rt:
         presence: Any = rt._presence
         first = rt.peer("sleeper")
@@ -156,7 +156,9 @@ def test_a_lease_is_kept_and_one_that_ended_is_taken_again(cluster: LocalCluster
         assert message.payload == b"good morning"
 
 
-def test_a_peer_that_lost_its_name_to_another_is_told(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_peer_that_lost_its_name_to_another_gets_an_error(
+    cluster: LocalCluster, caplog: pytest.LogCaptureFixture
+) -> None:
     with st.connect(cluster.address, name="torn") as rt:
         leave(rt)
         with st.connect(cluster.address, name="torn") as other:

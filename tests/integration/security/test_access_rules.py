@@ -347,7 +347,9 @@ def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(
     assert {"abc12", "00000000000abc13"} <= set(listed)
 
 
-def test_denials_and_changes_are_told_in_the_logs_of_the_services(cluster: LocalCluster, operator: Operator) -> None:
+def test_denials_and_changes_are_reported_in_the_logs_of_the_services(
+    cluster: LocalCluster, operator: Operator
+) -> None:
     things(cluster)
     operator.add("audited", "put", "video/1")
     with st.connect(cluster.address, secret=operator.token("audited")) as rt:

@@ -14,7 +14,7 @@ from stampede_rt_runtime.limits import Limits
 from tests.benchmarks.attacks.trial import Found, Setup, trial
 
 SECONDS = 2.0
-BUDGET_MIB = 64  # of the host
+BUDGET_MIB = 64  # the memory budget of the host
 MARGIN_MIB = 100
 
 
@@ -32,7 +32,7 @@ async def attacked(name: str) -> Found:
 
 
 @pytest.mark.parametrize("name", ["resets", *rare("health-headers", "unfinished-health", "idle-connections")])
-async def test_a_caller_without_credential_takes_no_call_no_lease_and_no_memory_from_others(name: str) -> None:
+async def test_a_caller_without_credential_costs_others_no_call_no_lease_and_no_memory(name: str) -> None:
     found = await attacked(name)
     assert found.after_mib < found.before_mib + MARGIN_MIB
 

@@ -57,7 +57,7 @@ def test_an_operators_token_makes_tokens(
     assert capsys.readouterr().out.startswith("stampede-token-1.")
 
 
-def test_a_token_that_is_over_or_damaged_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_an_expired_or_damaged_token_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
     over = issued(cluster, tmp_path, "short", "--ttl", "1ns")
     with pytest.raises(PermissionDenied, match="the token of short has ended"):
         st.connect(cluster.address, secret=over)
@@ -74,10 +74,10 @@ async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Pat
             await anext(subscription)
 
 
-def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_nothing_else_is_taken_for_one(
+def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_other_texts_are_refused(
     cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Earlier, `token issue` printed no serial number with the token, and `token revoke` took every number for one."""
+    """Earlier, `token issue` printed no serial number with the token, and `token revoke` accepted every number."""
     token = issued(cluster, tmp_path, "leaked")
     assert run(["token", "revoke", str(tmp_path / "leaked.token"), "--url", cluster.address]) == 0
     with pytest.raises(PermissionDenied, match="of client leaked was revoked"):
@@ -100,7 +100,7 @@ def refuse(*_: object, **settings: object) -> None:
     raise PermissionDenied("refused")
 
 
-def test_no_token_is_made_that_cannot_be_written(
+def test_the_command_makes_no_token_if_it_cannot_write_the_file(
     cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "there.token"
@@ -116,7 +116,7 @@ def test_no_token_is_made_that_cannot_be_written(
     assert not unmade.exists()
 
 
-def test_an_operator_that_revokes_its_own_token_is_told_so(
+def test_an_operator_that_revokes_its_own_token_gets_a_warning(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     issued(cluster, tmp_path, "leaver", "--role", "operator")

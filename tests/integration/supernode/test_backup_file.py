@@ -51,7 +51,7 @@ def test_only_a_regular_file_is_replaced_and_nothing_is_fetched_for_another_one(
     out = tmp_path / "backup"
     make(out)
     asked = responses(BODY + SHA256)
-    with pytest.raises(StampedeError, match="no regular file"):
+    with pytest.raises(StampedeError, match="not a regular file"):
         write_backup(asked, out)
     assert next(asked) == FACTS, "nothing was asked for"
     assert not out.is_file()

@@ -65,7 +65,7 @@ async def test_status_says_that_a_supernode_without_its_folder_is_a_cluster_of_i
         await alone.close()
 
 
-async def test_supernodes_of_two_clusters_in_one_address_are_refused_with_both_names(tmp_path: Path) -> None:
+async def test_addresses_of_two_clusters_in_one_list_are_refused_and_both_are_named(tmp_path: Path) -> None:
     ports = free_ports(2)
     pair = [await prepared("init", name, port, tmp_path) for name, port in zip("ab", ports, strict=True)]
     try:
@@ -78,7 +78,7 @@ async def test_supernodes_of_two_clusters_in_one_address_are_refused_with_both_n
             await one.close()
 
 
-async def test_a_founder_that_is_started_without_its_list_is_told_what_to_name(tmp_path: Path) -> None:
+async def test_a_founder_that_is_started_without_its_list_says_what_to_name(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     address, data_dir = f"127.0.0.1:{port}", str(tmp_path / "a")
     place = ["--listen", address, "--data-dir", data_dir]

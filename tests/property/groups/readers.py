@@ -227,7 +227,7 @@ class Readers:
         items: list[Item] = []
         gaps: list[Gap] = []
         while (part := one.every.take(horizon, clock, limit_bytes)).more or not part.is_empty:
-            assert not gaps, "a gap comes behind the items of its step"
+            assert not gaps, "a gap comes after the items of its step"
             items += items_of([each.slice for each in part.slices])
             gaps += [part.gap] if part.gap else []
             check_ends(pair, part.slices, horizon.cut)

@@ -45,10 +45,10 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
-# Long enough that hosts renew at the successor of a leader whose disk hangs; short enough that the hanging one finds
-# them late while it still takes itself for the leader, if the last renewal was a while before.
+# Long enough that hosts renew at the successor of a leader whose disk hangs. Short enough that the hanging leader,
+# while it still believes that it leads, counts these hosts as lost if their last renewal was a while before.
 LONG_TTL_NANOS = 40 * 10**8
-# The successor leads before the leases end that hosts have from the hanging leader.
+# The successor leads before the leases that hosts have from the hanging leader end.
 SOON_SUCCEEDED = replace(TIMING, election_timeout_min_seconds=0.4, election_timeout_max_seconds=0.8)
 NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 
@@ -132,7 +132,7 @@ class DirectoryStorm:
 
     def __init__(self, world: DirectoryWorld) -> None:
         self.world, self.over = world, False
-        self.calling = 0  # callers with a call under way, or about to make one
+        self.calling = 0  # the callers that have not ended
         self.recorder = Recorder(lambda: world.now)
         self.ownership = Ownership()
         self._hosts = [SimHost(world, number, self.ownership) for number in range(HOSTS)]
@@ -191,8 +191,9 @@ class DirectoryStorm:
         frozen.frozen_until = self.world.now + self.world.random_source.uniform(0.2, 5.0)
 
     def _cut_leader_off(self) -> None:
-        """Cut the leader off from the other supernodes. Either hosts and peers cannot reach it either, or some reach
-        only it.
+        """Cut the leader off from the other supernodes.
+
+        In half of the cases hosts and peers cannot reach it either. In the other half two of them reach only it.
 
         In the second case it may also freeze, and go on as if no time had passed.
         """

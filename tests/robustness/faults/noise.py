@@ -1,4 +1,4 @@
-"""Bytes at every port that are no calls of the product: random bytes, pickles, HTTP/1, half TLS hellos, giant frames
+"""Bytes at every port that are not calls of the product: random bytes, pickles, HTTP/1, half TLS hellos, giant frames
 and messages.
 """
 

@@ -132,7 +132,7 @@ class Cluster:
         return made
 
     async def forget(self, one: Supernode) -> None:
-        """Note that the supernode is no member any more. Its namespace is free for the next newcomer."""
+        """Note that the supernode is no longer a member. Its namespace is free for the next newcomer."""
         self.supernodes = [other for other in self.supernodes if other is not one]
         self._former.append(one)  # some callers do not know of the removal yet
         await one.close()

@@ -2,7 +2,7 @@
 (whether the member waits for its disk).
 
 Arguments: the member id, the folder for stores and sockets, and the ids of all members. Every answer is one line. Two
-answers are no results: UNKNOWN_OUTCOME and REFUSED.
+answers are not results: UNKNOWN_OUTCOME and REFUSED.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
 
 
 class Outsider:
-    """Has valid credentials and is no member.
+    """Has valid credentials and is not a member.
 
     It introduces itself, and sends false messages to each member that listens.
     """

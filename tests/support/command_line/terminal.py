@@ -40,7 +40,7 @@ class Screen:
         return self.text.splitlines()
 
     def controls(self, *, screen: bool = False) -> set[str]:
-        """The characters that could command the terminal, beyond ends of lines and styles.
+        """The characters that could control the terminal, except ends of lines and styles.
 
         `screen`: the command may also move the cursor, as a live view does.
         """
@@ -53,7 +53,7 @@ def run_in_terminal(
 ) -> Screen:
     """Run one command in this process on a terminal of that size.
 
-    `typed`: what the user types before the command begins. `answered`: what the user types at the first output.
+    `typed`: the user's input before the command begins. `answered`: the user's input after the first output.
     """
     pieces: list[bytes] = []
     with pytest.MonkeyPatch.context() as patch, _terminal(columns, rows, pieces, answered) as (master, slave):
@@ -73,7 +73,7 @@ def run_in_terminal(
 
 @contextmanager
 def _terminal(columns: int, rows: int, pieces: list[bytes], answered: bytes) -> Iterator[tuple[int, int]]:
-    """A pseudo-terminal without echo. A thread appends to `pieces` what is written, up to the end of the block."""
+    """A pseudo-terminal without echo. Until the block ends, a thread appends the written bytes to `pieces`."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     attributes = termios.tcgetattr(slave)

@@ -173,7 +173,7 @@ def test_every_reason_survives_the_wire_with_its_facts(reason: str) -> None:
     assert reason == "INTERNAL" or status.code_for(reason).name != "INTERNAL"
 
 
-def test_the_users_secret_is_told_to_this_machine_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_users_secret_is_sent_to_this_machine_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     secret = tmp_path / "stampede" / "secret"

@@ -32,7 +32,7 @@ def failed(code: grpc.StatusCode, details: str, error: st.StampedeError | None =
         (grpc.StatusCode.CANCELLED, "Received RST_STREAM with error code 8"),
     ],
 )
-def test_a_connection_that_broke_is_told_as_unavailable(code: grpc.StatusCode, details: str) -> None:
+def test_a_connection_that_broke_is_reported_as_unavailable(code: grpc.StatusCode, details: str) -> None:
     error = from_rpc_error(failed(code, details), "h:1")
     assert isinstance(error, st.Unavailable)
     assert error.retryable

@@ -33,7 +33,7 @@ def test_a_failure_is_one_sentence_and_exit_code_1(monkeypatch, capsys):
     assert said.count("\n") == 1
 
 
-def test_an_interruption_is_told_and_has_the_shells_exit_code(monkeypatch, capsys):
+def test_an_interruption_is_reported_and_has_the_shells_exit_code(monkeypatch, capsys):
     def interrupted() -> None:
         raise KeyboardInterrupt
 

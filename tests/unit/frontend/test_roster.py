@@ -40,7 +40,7 @@ def test_the_number_of_seeds_has_bounds(count: int) -> None:
         SupernodeRoster(tuple(f"s{number}:1" for number in range(count)))
 
 
-def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
+def test_callers_get_a_seed_that_answers_with_its_round_trip() -> None:
     roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", trip=800))
     roster.answered("s1:1", answer("s1", trip=1600))
@@ -48,7 +48,7 @@ def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
     assert roster.cluster_id == "c1"
 
 
-def test_a_seed_that_is_no_member_any_more_is_told_to_nobody_and_probed_all_the_same() -> None:
+def test_a_seed_that_is_no_longer_a_member_is_listed_to_no_caller_but_still_probed() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     roster.answered("s2:1", answer("s2"))
@@ -143,7 +143,7 @@ def test_news_of_a_forgotten_member_changes_nothing() -> None:
     assert roster.failures() == []
 
 
-def test_a_supernode_with_two_addresses_is_told_once_by_the_listed_one() -> None:
+def test_a_supernode_with_two_addresses_is_listed_once_with_the_listed_address() -> None:
     roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
     roster.listed(members("s1"))
@@ -151,7 +151,7 @@ def test_a_supernode_with_two_addresses_is_told_once_by_the_listed_one() -> None
     assert [one.target for one in roster.known()] == ["s1:1"]
 
 
-def test_an_address_that_answers_is_told_before_a_listed_one_that_does_not() -> None:
+def test_an_address_that_answers_comes_before_a_listed_one_that_does_not() -> None:
     roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
     roster.listed(members("s1"))
@@ -217,7 +217,7 @@ EVENTS = st.one_of(
 
 
 @given(st.lists(EVENTS, max_size=30))
-def test_seeds_stay_probed_ids_are_told_once_and_health_follows_the_last_probe_after_any_events(
+def test_seeds_stay_probed_ids_are_listed_once_and_health_follows_the_last_probe_after_any_events(
     events: list[tuple[Any, ...]],
 ) -> None:
     roster = SupernodeRoster(("s1:1", "s9:1"))

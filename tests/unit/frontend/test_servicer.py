@@ -106,7 +106,7 @@ async def test_a_caller_is_told_no_quorum_when_nobody_answers(monkeypatch: pytes
     assert isinstance(caught.value, StampedeError)
 
 
-async def test_a_supernode_that_cannot_serve_is_told_as_unhealthy(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_supernode_that_cannot_serve_is_reported_as_unhealthy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_frontend.servicer.WAIT_SECONDS_MAX", 0.1)
     async with supernode(FakeSupernode(ready=False)) as server, frontend(server.address) as bind:
         answer = await bind()

@@ -19,7 +19,7 @@ def started() -> tuple[SupernodeRoster, StatusLog]:
     return roster, journal
 
 
-def test_while_all_parts_start_nothing_is_told_until_one_can_serve() -> None:
+def test_unreachable_supernodes_are_not_reported_in_the_first_seconds() -> None:
     roster, journal = started()
     for target in roster.targets():
         roster.failed(target, "connection refused")
@@ -27,7 +27,7 @@ def test_while_all_parts_start_nothing_is_told_until_one_can_serve() -> None:
     assert len(list(journal.changes(roster, LATER_S))) == 3
 
 
-def test_the_loss_of_a_supernode_and_its_return_are_told_once_each() -> None:
+def test_the_loss_of_a_supernode_and_its_return_are_reported_once_each() -> None:
     roster, journal = started()
     assert list(journal.changes(roster, LATER_S)) == []
     roster.answered("a:1", answer(ready=True))
@@ -45,7 +45,7 @@ def test_the_loss_of_a_supernode_and_its_return_are_told_once_each() -> None:
     ]
 
 
-def test_the_loss_of_the_majority_and_its_return_are_told_once_each() -> None:
+def test_the_loss_of_the_majority_and_its_return_are_reported_once_each() -> None:
     roster, journal = started()
     for target in roster.targets():
         roster.answered(target, answer(ready=True))
@@ -70,7 +70,7 @@ def test_the_first_ready_answer_of_a_supernode_is_no_return() -> None:
     assert [note.is_return for note in journal.changes(roster, 101.0)] == [False, False]
 
 
-def test_at_the_start_that_none_can_serve_is_told_once_all_were_heard_of() -> None:
+def test_at_the_start_a_front_end_tries_all_supernodes_before_it_reports_that_none_can_serve() -> None:
     roster, journal = started()
     roster.failed("a:1", "connection refused")
     assert [note.facts for note in journal.changes(roster, LATER_S)] == [

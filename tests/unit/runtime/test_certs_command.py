@@ -21,7 +21,7 @@ def test_a_pipe_in_the_place_of_a_file_is_not_replaced(
     os.mkfifo(out / name)
     words = ["issue", "--role", "client", "--name", "anna", "--dir", str(authority), "--out", str(out)]
     assert main(words) == 1
-    assert f"{out / name} is no regular file" in capsys.readouterr().err
+    assert f"{out / name} is not a regular file" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == [name]
     assert (out / name).is_fifo()
 

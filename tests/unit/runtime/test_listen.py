@@ -50,10 +50,10 @@ def test_a_port_whose_last_user_has_just_closed_is_free() -> None:
 
 
 def test_an_address_of_another_machine_is_refused() -> None:
-    with pytest.raises(CannotListen, match=r"192\.0\.2\.1 is no address of this machine"):
+    with pytest.raises(CannotListen, match=r"192\.0\.2\.1 is not an address of this machine"):
         check_listen("192.0.2.1:0", allow_insecure_anywhere=True)
 
 
 def test_a_name_that_does_not_resolve_is_refused() -> None:
-    with pytest.raises(CannotListen, match=r"'no-such-host\.invalid' is no name or address"):
+    with pytest.raises(CannotListen, match=r"'no-such-host\.invalid' is not a name or address"):
         check_listen("no-such-host.invalid:0", allow_insecure_anywhere=True)

@@ -107,7 +107,7 @@ def test_listening_beyond_loopback_needs_its_flag(capsys: pytest.CaptureFixture[
 
 def test_an_address_that_cannot_be_listened_at_is_code_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_service(Settings, "sample", ["--what", "listen", "--allow-insecure-anywhere"], serve) == 1
-    assert "is no address of this machine" in capsys.readouterr().err
+    assert "is not an address of this machine" in capsys.readouterr().err
 
 
 def test_help_goes_to_standard_output_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:

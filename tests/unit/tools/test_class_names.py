@@ -11,7 +11,7 @@ NOBODY = Accepted({}, {})
 NAMES_TO_RENAME_AT_FIRST = 41
 
 
-def test_two_modules_with_one_class_name_are_told_with_their_paths() -> None:
+def test_two_modules_with_one_class_name_are_reported_with_their_paths() -> None:
     found = duplicates([("a/one.py", "class Place: ..."), ("b/two.py", "class Place: ...\nclass Other: ...")])
     assert found == {"Place": ["a/one.py", "b/two.py"]}
     (line,) = complaints(found, NOBODY)

@@ -26,11 +26,11 @@ def test_a_name_of_a_file_or_folder_is_known(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["stampede_rt.wire.run", "stampede_rt.core", "ire/runs.py", "runs.proto", "core/wire/"]
 )
-def test_a_name_without_a_file_is_told(name: str) -> None:
+def test_a_name_without_a_file_is_reported(name: str) -> None:
     assert unknown_names(f"see `{name}`", FILES) == [name]
 
 
-def test_a_folder_of_a_service_that_is_not_on_the_map_is_told() -> None:
+def test_a_folder_of_a_service_that_is_not_on_the_map_is_reported() -> None:
     files = [*FILES, "client/src/stampede_rt/v1/a_pb2.py", "client/src/stampede_rt/errors.py", "demos/src/demos/a/b.py"]
     assert signposts.unmapped_folders("  wire/   runs\n  core/   pure", files) == []
     assert signposts.unmapped_folders("  wire/   runs, core/", files) == ["services/host/src/stampede_rt_host/core"]
@@ -71,12 +71,12 @@ def test_a_new_picture_takes_the_place_of_the_old_one() -> None:
         ("| [0002](0002-b.md) | B | b |\n| [0001](0001-a.md) | A | a |", "not in the order"),
     ],
 )
-def test_an_index_that_is_not_complete_and_in_order_is_told(index: str, told: str) -> None:
+def test_an_index_that_is_not_complete_and_in_order_is_reported(index: str, told: str) -> None:
     (line,) = index_complaints(index, {"0001-a.md": "", "0002-b.md": ""})
     assert told in line
 
 
-def test_a_page_with_the_marks_of_a_merge_conflict_is_told() -> None:
+def test_a_page_with_the_marks_of_a_merge_conflict_is_reported() -> None:
     conflict = "| a |\n<<<<<<< HEAD\n| b |\n=======\n| c |\n>>>>>>> 1234567 (Say more)\n"
     (line,) = merge_complaints({"docs/a.md": conflict, "docs/b.md": "a < b, and <<<<<<< in a sentence\n=======\n"})
     assert "docs/a.md" in line

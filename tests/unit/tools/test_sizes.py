@@ -32,7 +32,7 @@ def test_of_two_functions_with_one_name_the_longer_one_counts() -> None:
 
 
 @pytest.mark.parametrize(("kind", "most"), [("files", FILE_LINES_MAX), ("functions", FUNCTION_LINES_MAX)])
-def test_one_line_above_the_limit_is_told(kind: str, most: int) -> None:
+def test_one_line_above_the_limit_is_reported(kind: str, most: int) -> None:
     assert complaints(found(kind, most), Sizes()) == []
     (line,) = complaints(found(kind, most + 1), Sizes())
     assert f"long has {most + 1} lines, allowed {most}; split it" in line
@@ -52,19 +52,19 @@ def found(kind: str, lines: int) -> Sizes:
     return Sizes(functions=SHORT | {"long": lines}) if kind == "functions" else Sizes({"long": lines}, SHORT)
 
 
-def test_many_long_functions_are_told_even_if_each_is_allowed() -> None:
+def test_many_long_functions_are_reported_even_if_each_is_allowed() -> None:
     long = {f"a.py::g{number}": 17 for number in range(12)}
     (line,) = complaints(Sizes(functions=SHORT | long), Sizes())
     assert "12 of 112 functions, more than a tenth" in line
     assert complaints(Sizes(functions=SHORT | dict(list(long.items())[:11])), Sizes()) == []
 
 
-def test_a_median_that_rises_is_told() -> None:
+def test_a_median_that_rises_is_reported() -> None:
     (line,) = complaints(Sizes(functions=dict.fromkeys(SHORT, 7)), Sizes())
     assert "median" in line
 
 
-def test_a_folder_of_tests_with_too_many_modules_is_told() -> None:
+def test_a_folder_of_tests_with_too_many_modules_is_reported() -> None:
     modules = ["tests/a/__init__.py", *(f"tests/a/test_{number}.py" for number in range(TEST_MODULES_MAX))]
     assert crowded(modules) == []
     assert crowded([*modules, "tests/a/b/test_more.py"]) == []

@@ -30,7 +30,7 @@ def test_a_test_is_found_by_the_name_of_its_module_or_folder(test: str) -> None:
 @pytest.mark.parametrize(
     ("test", "why"),
     [
-        ("host/rig.py", "is no test; move it to tests/support"),
+        ("host/rig.py", "is not a test; move it to tests/support"),
         ("queues/test_app.py", "mirrors no folder of the sources"),
         ("host/test_index.py", "names no module of its folder"),
         ("host/core/test_indexes.py", "names no module of its folder"),

@@ -12,7 +12,7 @@ _COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # grey, RGB, RGBA, by the number of values o
 
 
 def png_of(array: Any) -> bytes | None:
-    """Return a numpy array as a PNG of at most SIDE_MAX pixels on a side; None if it is no picture.
+    """Return a numpy array as a PNG of at most SIDE_MAX pixels on a side; None if it is not a picture.
 
     A picture has the shape (height, width), or (height, width, 1, 3 or 4). Numbers of other types than uint8 are
     scaled: the least shown number becomes black (0), the greatest white (255).

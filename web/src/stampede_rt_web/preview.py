@@ -96,7 +96,7 @@ def _is_picture(kind: str, payload: bytes) -> bool:
 def _array(payload: bytes) -> Any:
     try:
         return NumpyCodec().decode(payload)
-    except Exception:  # noqa: BLE001  # numpy raises many kinds for a payload that is no array
+    except Exception:  # noqa: BLE001  # numpy raises many kinds for a payload that is not an array
         return None
 
 

@@ -187,12 +187,12 @@ def _names(request: Request) -> list[str]:
 def _instant(request: Request, key: str) -> int:
     text = request.query_params.get(key, "")
     if not text.isascii() or not text.lstrip("-").isdigit() or len(text) > 20:
-        raise HTTPException(400, f"`{key}` is no number of nanoseconds")
+        raise HTTPException(400, f"`{key}` is not a number of nanoseconds")
     return min(max(int(text), MIN_INSTANT), MAX_INSTANT)
 
 
 def _whole(request: Request, key: str, most: int) -> int:
     text = request.query_params.get(key, "")
     if not text.isascii() or not text.isdigit() or not 1 <= int(text[:9]) <= most:
-        raise HTTPException(400, f"`{key}` is no number from 1 to {most}")
+        raise HTTPException(400, f"`{key}` is not a number from 1 to {most}")
     return int(text)

@@ -141,7 +141,7 @@ class ChannelRecording:
         )  # fmt: skip
 
     async def _end_incarnation(self, reason: str, detail: str) -> None:
-        """Note that an unknown number of items behind the last read one is missing."""
+        """Note that an unknown number of items after the last read one is missing."""
         if not self.tallies or self._stream is None or self._stream.opened_seq is None:
             return
         tally = self.tallies[-1]

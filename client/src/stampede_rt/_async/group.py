@@ -110,7 +110,7 @@ class Group(Reference):
     def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
         """Return the descriptor of a member. `channel` is the member's name, or a handle or descriptor of it.
 
-        The descriptor has the codec of that handle. Raises InvalidArgument for a channel that is no member.
+        The descriptor has the codec of that handle. Raises InvalidArgument for a channel that is not a member.
         """
         member = self._members.member(channel)
         return GroupChannel(self._members, channel._state if isinstance(channel, Reader) else member._state)

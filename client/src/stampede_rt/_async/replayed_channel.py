@@ -27,12 +27,13 @@ from stampede_rt.values.timeline import (
     parse_interval,
 )
 
-_MAY_COME = (Reason.NOT_YET, Reason.LOST)  # with these reasons items may still come into the interval
+_MAY_COME = (Reason.NOT_YET, Reason.LOST)  # the reasons for which items may still come into the interval
 NEWEST_QUERY = ReadQuery(parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, limit=1, newest_first=True)
 
 
 class ReplayedChannel(Reader):
-    """A recorded channel as it was at the instant of a replay's clock. It reads like the channel, and cannot put.
+    """A recorded channel as it was at the instant of a replay's clock. It has the reads of a
+    channel, and no puts.
 
     A read that waits moves the clock to the instant at which the host would have answered it.
     """
@@ -73,7 +74,7 @@ class ReplayedChannel(Reader):
             instant = min(following, deadline)
 
     def _wake_at(self, items: Items, instant: int) -> int | None:
-        """Return the next instant at which the answer may change; None: there is none in the replay."""
+        """Return the next instant at which the answer may change; None if the answer stays the same up to the end."""
         found = [] if items.past is None or items.past.next_change is None else [items.past.next_change]
         if items.interval is not None and items.interval.start >= instant:
             found.append(items.interval.start + 1)
@@ -90,7 +91,7 @@ class ReplayedChannel(Reader):
             known = int(error.metadata["host_time_unix_nano"])
             items = await read(self._session, self._state, replace(query, as_of=known))
         if items.past is None:
-            raise VersionMismatch(f"the host of channel {self.name!r} knows no as_of; upgrade it")
+            raise VersionMismatch(f"the host of channel {self.name!r} does not know as_of; upgrade the host")
         return items
 
     def subscribe(  # type: ignore[override]
@@ -104,7 +105,7 @@ class ReplayedChannel(Reader):
     ) -> ReplayedSubscription:
         """Subscribe from the clock's instant on (see `Channel.subscribe`). The iteration ends with the replay.
 
-        `mode` "all" only, and without `after`. Raises InvalidArgument.
+        Raises InvalidArgument for a mode other than "all", and for `after`.
         """
         if mode != "all" or after is not None:
             raise InvalidArgument(
@@ -128,7 +129,7 @@ class ChangeFeed:
 
     @property
     def next_change(self) -> int | None:
-        """The instant of the next change; None: there is none in the replay."""
+        """The instant of the next change; None if no change follows in the replay."""
         following = None if self._past is None else self._past.next_change
         return following if following is not None and following <= self.channel.end else None
 

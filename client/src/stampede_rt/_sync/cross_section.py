@@ -36,7 +36,7 @@ def cross_section(
     for channel in (reference, *others):
         if not isinstance(channel, Reader):
             raise InvalidArgument(
-                f"{channel!r} is no channel; give the handle from connection.channel(...), not the name"
+                f"{channel!r} is not a channel; give the handle from connection.channel(...), not the name"
             )
     wait, began_s = Wait.parse(timeout), monotonic_s()
     held = reference.at(at, payloads=payloads, timeout=timeout)

@@ -111,14 +111,14 @@ class GroupMembers(Reference):
     def member(self, channel: NamedChannel | str) -> Channel:
         """Return the handle of the member that `channel` names. `channel` is a name, a handle or a descriptor.
 
-        Raises InvalidArgument for a channel that is no member.
+        Raises InvalidArgument for a channel that is not a member.
         """
         for member in self.channels:
             if is_named_by(channel, member):
                 return member
         members = ", ".join(member.name for member in self.channels)
         raise InvalidArgument(
-            f"{shown_name(channel)!r} is no member of the group {self.name!r}, whose members are {members}"
+            f"{shown_name(channel)!r} is not a member of the group {self.name!r}, whose members are {members}"
         )
 
 

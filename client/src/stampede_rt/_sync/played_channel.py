@@ -76,7 +76,7 @@ class PlayedChannel:
         )
 
     def put(self, entry: FileEntry, time: int) -> None:
-        """Put an item. The first one behind a gap gets the attribute `stampede.gap`. Raises Unavailable."""
+        """Put an item. The first one after a gap gets the attribute `stampede.gap`. Raises Unavailable."""
         attributes = dict(entry.attributes)
         if self._gap is not None:
             items = "?" if self._gap.items is None else self._gap.items

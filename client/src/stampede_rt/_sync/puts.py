@@ -147,7 +147,7 @@ class SingleItem:
     attributes: Mapping[str, str]
     content_type: str
     tail: bytes = b""
-    """The encoded fields of the put behind its run."""
+    """The encoded fields of the put after its run."""
 
     @classmethod
     def parse(

@@ -139,7 +139,7 @@ class ReplayedGroup:
             raise InvalidArgument("a replay does not match with unique=True; leave it out")
         found = next((one for one in self.channels if is_named_by(per, one)), None)
         if found is None:
-            raise InvalidArgument(f"{shown_name(per)!r} is no member of the group {self.name!r}")
+            raise InvalidArgument(f"{shown_name(per)!r} is not a member of the group {self.name!r}")
         return ReplayedMatches(
             self._clock,
             self.channels,

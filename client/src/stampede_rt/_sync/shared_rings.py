@@ -56,7 +56,7 @@ class SharedRings:
         self.waits = RingWaits()
 
     def find(self, state: Any) -> RingMapping | None:
-        """Return the channel's ring; None: ask the host.
+        """Return the channel's ring; None: the caller must ask the host.
 
         Opens the ring after a few calls. The returned ring may have just ended.
 

@@ -84,7 +84,7 @@ def is_glob(word: str) -> bool:
 def parse_count(text: str) -> int:
     """Return a number of items or lines, 1 or more."""
     if not re.fullmatch(r"\d{1,18}", text) or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of items or lines; write 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of items or lines; write 1 or more")
     return int(text)
 
 
@@ -136,5 +136,5 @@ def parse_attribute(text: str) -> tuple[str, str]:
     """Return the key and the value of an attribute in the form KEY=VALUE. Raises InvalidArgument."""
     key, separator, value = text.partition("=")
     if not separator or not key:
-        raise InvalidArgument(f"{text!r} is no attribute; write KEY=VALUE")
+        raise InvalidArgument(f"{text!r} is not an attribute; write KEY=VALUE")
     return key, value

@@ -22,7 +22,7 @@ def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.
     is complete and on the disk. Raises OSError, StampedeError for a damaged backup, and the errors of `responses`.
     """
     if out.exists() and not out.is_file():
-        raise StampedeError(f"{out} is no regular file, and a backup would replace it; name a file with --out")
+        raise StampedeError(f"{out} is not a regular file, and a backup would replace it; name a file with --out")
     draft = out.parent / f".{out.name}.{secrets.token_hex(4)}"
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:

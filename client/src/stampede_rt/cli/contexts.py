@@ -97,7 +97,7 @@ def _fault(saved: Any) -> str:
             return f"context {name!r} {why}"
     current = saved["current"]
     if current is not None and not (isinstance(current, str) and current in saved["contexts"]):
-        return f'"current" is {current!r}, which is no context in it'
+        return f'"current" is {current!r}, which is not a context in it'
     return ""
 
 

@@ -77,7 +77,7 @@ def _rate(text: str) -> float:
     except ValueError:
         rate = 0.0
     if not RATE_MIN <= rate <= RATE_MAX:
-        raise argparse.ArgumentTypeError(f"{text!r} is no rate; write a number of items per second, such as 10 or 0.5")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a rate; write the items per second, such as 10 or 0.5")
     return rate
 
 

@@ -60,7 +60,7 @@ def _speed(text: str) -> float:
     except ValueError:
         speed = 0.0
     if not 0 < speed <= 1e6:
-        raise argparse.ArgumentTypeError(f'{text!r} is no speed; write a number such as 2 or 0.5, or "max"')
+        raise argparse.ArgumentTypeError(f'{text!r} is not a speed; write a number such as 2 or 0.5, or "max"')
     return speed
 
 

@@ -39,7 +39,7 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_top(arguments: argparse.Namespace) -> int:
-    """Show the channels until the user ends it. If the output is no terminal, print the rows of each look as JSON."""
+    """Show the channels until the user ends it. Without a terminal, print the rows of each look as JSON."""
     with connected(arguments) as rt:
         if arguments.output != "table" or not (sys.stdout.isatty() and sys.stdin.isatty()):
             _print_lines(rt, arguments)

@@ -14,7 +14,7 @@ class VerbParser(TerminalParser):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        self._negative_number_matcher = re.compile(r"-\.?\d")  # a value such as -1h is no option
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # a value such as -1h is not an option
 
     _intermixed = False  # whether `parse_known_intermixed_args` runs, which calls `parse_known_args` again
 

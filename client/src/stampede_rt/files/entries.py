@@ -240,5 +240,5 @@ def _at(column: Any, index: int, every: Any) -> int | None:
     """Return a number of a column; `every` if there is no column. Raises TypeError for anything else."""
     found = every if column is None else column[index]
     if found is not None and (type(found) is not int or not -(2**63) <= found < 2**63):
-        raise TypeError(f"{str(found)[:40]!r} is no number of nanoseconds")
+        raise TypeError(f"{str(found)[:40]!r} is not a number of nanoseconds")
     return found

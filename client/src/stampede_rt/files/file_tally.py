@@ -37,7 +37,7 @@ class FileTally:
     def __init__(self) -> None:
         self._counts: dict[Key, _Counts] = {}
         self._damaged_so_far = False
-        self.foreign: dict[Topic, int] = {}  # messages of topics that are no channels of Stampede RT
+        self.foreign: dict[Topic, int] = {}  # messages of topics that are not channels of Stampede RT
 
     def add(self, event: FileEntry | RecordingGap | FileAdvance) -> list[RecordingGap]:
         """Count one event. Returns the gaps that it reveals, which the file does not name."""
@@ -95,7 +95,7 @@ class FileTally:
                 counts.damaged_after = counts.reached
 
     def ends_torn(self, detail: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
-        """End a damaged or torn file. Returns the gaps behind the last item of each channel.
+        """End a damaged or torn file. Returns the gaps before the first and after the last item of each channel.
 
         `intended`: the summary of the recorder, if the file still has it; it says where each channel ended.
         """
@@ -126,7 +126,7 @@ class FileTally:
         return [_gap(key, detail, told.first_seq, counts.first_seq - 1, items)]
 
     def _lost_behind(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
-        """Return the gap behind the last item, if damage came there."""
+        """Return the gap after the last item, if damage came there."""
         if counts.damaged_after is None:
             return []
         first = counts.damaged_after + 1

@@ -40,7 +40,7 @@ _FRAME = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _KNOWN_OPCODES = range(0x01, 0x10)
 _PRIVATE_OPCODES = range(0x80, 0x100)  # the opcodes of other programs; every reader skips them
-# The part of a chunk's head that holds its compression, to find chunks behind a damaged stretch.
+# The part of a chunk's head that holds its compression, to find chunks after a damaged stretch.
 _COMPRESSION = re.compile(rb"\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x00\x00\x00\x00")
 _COMPRESSION_AT = _FRAME.size + 28
 _SEARCH_BYTES = 4 * 1024 * 1024
@@ -61,7 +61,7 @@ class RecordFrame:
 
     @property
     def end(self) -> int:
-        """The first byte behind the record."""
+        """The first byte after the record."""
         return self.offset + _FRAME.size + self.length
 
 

@@ -71,7 +71,7 @@ class Content:
             yield from (event for _, event in queue)
 
     def _waiting(self) -> dict[tuple[str, int | None], list[tuple[float, Event]]]:
-        """Return the gaps and advances of each channel, with the seq behind which each belongs, in this order."""
+        """Return the gaps and advances of each channel, with the seq after which each belongs, in this order."""
         waiting: dict[tuple[str, int | None], list[tuple[float, Event]]] = {}
         for gap in self.gaps:
             last = gap.last_seq if gap.last_seq is not None else float("inf")

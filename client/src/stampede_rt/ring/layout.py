@@ -32,7 +32,7 @@ TAIL_WORD = 7  # the number of the first slot whose bytes are whole
 # The facts. SEQUENCE_WORD is odd while the host writes them.
 SEQUENCE_WORD = 8
 FACTS_END = 24
-# The places of the facts behind SEQUENCE_WORD:
+# The places of the facts after SEQUENCE_WORD:
 HEAD = 1  # the number of slots written so far; slot N is at N modulo the number of slots
 NEWEST_SLOT = 2  # the number of the slot whose last item is the newest item, or NO_ITEMS, or NOT_HERE
 NEWEST_TIME = 3  # the newest item's time
@@ -86,12 +86,12 @@ def words_of(memory: memoryview) -> memoryview:
 
 
 def size_of(memory: memoryview) -> RingSize:
-    """Return the size that a mapped ring states. Raises InvalidArgument if the memory is no ring of this layout."""
+    """Return the size that a mapped ring states. Raises InvalidArgument if the memory is not a ring of this layout."""
     if len(memory) < HEADER_WORDS * WORD_BYTES or len(memory) % WORD_BYTES or len(memory) > RING_BYTES_MAX:
         raise InvalidArgument(f"{len(memory)} bytes are no ring in shared memory")
     words = words_of(memory)
     if words[MAGIC_WORD] != MAGIC or words[VERSION_WORD] != LAYOUT_VERSION:
-        raise InvalidArgument("the memory is no ring of this version; install the same release on both sides")
+        raise InvalidArgument("the memory is not a ring of this version; install the same release on both sides")
     size = RingSize(words[SLOTS_WORD], words[DATA_BYTES_WORD])
     if size.slots < 1 or size.slots & (size.slots - 1) or size.data_bytes < WORD_BYTES:
         raise InvalidArgument(f"a ring has {size.slots} slots and {size.data_bytes} bytes of data; it is damaged")

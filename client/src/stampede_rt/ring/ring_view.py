@@ -49,7 +49,7 @@ class RingView:
     __slots__ = ("_data", "_data_bytes", "_slots", "incarnation", "words")
 
     def __init__(self, memory: memoryview) -> None:
-        """Raises InvalidArgument if the memory is no ring of this layout."""
+        """Raises InvalidArgument if the memory is not a ring of this layout."""
         size = size_of(memory)
         self.words = words_of(memory)
         self.incarnation = self.words[INCARNATION_WORD] & (2**64 - 1)

@@ -225,7 +225,7 @@ class BackgroundStart:
 
 
 def check_callback(function: object) -> None:
-    """Raise InvalidArgument if `function` is no function, or is a coroutine function."""
+    """Raise InvalidArgument if `function` is not a function, or is a coroutine function."""
     if not callable(function):
         raise InvalidArgument(f"fn is {function!r}; give a function")
     if inspect.iscoroutinefunction(function):

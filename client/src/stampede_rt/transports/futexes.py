@@ -2,7 +2,7 @@
 
 One call wakes all waiting threads of all processes.
 
-Base Python has no such call, so this module makes the system calls by ctypes.
+The standard library of Python has no such call, so this module makes the system calls with ctypes.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def AddAccessRule(self, request, context):
-        """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+        """Add a rule. An existing rule is not an error. This call and all later ones are for operators. From the first rule
         on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
         VERSION_MISMATCH.
         """
@@ -103,7 +103,7 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RemoveAccessRule(self, request, context):
-        """Remove a rule. An absent rule is no error. Errors: as AddAccessRule.
+        """Remove a rule. An absent rule is not an error. Errors: as AddAccessRule.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

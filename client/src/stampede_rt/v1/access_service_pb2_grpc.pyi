@@ -41,12 +41,12 @@ class AccessServiceStub:
     VERSION_MISMATCH.
     """
     AddAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]
-    """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+    """Add a rule. An existing rule is not an error. This call and all later ones are for operators. From the first rule
     on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
     VERSION_MISMATCH.
     """
     RemoveAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]
-    """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
+    """Remove a rule. An absent rule is not an error. Errors: as AddAccessRule."""
     ListAccessRules: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]
     """List all rules."""
     CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
@@ -76,12 +76,12 @@ class AccessServiceAsyncStub(AccessServiceStub):
     VERSION_MISMATCH.
     """
     AddAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]  # type: ignore[assignment]
-    """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+    """Add a rule. An existing rule is not an error. This call and all later ones are for operators. From the first rule
     on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
     VERSION_MISMATCH.
     """
     RemoveAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]  # type: ignore[assignment]
-    """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
+    """Remove a rule. An absent rule is not an error. Errors: as AddAccessRule."""
     ListAccessRules: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]  # type: ignore[assignment]
     """List all rules."""
     CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
@@ -120,7 +120,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.AddAccessRuleRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.AddAccessRuleResponse, _abc.Awaitable[_access_service_pb2.AddAccessRuleResponse]]:
-        """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+        """Add a rule. An existing rule is not an error. This call and all later ones are for operators. From the first rule
         on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
         VERSION_MISMATCH.
         """
@@ -131,7 +131,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.RemoveAccessRuleRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.RemoveAccessRuleResponse, _abc.Awaitable[_access_service_pb2.RemoveAccessRuleResponse]]:
-        """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
+        """Remove a rule. An absent rule is not an error. Errors: as AddAccessRule."""
 
     @_abc_1.abstractmethod
     def ListAccessRules(

@@ -98,7 +98,7 @@ class ChannelServiceServicer(object):
 
     def Subscribe(self, request_iterator, context):
         """Get items as the host accepts them. The host sends them while it has credit. The first response has `opened`; after
-        it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
+        it the host sends every accepted item or reports it in a `gap`. A slow reader delays only itself. If retention
         collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
         the host sends items until the credit is used up. Then the stream ends.
         """
@@ -108,8 +108,8 @@ class ChannelServiceServicer(object):
 
     def ShareMemory(self, request_iterator, context):
         """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
-        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and belongs to
-        no version of this contract. The host answers the only request with one response, and passes the file of the memory
+        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and is not
+        part of this contract. The host answers the only request with one response, and passes the file of the memory
         with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
         reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
         this), WRONG_EPOCH, NOT_HERE, MOVED.

@@ -83,7 +83,7 @@ class MembershipServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RemoveSupernode(self, request, context):
-        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
         remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
         (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
         AMBIGUOUS.

@@ -47,7 +47,7 @@ class MembershipServiceStub:
     is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
     remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
     (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
     AMBIGUOUS.
@@ -79,7 +79,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]  # type: ignore[assignment]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
     remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
     (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
     AMBIGUOUS.
@@ -126,7 +126,7 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.RemoveSupernodeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.RemoveSupernodeResponse, _abc.Awaitable[_membership_service_pb2.RemoveSupernodeResponse]]:
-        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
         remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
         (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
         AMBIGUOUS.

@@ -19,7 +19,7 @@ class DecodedRun:
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` are those of all items.
     `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
-    the time of the bucket behind the run; None: it is the next run, or the run has the newest bucket.
+    the time of the bucket after the run; None: it is the next run, or the run has the newest bucket.
     """
 
     times: Sequence[int]

@@ -217,7 +217,7 @@ def parse_members(channels: Sequence[Key]) -> list[Key]:
     for member in members:
         if not hasattr(member, "info"):
             raise InvalidArgument(
-                f"{member!r} is no channel; give the handle from connection.channel(...), not the name"
+                f"{member!r} is not a channel; give the handle from connection.channel(...), not the name"
             )
     if not 1 <= len(members) <= MEMBERS_MAX:
         raise InvalidArgument(f"a group has 1 to {MEMBERS_MAX} channels, not {len(members)}")
@@ -231,7 +231,7 @@ def parse_members(channels: Sequence[Key]) -> list[Key]:
 def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChannel]) -> bytes | None:
     """Return the channel id of `reference`, which is the handle or name of a member. Returns None for "oldest".
 
-    Raises InvalidArgument if `reference` is no member.
+    Raises InvalidArgument if `reference` is not a member.
     """
     if reference == OLDEST_REFERENCE:
         return None
@@ -239,7 +239,7 @@ def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChanne
         if is_named_by(reference, member):
             return member.info.channel_id
     raise InvalidArgument(
-        f'the reference {shown_name(reference)!r} is no member of the group; name one of its channels, or "oldest"'
+        f'the reference {shown_name(reference)!r} is not a member of the group; name one of its channels, or "oldest"'
     )
 
 
@@ -251,7 +251,7 @@ def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
 
 
 def shown_name(named: NamedChannel | str) -> object:
-    """Return the channel's name, for an error text. An object that is no handle or name comes back as it is."""
+    """Return the channel's name, for an error text. An object that is not a handle or name comes back as it is."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
 

@@ -38,7 +38,7 @@ class RecordingGap:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RecordingGap:
-        """Return the gap of a JSON object. Raises ValueError, KeyError or TypeError if the object is no gap."""
+        """Return the gap of a JSON object. Raises ValueError, KeyError or TypeError if the object is not a gap."""
         numbers = {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "items", "start", "end")}
         return cls(
             channel=str(value["channel"]),
@@ -56,14 +56,14 @@ def _whole(value: Any) -> int | None:
 def whole_number(value: Any) -> int:
     """Return a whole number of JSON that fits into 64 bits. Raises ValueError for anything else."""
     if type(value) is not int or not -(2**63) <= value < 2**64:
-        raise ValueError(f"{str(value)[:40]!r} is no whole number of 64 bits")
+        raise ValueError(f"{str(value)[:40]!r} is not a whole number of 64 bits")
     return value
 
 
 def incarnation_of(value: Any) -> int:
     """Return an incarnation, which is text in JSON. Raises ValueError for anything else."""
     if not (isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20):
-        raise ValueError(f"{str(value)[:40]!r} is no incarnation")
+        raise ValueError(f"{str(value)[:40]!r} is not an incarnation")
     return whole_number(int(value))
 
 

@@ -66,7 +66,7 @@ def _read_duration(value: str, what: str) -> int:
         raise InvalidArgument(f'{what} is {value!r}; write a number and one of ns, us, ms, s, m, h, d, such as "30ms"')
     nanos = Decimal(match[1]) * _UNITS_NANOS[match[2]]
     if nanos != nanos.to_integral_value():
-        raise InvalidArgument(f"{what} is {value!r}, which is no whole number of nanoseconds")
+        raise InvalidArgument(f"{what} is {value!r}, which is not a whole number of nanoseconds")
     return int(nanos)
 
 
@@ -182,7 +182,7 @@ BoundLike = Bound | InstantLike
 
 
 def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
-    """Return `value` as a bound. Raises InvalidArgument if `value` is no bound and no instant."""
+    """Return `value` as a bound. Raises InvalidArgument if `value` is neither a bound nor an instant."""
     return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what))
 
 

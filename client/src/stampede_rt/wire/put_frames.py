@@ -27,18 +27,18 @@ def put_request(
     """Return an encoded PutRequest or EnqueueRequest with one run.
 
     `head` is the result of `put_head`, or empty. `run` has the bytes of the run, in pieces. `tail` has the fields
-    behind the run (`enqueue_tail`, `put_tail`). `wait_nanos` is as in PutRun; None leaves the field out.
+    after the run (`enqueue_tail`, `put_tail`). `wait_nanos` is as in PutRun; None leaves the field out.
     """
     return b"".join(put_pieces(head, first_number, run, wait_nanos, tail))
 
 
 def put_tail(ack: channel_pb2.Ack) -> bytes:
-    """Return the encoded fields of a PutRun behind its run: what the put waits for."""
+    """Return the encoded fields of a PutRun after its run: the conditions for its ack."""
     return channel_pb.PutRun(ack=ack).SerializeToString()
 
 
 def enqueue_tail(message_id: str) -> bytes:
-    """Return the encoded fields of an EnqueueRun behind its run."""
+    """Return the encoded fields of an EnqueueRun after its run."""
     return queue_pb.EnqueueRun(message_id=message_id).SerializeToString()
 
 

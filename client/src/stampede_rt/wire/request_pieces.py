@@ -74,7 +74,7 @@ def _piece_in(message: bytes) -> Piece:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """Return the number at `at`, and the position behind it."""
+    """Return the number at `at`, and the position after it."""
     value = 0
     for index in range(_VARINT_BYTES_MAX):
         byte = message[at + index]

@@ -114,7 +114,7 @@ def parse_run(raw: bytes | memoryview) -> RunColumns:
     try:
         run = item_pb2.ItemRun.FromString(bytes(raw[:columns_end]))
     except DecodeError as error:
-        raise MalformedRun("the run is no valid ItemRun message; encode it as item.proto says") from error
+        raise MalformedRun("the run is not a valid ItemRun message; encode it as item.proto says") from error
     if not payload_bytes:
         payload_bytes = len(run.payloads)
     times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)

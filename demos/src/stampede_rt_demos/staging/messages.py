@@ -17,7 +17,7 @@ Message = Mapping[str, Any]
 
 
 class BadMessage(ValueError):
-    """A line is no message of a role."""
+    """A line is not a message of a role."""
 
 
 def encode(event: str, **fields: object) -> str:
@@ -28,7 +28,7 @@ def encode(event: str, **fields: object) -> str:
 
 
 def decode(line: str) -> Message:
-    """Return the message of a line. Raises BadMessage, which quotes the beginning of the line, if it is no message."""
+    """Return the message of a line. Raises BadMessage, which quotes the line's beginning, if it is not a message."""
     try:
         message = json.loads(line)
     except json.JSONDecodeError:

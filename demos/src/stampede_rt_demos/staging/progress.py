@@ -21,7 +21,7 @@ class Progress:
         self._output = output
         self._monotonic = monotonic
         self._terminal = output.isatty()
-        self._open = False  # the cursor is behind a line that the next one replaces
+        self._open = False  # the cursor is after a line that the next one replaces
         self._shown: float | None = None
 
     def say(self, text: str) -> None:

@@ -136,7 +136,7 @@ class RoleProcesses:
         try:
             message = messages.decode(line)
         except messages.BadMessage as error:
-            raise DemoFailed(f"the {role.name} sent a line that is no report: {error}") from error
+            raise DemoFailed(f"the {role.name} sent a line that is not a report: {error}") from error
         if message["event"] == "failed":
             raise DemoFailed(f"the {role.name} failed: {message['message']}")
         role.finished = message["event"] == "result"

@@ -81,7 +81,7 @@ def planned_blocks(
 ) -> Iterator[PlannedItem]:
     """Yield blocks of looped sound, due at their end.
 
-    `samples` is exactly one loop; it need not be a whole number of blocks. Raises ValueError if a block is no whole
+    `samples` is exactly one loop; it need not be a whole number of blocks. Raises ValueError if a block is not a whole
     number of samples.
     """
     block_samples, remainder = divmod(block_nanos * rate_hz, 1_000_000_000)

@@ -1,6 +1,6 @@
 """The captions, which describe the clip second by second. Pure.
 
-The descriptions were written for this clip from its frames. The clip is looped, and its length is no whole number of
+The descriptions were written for this clip from its frames. The clip is looped, and its length is not a whole number of
 seconds. So each caption is chosen by the position in the clip at which it begins.
 """
 

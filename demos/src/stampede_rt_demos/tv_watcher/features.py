@@ -57,7 +57,7 @@ class MotionMeter:
     def _is_cut(self, energy: float) -> bool:
         """Whether a scene begins: the change is large, and far larger than in the frames before.
 
-        Fast motion is no cut.
+        Fast motion is not a cut.
         """
         usual = median(self._recent) if self._recent else 0.0
         return energy >= CUT_MOTION_MIN and energy >= CUT_RATIO_MIN * usual

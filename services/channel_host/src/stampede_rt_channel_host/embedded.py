@@ -287,7 +287,7 @@ _watch_started = threading.Lock()
 def _leave_at_exit() -> None:
     """Wait for the end of the program's main thread, and have the hosts leave. Runs on a daemon thread.
 
-    The threads of the hosts are no daemons, so the interpreter waits for them.
+    The threads of the hosts are not daemons, so the interpreter waits for them.
     """
     threading.main_thread().join()
     for host in [*_here]:

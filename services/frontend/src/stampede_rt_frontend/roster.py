@@ -120,7 +120,7 @@ class SupernodeRoster:
                 self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
     def known(self) -> list[Supernode]:
-        """The supernodes to name to callers, each id once. Leaves out seeds that are no members.
+        """The supernodes to name to callers, each id once. Leaves out seeds that are not members.
 
         If several targets have the same id, names one that answered; among equals, one that is in the member list.
         """

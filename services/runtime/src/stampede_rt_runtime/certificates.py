@@ -147,13 +147,13 @@ def cluster_of(authority: bytes) -> str:
     except _UNREADABLE as error:
         raise CertificateError("the authority's ca.pem holds no certificate in PEM form") from error
     if not found:
-        raise CertificateError(f"{_readable(subject)!r} is no authority that `stampede certs init` made")
+        raise CertificateError(f"{_readable(subject)!r} is not an authority that `stampede certs init` made")
     return str(found[0].value)
 
 
 def _described(certificate: x509.Certificate) -> CertificateContents:
     names, is_authority = _alternative_names(certificate), False
-    with contextlib.suppress(x509.ExtensionNotFound):  # a certificate without this extension is no authority
+    with contextlib.suppress(x509.ExtensionNotFound):  # a certificate without this extension is not an authority
         is_authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     addresses = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
     return CertificateContents(

@@ -219,7 +219,7 @@ def _revoke(arguments: argparse.Namespace) -> Done:
 
 
 def serial_of(text: str) -> str:
-    """The serial number of a certificate, whose file or number `text` is. Raises CertificateError, OSError."""
+    """The serial number of a certificate. `text`: the number, or the file. Raises CertificateError, OSError."""
     if Path(text).is_file():
         return serial_text(_described(Path(text))[0].serial)
     # openssl prints capitals and a leading zero, and other programs print colons
@@ -254,7 +254,7 @@ def write_pair(made: IssuedCertificate, folder: Path, name: str) -> tuple[Path, 
     certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
     for path in (certificate, key):
         if path.exists() and not path.is_file():
-            raise CertificateError(f"{path} is no regular file, and `stampede certs` would replace it; move it away")
+            raise CertificateError(f"{path} is not a regular file, and `stampede certs` would replace it; move it away")
     _replace(key, made.key, 0o600)
     _replace(certificate, made.certificate, 0o644)
     return certificate, key

@@ -56,7 +56,7 @@ class Identity:
         """The name of its files, without their endings. Different names have different stems, even on a
         file system that ignores case.
 
-        A name with upper-case letters or "/" is no valid file name. Its stem has another spelling, with a digest of the
+        A name with upper-case letters or "/" is not a valid file name. Its stem is another text, with a digest of the
         name.
         """
         if _FILE_NAME.fullmatch(self.name):

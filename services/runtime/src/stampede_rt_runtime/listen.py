@@ -48,7 +48,7 @@ def _resolve(address: Address) -> list[tuple[socket.AddressFamily, tuple[str, in
     try:
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (socket.gaierror, UnicodeError) as error:
-        raise CannotListen(f"{address.host!r} is no name or address of this machine ({error})") from error
+        raise CannotListen(f"{address.host!r} is not a name or address of this machine ({error})") from error
     return [(family, (str(socket_address[0]), int(socket_address[1]))) for family, _, _, _, socket_address in found]
 
 
@@ -76,5 +76,5 @@ def _why(address: Address, error: OSError, flag: str) -> str:
     if error.errno == errno.EACCES:
         return f"this user may not listen at {address}; choose a port from 1024 up with {flag}"
     if error.errno == errno.EADDRNOTAVAIL:
-        return f"{address.host} is no address of this machine; choose one of its own with {flag}"
+        return f"{address.host} is not an address of this machine; choose one of its own with {flag}"
     return f"{address} cannot be listened at: {error.strerror}"

@@ -65,7 +65,7 @@ class TurnGate:
             caller, line = self._lines.popitem(last=False)
             place = line.popleft()
             if line:
-                self._lines[caller] = line  # behind the other callers
+                self._lines[caller] = line  # after the other callers
             if not place.done():  # if it is, its stream has gone
                 place.set_result(None)
                 self._left -= 1

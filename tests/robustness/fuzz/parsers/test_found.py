@@ -145,13 +145,13 @@ def test_a_settings_file_that_is_none_is_refused(text: bytes, tmp_path: Path) ->
         )
 
 
-def test_a_change_of_a_kind_that_a_newer_directory_knows_is_told_as_an_update() -> None:
+def test_a_change_of_a_kind_that_a_newer_directory_knows_is_reported_as_an_update() -> None:
     newer: Any = 99
     assert records.change(directory_pb2.DirectoryChange(kind=newer), {}).kind == "updated"
     assert peers.peer_change(peer_pb2.PeerChange(kind=newer)).kind == "updated"
 
 
-def test_a_reason_that_a_newer_host_knows_is_told_with_its_detail() -> None:
+def test_a_reason_that_a_newer_host_knows_is_reported_with_its_detail() -> None:
     newer: Any = 99
     reason = reads.summary_reason(channel_service_pb2.GetSummary(reason=newer, detail="it moved"))
     assert (reason, reason and reason.detail) == ("UNKNOWN", "it moved")

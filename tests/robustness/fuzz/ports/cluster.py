@@ -79,7 +79,7 @@ class FuzzedCluster:
         return {"STAMPEDE_URL": self.processes.address, **credentials}
 
     def stop(self) -> None:
-        """Stop all processes. From here on their ends are no findings."""
+        """Stop all processes. From here on their ends are not findings."""
         self._stopping = True
         self.processes.stop()
 

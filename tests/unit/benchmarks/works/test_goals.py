@@ -26,7 +26,7 @@ def test_each_goal_names_a_work_and_systems_that_are_measured() -> None:
         assert {goal.ours, *goal.peers} <= names
 
 
-def test_a_ratio_is_that_of_the_rounds_with_the_best_peer() -> None:
+def test_a_ratio_compares_each_round_with_the_best_peer() -> None:
     runs = {
         SOCKETS: [measured(p50_us=value) for value in (30, 24, 36)],
         REDIS: [measured(p50_us=90)] * 3,

@@ -1,4 +1,4 @@
-"""A report of lost items fits its message, whatever times an overlap or a long duration gives."""
+"""Reports of lost items whose times lie beyond the range of instants, because of an overlap or a long duration."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ from stampede_rt_channel_host.groups.cut_events import loss_message
     ("before", "told"),
     [(-16_875_299_848_123_760_968, MIN_INSTANT), (MAX_INSTANT + 1, MAX_INSTANT), (5, 5)],
 )
-def test_a_loss_before_or_after_all_times_is_told_at_the_first_or_last(before: int, told: int) -> None:
+def test_a_loss_before_or_after_all_times_is_reported_at_the_first_or_last_time(before: int, told: int) -> None:
     loss = Loss(before=before, items=1, is_exact=True, reason=Reason("COLLECTED"), first_seq=1, last_seq=1)
     assert loss_message(loss).before_unix_nano == told

@@ -103,7 +103,7 @@ async def test_a_cut_that_moves_releases_a_few_of_those_who_wait_for_it_in_a_tur
     assert released == MANY - 1
 
 
-async def test_an_end_is_told_to_a_few_in_a_turn() -> None:
+async def test_an_end_is_reported_to_a_few_in_a_turn() -> None:
     hosted = Hosted()
     readers = [Reader() for _ in range(MANY)]
     for reader in readers[::2]:

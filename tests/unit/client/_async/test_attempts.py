@@ -84,7 +84,7 @@ async def test_a_last_try_that_was_cut_short_does_not_hide_what_kept_the_others(
         await attempt(Place(), operation, 10)
 
 
-async def test_a_host_that_never_answers_is_told_as_one(clock: Clock) -> None:
+async def test_a_host_that_never_answers_ends_the_call_with_deadline_exceeded(clock: Clock) -> None:
     with pytest.raises(st.DeadlineExceeded, match="slow"):
         await attempt(Place(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
     assert clock.now_s == pytest.approx(110)

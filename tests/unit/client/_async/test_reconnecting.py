@@ -1,4 +1,4 @@
-"""Reconnecting streams: as long as the user allows, at growing intervals."""
+"""A broken stream is opened again at growing intervals, for as long as the user allows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Session:
 
 
 class Clock:
-    """Time that passes in sleeps alone."""
+    """A clock that moves only during sleeps."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -32,7 +32,7 @@ class Clock:
 
 
 class Opening:
-    """Fails as often as it is told, and keeps how long each try might take."""
+    """Raises the given errors one by one, and then succeeds. Keeps the time limit of each try."""
 
     def __init__(self, *errors: Exception) -> None:
         self.errors = list(errors)
@@ -77,7 +77,7 @@ async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_onc
     assert (one.reconnects, one.connected) == (1, True)
 
 
-async def test_it_gives_up_when_its_time_is_over_and_gets_all_of_it_again_when_asked_again(clock: Clock) -> None:
+async def test_it_gives_up_when_its_time_is_over_and_the_next_call_has_the_whole_time_again(clock: Clock) -> None:
     one = made("2s")
     await one.open(Opening())
     for _ in range(2):
@@ -98,7 +98,7 @@ async def test_it_does_not_try_again_while_its_connection_closes(clock: Clock) -
     assert (len(opening.allowed_s), clock.slept) == (1, [])
 
 
-async def test_without_any_time_it_tries_once(clock: Clock) -> None:
+async def test_with_a_time_limit_of_zero_it_tries_once(clock: Clock) -> None:
     one = made("0s", held=True)
     opening = Opening(st.Unavailable("down"), st.Unavailable("down"))
     with pytest.raises(st.Unavailable):
@@ -107,7 +107,7 @@ async def test_without_any_time_it_tries_once(clock: Clock) -> None:
 
 
 @pytest.mark.parametrize("error", [st.IncarnationLost("gone"), st.ChannelNotFound("gone"), st.PermissionDenied("no")])
-async def test_an_error_that_cannot_heal_is_raised_at_once(clock: Clock, error: st.StampedeError) -> None:
+async def test_an_error_that_a_retry_cannot_mend_is_raised_at_once(clock: Clock, error: st.StampedeError) -> None:
     with pytest.raises(type(error)):
         await made(held=True).open(Opening(error))
     assert clock.slept == []
@@ -119,7 +119,7 @@ async def test_a_call_that_took_too_long_is_an_outage_like_others(clock: Clock) 
     assert one.reconnects == 1
 
 
-async def test_a_stop_during_an_attempt_ends_the_reconnecting_without_a_sign(clock: Clock) -> None:
+async def test_a_stop_during_an_attempt_ends_the_reconnecting_without_an_error(clock: Clock) -> None:
     one = made(held=True)
 
     async def opening(timeout_s: float) -> None:
@@ -130,7 +130,7 @@ async def test_a_stop_during_an_attempt_ends_the_reconnecting_without_a_sign(clo
     assert (one.reconnects, one.connected, clock.slept) == (0, False, [])
 
 
-async def test_going_on_without_a_break_is_not_counted(clock: Clock) -> None:
+async def test_a_stream_that_opens_at_the_first_try_is_not_counted_as_reconnected(clock: Clock) -> None:
     one = made(held=True)
     await one.open(Opening())
     assert one.reconnects == 0

@@ -343,7 +343,7 @@ async def test_a_stream_that_opens_after_its_handle_was_closed_is_drained(monkey
     assert host.given_back == [4]
 
 
-async def test_a_queue_that_is_gone_is_told_to_all_who_wait() -> None:
+async def test_all_waiting_callers_hear_that_their_queue_is_gone() -> None:
     host = Host()
     taker = taker_at(host)
     gets = [asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(2)]

@@ -88,7 +88,9 @@ def removed(failures: list[Failure], monkeypatch: pytest.MonkeyPatch) -> Stamped
 
 
 @pytest.mark.parametrize("first", [answered(AMBIGUOUS), BROKEN, LATE])
-def test_a_removal_that_may_be_in_the_log_is_told_as_unknown(first: Failure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_removal_that_may_be_in_the_log_is_reported_as_unknown(
+    first: Failure, monkeypatch: pytest.MonkeyPatch
+) -> None:
     error = removed([first, answered(NO_LEADER)], monkeypatch)
     assert error.reason == "AMBIGUOUS"
     assert "it is unknown whether s3 is removed: no supernode leads" in error.message
@@ -96,7 +98,7 @@ def test_a_removal_that_may_be_in_the_log_is_told_as_unknown(first: Failure, mon
 
 
 @pytest.mark.parametrize("first", [answered(NO_QUORUM), answered(NO_LEADER), REFUSED])
-def test_a_removal_that_no_supernode_took_is_not_told_as_unknown(
+def test_a_removal_that_no_supernode_took_is_not_reported_as_unknown(
     first: Failure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error = removed([first, answered(NO_LEADER)], monkeypatch)

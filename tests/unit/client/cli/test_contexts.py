@@ -110,7 +110,7 @@ def contexts_of(text: str) -> bytes:
         (contexts_of('{"x": {"url": "a\\u0000"}}'), "no text in 'url'"),
         (contexts_of('{"x": {"url": "a", "tls_ca": null}}'), "no text in 'tls_ca'"),
         (contexts_of('{"x": {"url": "a", "path": "b"}}'), "unknown field 'path'; allowed are url, secret_file"),
-        (b'{"current": "y", "contexts": {}}', "\"current\" is 'y', which is no context"),
+        (b'{"current": "y", "contexts": {}}', "\"current\" is 'y', which is not a context"),
         (b'{"current": [], "contexts": {}}', '"current" is \\[\\]'),
     ],
 )  # fmt: skip
@@ -133,7 +133,7 @@ def write_contexts(folder: Path, text: bytes) -> None:
     os.chmod(folder / "contexts.json", 0o600)
 
 
-def test_a_folder_in_place_of_the_file_of_contexts_is_told_as_that(
+def test_the_error_names_a_folder_in_place_of_the_file_of_contexts(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "contexts.json").mkdir(parents=True)

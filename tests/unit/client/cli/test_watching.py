@@ -60,7 +60,7 @@ def test_after_a_restart_the_watch_tells_what_differs_from_the_list_and_goes_on(
     assert isinstance(error, Unavailable)
 
 
-def test_a_host_that_notes_its_load_is_not_told_and_one_that_is_lost_is() -> None:
+def test_watches_hear_of_a_lost_host_but_not_of_a_reported_load() -> None:
     def host(alive: bool, channels: int) -> HostInfo:
         return HostInfo(host_id=b"h", name="host", endpoints=("a:1",), alive=alive, channels=channels, version="")
 

@@ -35,7 +35,7 @@ def test_a_place_that_may_be_elsewhere_is_not_taken_for_this_machine(target: str
 
 
 @pytest.mark.parametrize("url", ["localhost.evil.example", "127.0.0.1.evil.example:7580", "localhost,evil.example"])
-def test_the_users_own_secret_is_told_to_no_other_machine(
+def test_the_users_own_secret_is_sent_to_no_other_machine(
     url: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     place = tmp_path / "stampede" / "secret"

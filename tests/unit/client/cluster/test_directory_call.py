@@ -1,4 +1,4 @@
-"""Whom a call of the directory asks, in which order and for how long."""
+"""The supernodes that a call of the directory asks: their order, and the time for each."""
 
 import pytest
 
@@ -27,7 +27,7 @@ def unreached() -> StampedeError:
 
 
 def asked(call: DirectoryCall, failures: dict[str, StampedeError], now_s: float = 0.0) -> list[str]:
-    """The targets that one round asks if each fails so."""
+    """The targets that one round asks, in order, if each target fails with its error in `failures`."""
     order: list[str] = []
     while (attempt := call.next_attempt(now_s)) is not None:
         order.append(attempt.target)
@@ -49,7 +49,7 @@ def test_the_leader_that_a_supernode_names_is_asked_next_and_once() -> None:
     assert asked(call, {"a": names_c, "b": names_c, "c": names_a}) == ["a", "c", "b"]
 
 
-def test_hints_that_lead_from_one_to_the_next_come_to_an_end() -> None:
+def test_a_call_follows_only_so_many_hints_from_one_supernode_to_the_next() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["0"], 2.5)
     names = {str(one): NotLeader("not me", metadata={"leader_endpoint": str(one + 1)}) for one in range(200)}
@@ -82,11 +82,11 @@ def test_the_failures_of_all_rounds_tell_whether_a_majority_is_missing() -> None
     assert "1 of 3 supernodes answer" in failure.message
 
 
-def test_without_a_supernode_the_failure_says_what_to_look_at() -> None:
+def test_without_a_supernode_the_error_says_what_to_start() -> None:
     assert "start a front-end and supernodes" in DirectoryCall(deadline_s=1.0).failure([]).message
 
 
-def test_a_supernode_that_is_known_no_more_tells_why_if_no_other_does() -> None:
+def test_the_error_gives_the_reason_of_a_forgotten_supernode_if_it_has_no_other() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["gone"], 2.5)
     asked(call, {"gone": unreached()})

@@ -42,12 +42,12 @@ def test_a_silent_supernode_counts_like_one_that_is_gone() -> None:
     assert "a did not answer in time, b cannot be reached" in said
 
 
-def test_an_update_that_may_be_done_is_never_told_as_one_that_is_not() -> None:
+def test_an_update_that_may_be_done_is_never_reported_as_one_that_is_not() -> None:
     unknown = Unavailable("nobody said whether it is done", reason="AMBIGUOUS")
     assert told({"a": unknown, "b": gone("b"), "c": gone("c")}).startswith("AMBIGUOUS")
 
 
-def test_the_only_supernode_is_named_with_why_it_cannot_be_reached() -> None:
+def test_the_error_names_the_only_supernode_and_why_the_client_cannot_reach_it() -> None:
     said = told({"a:1": gone("a:1")}, 1)
     assert "its one supernode, a:1, cannot be reached (Connection refused); start it again" in said
     assert told({"a:1": DeadlineExceeded("a:1 did not answer in time")}, 1).startswith("DEADLINE_EXCEEDED")

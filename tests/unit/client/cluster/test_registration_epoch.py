@@ -10,7 +10,7 @@ def refusal(epoch: int, *, alive: bool) -> StaleRegistration:
     return StaleRegistration("x", metadata={"registration_epoch": str(epoch), "alive": str(alive).lower()})
 
 
-def test_a_process_that_has_just_started_goes_above_every_other() -> None:
+def test_a_process_that_has_just_started_takes_a_number_above_every_other() -> None:
     epoch = RegistrationEpoch()
     assert epoch.value == 0
     assert epoch.may_overtake(refusal(0, alive=True))

@@ -101,7 +101,7 @@ def test_several_channels_become_files_of_a_folder(tmp_path: Path) -> None:
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["rig_a.csv", "rig_b.csv"]
 
 
-def test_gaps_of_the_file_are_told(tmp_path: Path) -> None:
+def test_gaps_of_the_file_are_reported(tmp_path: Path) -> None:
     one = item_entry(Topic("imu", "json", INCARNATION), item(1, b"1", content_type=JSON))
     path = write(tmp_path / "a.mcap", [one, gap("imu", 2, 5)])
     assert export(path, tmp_path / "a.csv", "csv").gaps == (gap("imu", 2, 5),)

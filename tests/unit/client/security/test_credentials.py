@@ -39,7 +39,7 @@ def test_a_reader_gives_the_present_contents_and_looks_at_most_once_a_second(
     assert reader.current() == "second"
 
 
-def test_a_change_that_cannot_be_used_is_told_once_and_the_last_good_secret_stays(
+def test_a_change_that_cannot_be_used_is_reported_once_and_the_last_good_secret_stays(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(credentials, "LOOK_EVERY_S", 0.0)

@@ -1,4 +1,4 @@
-"""Items in columns are those that a list of all items would hold, and only touched ones are made."""
+"""Columns hold the same items as a list, and make an `Item` only when the program touches it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def columns(runs: Sequence[DecodedRun], **rest: Any) -> ItemColumns:
 
 
 def expected(runs: Sequence[DecodedRun], next_time: int | None, overlap: int) -> list[Item]:
-    """All items, each made by itself."""
+    """All items, each made without the columns."""
     flat = [
         (time, -1 if run.durations is None else run.durations[at], run.seqs[at], run, at)
         for run in runs
@@ -79,7 +79,7 @@ def expected(runs: Sequence[DecodedRun], next_time: int | None, overlap: int) ->
     some.booleans(),
     some.booleans(),
 )
-def test_columns_hold_what_a_list_of_the_items_holds(
+def test_columns_hold_the_same_items_as_a_list(
     runs: list[list[tuple[int, int, bytes]]], next_time: int | None, overlap: int, payloads: bool, backwards: bool
 ) -> None:
     flat = sorted(item for run in runs for item in run)  # the answer of a get is in the order of time
@@ -187,6 +187,6 @@ def test_an_answer_can_be_pickled() -> None:
     assert again.times.tolist() == [10, 20]
 
 
-def test_late_items_out_of_order_end_no_span_of_a_later_one() -> None:
+def test_late_items_do_not_end_the_spans_of_later_items() -> None:
     assert span_ends([5, 3, 9], None, None, 0) == [9, 9, None]
     assert span_ends([5, 6], None, 6, 0) == [6, None]

@@ -72,7 +72,7 @@ def test_a_reader_never_forgets_the_highest_cut_that_it_saw() -> None:
         ([], "1 to 64 channels, not 0"),
         ([handle(str(number)) for number in range(MEMBERS_MAX + 1)], "not 65"),
         ([handle("left"), handle("left")], "left is in the list twice"),
-        ([handle("left"), "right"], "'right' is no channel"),
+        ([handle("left"), "right"], "'right' is not a channel"),
         ("left", "give a list"),
         (handle("left"), "give a list"),
     ],

@@ -48,7 +48,7 @@ def test_a_wrong_lease_is_named() -> None:
     assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
 
 
-def test_a_clock_is_compared_with_what_was_told_halfway() -> None:
+def test_a_clock_is_compared_with_the_time_halfway_through_the_call() -> None:
     """Sent at 5000 by the own clock, 600 on the way there and back, and held for 400 before 4000 was told."""
     found = ClockOffset.measured(
         sent_unix_nano=5000, took_nanos=1000, told_unix_nano=4000, supernode="s1", held_nanos=400

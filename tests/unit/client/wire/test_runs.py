@@ -109,7 +109,7 @@ def test_a_malformed_run_is_refused_with_its_fault(run: item_pb2.ItemRun, messag
 
 
 def test_bytes_that_are_no_run_are_refused() -> None:
-    with pytest.raises(MalformedRun, match="no valid ItemRun"):
+    with pytest.raises(MalformedRun, match="not a valid ItemRun"):
         parse_run(b"\xff\xff\xff")
 
 

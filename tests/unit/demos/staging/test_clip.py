@@ -1,4 +1,4 @@
-"""The real film decodes to its known contents. A file that is no film gives an error in one sentence."""
+"""The real film decodes to its known contents. A file that is not a film gives an error in one sentence."""
 
 import io
 

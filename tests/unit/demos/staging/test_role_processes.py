@@ -90,7 +90,7 @@ def test_a_role_that_says_why_it_failed_is_quoted():
 def test_a_role_that_talks_nonsense_is_named():
     with RoleProcesses() as roles:
         roles.start("poet", program("print('roses are red', flush=True)"))
-        with pytest.raises(DemoFailed, match=r"the poet sent a line that is no report.*roses are red"):
+        with pytest.raises(DemoFailed, match=r"the poet sent a line that is not a report.*roses are red"):
             list(roles.events(10, "getting ready"))
 
 

@@ -82,7 +82,7 @@ def test_the_report_says_what_was_paired_and_that_every_lonely_frame_was_named()
     assert "90 of 90 pairs, 0 wrong" in subtitle(REPORT)
 
 
-def test_a_frame_that_was_not_told_of_is_not_passed_over() -> None:
+def test_a_frame_that_was_not_announced_is_not_skipped() -> None:
     forgetful = dataclasses.replace(REPORT, alone_told={Side.LEFT: [8], Side.RIGHT: [5]})
     assert not forgetful.told_of_all
     assert "NOT exactly these" in render(forgetful)

@@ -50,7 +50,7 @@ class BrokenCluster:
         ),
     ],
 )
-def test_a_cluster_that_fails_is_told_in_one_sentence(monkeypatch, failure, sentence):
+def test_a_cluster_that_fails_is_reported_in_one_sentence(monkeypatch, failure, sentence):
     monkeypatch.setattr(BrokenCluster, "failure", failure)
     monkeypatch.setattr(orchestrator, "LocalCluster", BrokenCluster)
     with pytest.raises(DemoFailed) as told:
@@ -58,7 +58,7 @@ def test_a_cluster_that_fails_is_told_in_one_sentence(monkeypatch, failure, sent
     assert str(told.value) == sentence
 
 
-def test_a_missing_film_is_told_before_a_cluster_is_started(monkeypatch):
+def test_a_missing_film_is_reported_before_a_cluster_is_started(monkeypatch):
     monkeypatch.setattr("stampede_rt_demos.staging.film._FILM_PACKAGE", "no_such_package")
     monkeypatch.setattr(orchestrator, "LocalCluster", BrokenCluster)
     with pytest.raises(DemoFailed, match="the film is not here"):

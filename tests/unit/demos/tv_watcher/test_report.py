@@ -56,7 +56,7 @@ def test_the_columns_of_the_table_are_aligned(report):
     assert lines[1].split() == ["video", "h1", "50", "50", "25.0", "2.0", "MB", "2.4", "-", "0"]
 
 
-def test_a_good_run_is_told_as_one(report):
+def test_a_good_run_is_reported_as_good(report):
     text = " ".join(render(report).split())
     assert "every one of 2 caption spans held 25 video items" in text
     assert "Nothing was lost" in text
@@ -64,7 +64,7 @@ def test_a_good_run_is_told_as_one(report):
     assert "1.5 ms after its time (video producer)" in text
 
 
-def test_losses_are_told_by_stream(report):
+def test_losses_are_reported_by_stream(report):
     lossy = replace(report, figures=[figures("captions", 2, 2), figures("video", 50, 47)])
     assert lossy.lost == 3
     assert "Lost between host and reader: 3 of video" in render(lossy)
@@ -74,7 +74,7 @@ def test_losses_are_told_by_stream(report):
     "fault",
     [{"counts": {"captions": 1, "video": 24}}, {"complete": False}, {"features_keep_times": False}],
 )
-def test_a_span_that_is_not_in_step_is_told(report, fault):
+def test_a_span_that_is_not_in_step_is_reported(report, fault):
     text = " ".join(render(replace(report, steps=[step(0), replace(step(1), **fault)])).split())
     assert "1 of 2 caption spans" in text
     assert 'The first that did not: "caption 1"' in text

@@ -56,7 +56,7 @@ def test_the_viewer_ends_when_the_cut_has_come_to_the_programmes_end():
     assert list(watch(SimpleNamespace(), Cuts(until - 1, until), until)) == []
 
 
-def test_a_group_that_never_comes_to_the_programmes_end_is_told():
+def test_a_group_that_never_comes_to_the_programmes_end_is_reported():
     until = time.time_ns() - HOUR_NANOS
     with pytest.raises(DemoFailed, match="the group tv/programme did not come to the programme's end"):
         watch(SimpleNamespace(), Cuts(), until)

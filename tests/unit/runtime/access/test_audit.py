@@ -64,7 +64,7 @@ def test_the_callers_that_the_audit_log_remembers_are_bounded() -> None:
     assert len(log._last) == SUBJECTS_MAX
 
 
-def test_changes_are_always_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_changes_are_always_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     log = AuditLog(Clock())
     for number in range(3):

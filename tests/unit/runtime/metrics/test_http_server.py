@@ -1,4 +1,4 @@
-"""The metrics are served to Prometheus, whatever other callers do."""
+"""The page of metrics reaches Prometheus, also beside callers that misbehave."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ async def test_another_request_gets_a_plain_answer(port: int, request_line: byte
     assert answer.startswith(b"HTTP/1.1 " + status)
 
 
-async def test_callers_that_say_nothing_give_way_to_a_scrape(port: int) -> None:
+async def test_silent_connections_are_closed_to_make_room_for_a_scrape(port: int) -> None:
     silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2 * CONNECTIONS_MAX)]
     answer = await ask(port, b"GET /metrics HTTP/1.1\r\n\r\n")
     assert answer.endswith(await page())
@@ -70,6 +70,8 @@ async def test_callers_that_say_nothing_give_way_to_a_scrape(port: int) -> None:
         writer.close()
 
 
-async def test_a_caller_that_says_nothing_is_hung_up_on(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_server_closes_the_connection_of_a_caller_that_sends_no_whole_request(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(http_server, "HEAD_SECONDS_MAX", 0.01)
     assert await ask(port, b"GET /metr") == b""

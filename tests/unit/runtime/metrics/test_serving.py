@@ -79,7 +79,7 @@ async def test_a_server_tells_its_calls_its_refusals_and_its_process() -> None:
     await server.stop()
 
 
-async def test_an_address_beyond_this_machine_is_told_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+async def test_an_address_beyond_this_machine_is_reported_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     server = ServiceServer(secret=None)
     async with serving_metrics(parse_address("0.0.0.0:0"), "host", server):
         pass
@@ -87,7 +87,7 @@ async def test_an_address_beyond_this_machine_is_told_in_the_log(caplog: pytest.
     await server.stop()
 
 
-async def test_a_taken_port_is_told_with_its_flag() -> None:
+async def test_a_taken_port_is_reported_with_its_flag() -> None:
     server = ServiceServer(secret=None)
     async with serving_metrics(parse_address("localhost:0"), "host", server) as address:
         with pytest.raises(CannotListen, match="choose another port with --metrics"):

@@ -18,7 +18,7 @@ def test_only_this_user_can_enter_the_folder(tmp_path: Path) -> None:
 
 def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path) -> None:
     tmp_path.chmod(0o755)
-    with pytest.raises(CannotListen, match=f"is no folder that only this user can enter.*chmod 700 {tmp_path}"):
+    with pytest.raises(CannotListen, match=f"is not a folder that only this user can enter.*chmod 700 {tmp_path}"):
         listen_at_new_path(tmp_path)
     link = tmp_path / "link"
     (tmp_path / "own").mkdir(mode=0o700)

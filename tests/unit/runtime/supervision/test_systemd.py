@@ -28,7 +28,7 @@ def test_a_supervisor_that_is_gone_is_only_logged(
     assert [record.__dict__["event"] for record in caplog.records] == ["supervisor_not_told"]
 
 
-def test_without_a_supervisor_nothing_is_told(
+def test_without_a_supervisor_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)

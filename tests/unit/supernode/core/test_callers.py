@@ -47,7 +47,7 @@ def test_without_certificates_every_caller_is_believed() -> None:
     check_host_caller(None, known_as="h2", name="h1")
 
 
-def test_another_protocol_is_told_with_both_versions() -> None:
+def test_another_protocol_is_reported_with_both_versions() -> None:
     with pytest.raises(VersionMismatch, match=r"the host \(version 9\.9\) speaks protocol 7, this directory 1"):
         check_protocol(7, "9.9")
     check_protocol(0, "0.0.1")

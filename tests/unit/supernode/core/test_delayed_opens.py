@@ -1,9 +1,9 @@
-"""A request to open that arrives late, after its caller had its answer, creates nothing again.
+"""A request to open that arrives late, after its caller already got an answer, creates nothing.
 
 The scenario: a caller opens `cam`, gets no answer, and tries again at another supernode. `cam` exists by then, so the
-second attempt is answered at once, without an entry in the log. Another caller deletes `cam`. Then the first attempt,
-which was under way all the time, is applied. Earlier, no record of the request was left, so it created the channel
-again.
+supernode answers the second attempt at once, without an entry in the log. Another caller deletes `cam`. Then the
+directory applies the first attempt, which was under way all the time. Earlier, the directory kept no record of the
+request, so the first attempt created the channel again.
 """
 
 from __future__ import annotations
@@ -75,20 +75,20 @@ async def test_an_entry_that_was_under_way_does_not_bring_a_deleted_channel_back
     assert not await is_there(node)
 
 
-async def test_a_request_that_stood_still_at_a_supernode_does_not_bring_a_deleted_channel_back(node: Node) -> None:
+async def test_a_request_that_a_supernode_held_up_does_not_bring_a_deleted_channel_back(node: Node) -> None:
     request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
-    stands_still = node.log.reads_may_end
-    stands_still.clear()
+    held_up = node.log.reads_may_end
+    held_up.clear()
     node.log.read_waits.clear()
     first = asyncio.ensure_future(reason_of(node.stub.OpenChannel(request, timeout=10)))
     await node.log.read_waits.wait()
     node.log.reads_may_end = asyncio.Event()
     node.log.reads_may_end.set()
     await open_and_delete(node, request)
-    stands_still.set()
+    held_up.set()
     assert (await first).reason == "AMBIGUOUS"
     assert not await is_there(node)
-    assert (await node.stub.OpenChannel(request)).created, "a caller that is still there asks again"
+    assert (await node.stub.OpenChannel(request)).created, "a caller that still waits asks again"
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
@@ -145,7 +145,7 @@ def log() -> Log:
     return log
 
 
-def delete_what(log: Log, opened: Result) -> Operation:
+def deletion_of(log: Log, opened: Result) -> Operation:
     match opened:
         case ChannelOpened(channel=channel):
             return delete(channel.channel_id)
@@ -157,7 +157,7 @@ def delete_what(log: Log, opened: Result) -> Operation:
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
-def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_for(log: Log, kind: str) -> None:
+def test_an_open_is_late_if_its_thing_was_deleted_after_the_request(log: Log, kind: str) -> None:
     member = log.apply(open_channel("member"))
     assert isinstance(member, ChannelOpened)
     openings: dict[str, Operation] = {
@@ -167,7 +167,7 @@ def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_
     }
     opening = openings[kind]
     asked = log.directory.applied_index
-    log.apply(delete_what(log, log.apply(opening)))
+    log.apply(deletion_of(log, log.apply(opening)))
     late = log.apply(opening, as_of_index=asked)
     assert isinstance(late, Refused)
     assert (late.reason, late.metadata) == ("AMBIGUOUS", {kind: "x"})
@@ -176,7 +176,7 @@ def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
 def test_a_deletion_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
-    """Earlier, a client that made and deleted groups without a pause kept all others from making any."""
+    """Earlier, a client that made and deleted groups without a pause prevented all other clients from making groups."""
     log.directory.feature_level = FREED_GROUPS_LEVEL
     members = {name: log.apply(open_channel(name)) for name in ("kept", "gone")}
     kept, gone = (one.channel.channel_id for one in members.values() if isinstance(one, ChannelOpened))
@@ -187,7 +187,7 @@ def test_a_deletion_under_another_name_makes_no_open_late(log: Log, kind: str) -
     }
     log.apply(open_group("with it", (gone,)))
     asked = log.directory.applied_index
-    log.apply(delete_what(log, log.apply(make[kind]("y"))))
+    log.apply(deletion_of(log, log.apply(make[kind]("y"))))
     log.apply(delete(gone))
     assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked), Refused)
 
@@ -215,7 +215,7 @@ def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(
     assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), Refused)
 
 
-def test_an_open_that_comes_later_than_answers_are_remembered_is_late(log: Log) -> None:
+def test_an_open_that_comes_after_its_answer_may_be_forgotten_is_late(log: Log) -> None:
     asked = log.directory.applied_index
     for _ in range(MARKS_KEPT):
         log.mark_time()
@@ -225,7 +225,7 @@ def test_an_open_that_comes_later_than_answers_are_remembered_is_late(log: Log) 
     assert isinstance(log.apply(open_channel("x"), as_of_index=log.directory.applied_index), ChannelOpened)
 
 
-def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
+def test_an_open_of_an_existing_channel_is_never_late(log: Log) -> None:
     opened = log.apply(open_channel("x"))
     assert isinstance(opened, ChannelOpened)
     log.apply(delete(opened.channel.channel_id))

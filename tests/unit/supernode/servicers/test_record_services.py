@@ -190,7 +190,7 @@ async def test_a_queue_is_not_found_and_no_subject_is_no_argument(node: Node) ->
     assert nothing.reason == "INVALID_ARGUMENT"
 
 
-async def test_loads_are_told_to_the_leader_and_listed_the_least_loaded_first(node: Node) -> None:
+async def test_loads_are_reported_to_the_leader_and_listed_the_least_loaded_first(node: Node) -> None:
     left, right = await two_channels(node)
     await node.replicas.AddReplica(add_request(1, left))
     await node.replicas.ReportReplicaLoads(report(1, load(left, 1, delivered_bytes_per_second=9)))

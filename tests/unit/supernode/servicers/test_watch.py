@@ -206,7 +206,7 @@ async def until_idle(counted: list[int]) -> list[int]:
     return added
 
 
-async def test_a_change_is_told_to_a_few_watches_in_each_turn_and_to_all_of_them(node: Node) -> None:
+async def test_a_change_is_reported_to_a_few_watches_in_each_turn_and_to_all_of_them(node: Node) -> None:
     """Earlier, 4096 watches were all woken in one turn, which took 52 ms."""
     heard: list[int] = []
 

@@ -66,7 +66,7 @@ class Cursor(Protocol):
 class GroupAccess(Protocol):
     """Reads and subscriptions through a group.
 
-    All methods raise InvalidArgument if the channel is no member of the group, and IncarnationLost if the request has a
+    All methods raise InvalidArgument if the group does not have the channel, and IncarnationLost if the request has a
     position of another incarnation. `read` and `subscribe` raise GROUP_NOT_FOUND, too.
     """
 

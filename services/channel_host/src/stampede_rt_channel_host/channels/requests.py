@@ -34,7 +34,7 @@ def parse(kind: MessageType[M], raw: bytes, name: str) -> M:
         return kind.FromString(raw)
     except DecodeError as error:
         raise InvalidArgument(
-            f"the request is no valid {name} message; encode it from channel_service.proto"
+            f"the request is not a valid {name} message; encode it from channel_service.proto"
         ) from error
 
 

@@ -79,7 +79,7 @@ class CopiedGroups:
     async def find(self, group_id: bytes, hosted: HostedChannel) -> CopiedGroup:
         """The group as the copy `hosted` shows it.
 
-        Raises GROUP_NOT_FOUND, Unavailable, and StaleBinding if `hosted` is no copy any more.
+        Raises GROUP_NOT_FOUND, Unavailable, and StaleBinding if `hosted` is no longer a copy.
         """
         state = hosted.copy
         if state is None:

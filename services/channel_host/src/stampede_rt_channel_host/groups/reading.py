@@ -270,10 +270,10 @@ def _cursor(
 
 
 def member_of(group: HostedGroup | CopiedGroup, hosted: HostedChannel) -> HostedChannel:
-    """Return the channel. Raises InvalidArgument if the channel is no member of the group."""
+    """Return the channel. Raises InvalidArgument if the channel is not a member of the group."""
     if hosted.record.channel_id not in group.definition.members:
         raise InvalidArgument(
-            f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"
+            f"channel {hosted.record.name} is not a member of group {group.record.name}; add it, or leave group_id out"
         )
     return hosted
 

@@ -67,7 +67,7 @@ class _GroupSnapshot:
 class GroupGets:
     """Observes the group and the channel while gets wait, as a `ChannelObserver`. Answers the gets, as a `Source`.
 
-    `check` raises InvalidArgument if the channel is no member any more. `scheduler` does long work in pieces. `limits`
+    `check` raises InvalidArgument if the channel is no longer a member. `scheduler` does long work in pieces. `limits`
     ends the waits of all gets of the host.
     """
 

@@ -114,7 +114,7 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
     try:
         item_pb2.DeadLetterOrigin.FromString(message.origin)
     except DecodeError as error:
-        raise MalformedRun("the run's origin is no valid DeadLetterOrigin; encode it from item.proto") from error
+        raise MalformedRun("the run's origin is not a valid DeadLetterOrigin; encode it from item.proto") from error
     if items != 1 or len(message.origin) > ORIGIN_BYTES_MAX:
         raise MalformedRun(
             f"the run has {items} messages and an origin of {len(message.origin)} bytes; a dead letter is a run of one "
@@ -124,7 +124,7 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied if `caller` is no host, because hosts alone may set the origin of a run.
+    """Raises PermissionDenied if `caller` is not a host, because hosts alone may set the origin of a run.
 
     `caller` None: the caller has no certificate, as in a cluster without certificates. Then this check allows the call.
     """

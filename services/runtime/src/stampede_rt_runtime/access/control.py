@@ -140,7 +140,7 @@ class AccessControl:
         return self._known().rules
 
     def read_token(self, text: str) -> Caller | None:
-        """The caller of the token `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
+        """The caller of the token `text`; None if it is not a token. Raises PermissionDenied, Unavailable."""
         if not is_token(text):
             return None
         state = self._known()

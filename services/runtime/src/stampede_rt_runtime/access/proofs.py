@@ -21,7 +21,7 @@ class AcceptedProofs:
     """The proofs that a service accepts. A service that accepts no proof asks for none.
 
     `cluster`: the cluster of the service's own certificate; empty if callers need no certificates. `read_token`:
-    returns the caller of a token, or None for a text that is no token; raises PermissionDenied or Unavailable.
+    returns the caller of a token, or None for a text that is not a token; raises PermissionDenied or Unavailable.
     """
 
     secrets: tuple[str, ...] = field(default=(), repr=False)

@@ -198,7 +198,7 @@ class SocketServer:
             credential, line = self._openings.popitem(last=False)
             stream, opening = line.popleft()
             if line:
-                self._openings[credential] = line  # behind the others
+                self._openings[credential] = line  # after the others
             if stream.connection in self._streams:
                 stream.task = asyncio.create_task(self._serve(stream, opening))
                 stream.task.add_done_callback(self._note_end)

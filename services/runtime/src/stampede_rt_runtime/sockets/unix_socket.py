@@ -46,7 +46,7 @@ def _check_own(folder: Path) -> None:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or stat.S_IMODE(found.st_mode) & 0o077:
         raise CannotListen(
-            f"{folder} is no folder that only this user can enter; remove it, or run: chmod 700 {folder}"
+            f"{folder} is not a folder that only this user can enter; remove it, or run: chmod 700 {folder}"
         )
 
 

@@ -82,7 +82,7 @@ def decode_command(encoded: bytes) -> Command:
         message = pb.DirectoryCommand.FromString(encoded)
     except DecodeError:
         raise InvalidArgument(
-            "the log entry is no directory command; a supernode of another version wrote it"
+            "the log entry is not a directory command; a supernode of another version wrote it"
         ) from None
     return Command(
         op_id=message.op_id,

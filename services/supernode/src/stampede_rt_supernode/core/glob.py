@@ -12,8 +12,8 @@ from stampede_rt_supernode.core.validation import check_glob
 def matcher(glob: str) -> Callable[[str], bool]:
     """Returns a function that tells whether a name matches `glob`. Every name matches an empty `glob`.
 
-    The time of a match is at most in proportion to the name's length times the number of stars. Raises InvalidArgument
-    for an invalid pattern.
+    The function takes time in proportion to the name's length times the number of stars, at most. Raises
+    InvalidArgument for an invalid pattern.
     """
     check_glob(glob)
     return globs.matcher(glob)

@@ -56,7 +56,7 @@ def _stale(
     return StaleRegistration(
         f"another process of {kind} {shown} has registered with epoch {before.registration_epoch}, and this request "
         f"brings {operation.registration_epoch}; a newer process registers with epoch {before.registration_epoch + 1}; "
-        "see that no two processes that live share one identity",
+        "make sure that no two running processes share one identity",
         metadata={
             kind: shown,
             "registration_epoch": str(before.registration_epoch),

@@ -42,7 +42,7 @@ class OwnAddress:
     ) -> None:
         """Call the address every LOOK_SECONDS, until this process itself answers there.
 
-        `cluster_id`: the id of this supernode's cluster. A supernode of another cluster is no copy. Raises
+        `cluster_id`: the id of this supernode's cluster. A supernode of another cluster is not a copy. Raises
         StampedeError if another process answers FINDINGS_NEEDED times in a row.
         """
         findings = 0

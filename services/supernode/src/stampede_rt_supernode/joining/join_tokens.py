@@ -55,7 +55,7 @@ class JoinTokens:
 
 
 def log_cluster_of(token: str) -> str:
-    """The id of the log in a token. Checks no proof. Raises InvalidArgument if the text is no token."""
+    """The id of the log in a token. Checks no proof. Raises InvalidArgument if the text is not a token."""
     parts = token.split(".")
     try:
         if parts[0] != _PREFIX or len(parts) != _PARTS + 1:
@@ -63,7 +63,7 @@ def log_cluster_of(token: str) -> str:
         return bytes.fromhex(parts[3]).decode()
     except ValueError as error:
         raise InvalidArgument(
-            "--token is no complete join token; `stampede supernode add` prints the whole command"
+            "--token is not a complete join token; `stampede supernode add` prints the whole command"
         ) from error
 
 

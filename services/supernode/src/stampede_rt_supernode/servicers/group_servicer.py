@@ -108,7 +108,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             remove_channel_ids=tuple(request.remove_channel_ids),
             spec_version=request.spec_version if request.HasField("spec_version") else None,
         )
-        check_operation(operation)  # before the checks of its channels, of which there may be any number
+        check_operation(operation)  # first, because it limits the number of channels that the next checks look at
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
         await self._check_members(context, operation.add_channel_ids)
         updated = await self._calls.submit(context, operation, GroupUpdated, request.request_id)

@@ -61,5 +61,5 @@ def test_a_stream_of_ever_new_questions_keeps_a_bounded_number() -> None:
 
 @pytest.mark.parametrize("garbage", [b"\xff\xff", b"\x08", b"\x08" + b"\xff" * 12])
 def test_garbage_is_refused(garbage: bytes) -> None:
-    with pytest.raises(InvalidArgument, match="no valid GetRequest"):
+    with pytest.raises(InvalidArgument, match="not a valid GetRequest"):
         GetPlans().read(garbage)

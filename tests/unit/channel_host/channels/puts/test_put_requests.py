@@ -131,7 +131,7 @@ def test_a_request_in_pieces_of_an_unusual_form_is_refused_and_not_copied(
         monkeypatch.setattr(module, "parse", counting)
     unknown = bytes((9 << 3 | 2, 1, 0))
     for raw in (usual + UNUSUAL, unknown + usual, usual[:-1], usual + unknown):
-        with pytest.raises(InvalidArgument, match=r"no valid .* message whose fields come in the order"):
+        with pytest.raises(InvalidArgument, match=r"not a valid .* message whose fields come in the order"):
             read(raw)
     read(UNUSUAL + usual)
     assert max(copied_bytes) < 100
@@ -140,6 +140,6 @@ def test_a_request_in_pieces_of_an_unusual_form_is_refused_and_not_copied(
 @pytest.mark.parametrize("cut", [1, SHORT_BYTES // 2])
 def test_a_request_that_is_cut_off_is_refused(cut: int) -> None:
     raw = b"".join(put_pieces(b"", 3, run_parts([LONG, LONG], times=None)))
-    with pytest.raises(InvalidArgument, match="no valid PutRequest"):
+    with pytest.raises(InvalidArgument, match="not a valid PutRequest"):
         read_request(raw[:-cut])
     assert len(raw) > SHORT_BYTES

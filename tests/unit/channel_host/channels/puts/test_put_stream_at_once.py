@@ -173,7 +173,7 @@ async def test_a_message_that_cannot_be_decoded_ends_the_stream(method: str) -> 
     async with stream_of(method) as (stream, _):
         assert stream.send(b"\xff\xff") == []
         [status] = await stream.until_written(1)
-        assert f"no valid {method}Request message".encode() in status
+        assert f"not a valid {method}Request message".encode() in status
 
 
 async def test_beyond_the_budget_of_a_turn_messages_go_to_the_stream_and_the_next_turn_has_a_new_one(

@@ -59,7 +59,7 @@ async def test_a_joined_request_keeps_its_room_until_its_stream_lets_go_of_it() 
 
 async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_piece(monkeypatch: Any) -> None:
     monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.0)
-    monkeypatch.setattr(whole_requests, "BYTES_PER_SECOND_MIN", 2**40)  # the wait for a turn is no part of the limit
+    monkeypatch.setattr(whole_requests, "BYTES_PER_SECOND_MIN", 2**40)  # the wait for a turn is not a part of the limit
     now, scheduled = 1, deque[Callable[[], None]]()
     turns = LoopShares(lambda: now, lambda _, call: scheduled.append(call))
     cam, other = (Account(name, DEFAULTS, loop_shares=turns) for name in ("cam", "other"))

@@ -53,7 +53,7 @@ def test_an_item_stays_until_those_before_it_go_so_that_no_span_grows() -> None:
     assert held(channel) == []
 
 
-def test_the_next_consumer_is_refused_and_told_when_there_is_a_place() -> None:
+def test_the_next_consumer_is_refused_and_learns_when_a_place_gets_free() -> None:
     channel = three_items()
     channel.consume(ANN, [], CLOCK)
     channel.consume(BOB, [], CLOCK)
@@ -139,7 +139,7 @@ def test_a_late_item_is_taken_below_what_consumption_took() -> None:
 
 
 def test_the_rest_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_below_it() -> None:
-    """Trimmed, the first entry of the bucket once came behind the others: reads then gave 7 to 12 before 3 to 6."""
+    """Trimmed, the first entry of the bucket once came after the others: reads then gave 7 to 12 before 3 to 6."""
     channel = a_channel(consumers=1)
     put(channel, *[100] * 6)
     put(channel, *[100] * 6)

@@ -152,7 +152,7 @@ def test_a_follower_goes_on_in_another_process_with_cut_and_seq() -> None:
     assert step.loss is None
 
 
-def test_a_position_from_before_the_host_was_lost_is_told_as_lost() -> None:
+def test_a_position_from_before_the_host_was_lost_is_reported_as_lost() -> None:
     made = channel(10, 20)
     follower = CutFollower(made, 15, NOW, next_seq=9, incarnation=INCARNATION + 1)
     follower.begin(25)

@@ -68,7 +68,7 @@ def test_silence_ends_with_a_late_item_and_with_an_advance_but_not_with_looking(
     assert (follower.silent_since, follower.times(1).mark) == (9, 30)
 
 
-def test_of_one_life_all_that_was_told_counts_and_of_another_only_what_is_told_of_it() -> None:
+def test_all_reports_of_one_life_count_and_of_another_life_only_its_own() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket

@@ -1,4 +1,4 @@
-"""Deliveries that were acknowledged: how long they are known."""
+"""How many acknowledged deliveries a queue remembers, and for how long."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
     assert core.counted("accepted") == (3,)
 
 
-def test_seqs_that_others_got_meanwhile_are_not_told_as_those_of_a_run_that_went_on() -> None:
+def test_an_ack_does_not_give_a_continued_run_the_seqs_that_others_got_meanwhile() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)
@@ -371,7 +371,7 @@ def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_given
     assert core.counted("expelled", "held") == (10, 0)
 
 
-def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is_told() -> None:
+def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is_reported() -> None:
     core = Core(copies=2, dead_letters=True)
     core.put(1)
     core.taker(1, credit=1)

@@ -65,7 +65,7 @@ def test_the_number_of_access_rules_has_a_limit() -> None:
     assert len(log.directory.access.rules.rules) == RULES_MAX
 
 
-def test_the_first_key_stays_and_nobody_is_told_what_signs() -> None:
+def test_the_first_key_stays_and_the_state_does_not_show_the_signing_key() -> None:
     log = Log()
     first = log.apply(CreateTokenKey(new_token_key=b"1" * 32))
     assert isinstance(first, TokenKeyCreated)
@@ -142,7 +142,7 @@ def test_nobody_else_who_is_judged_takes_the_place_of_a_peer_whatever_its_proof(
         assert isinstance(log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner=owner)), PeerRegistered)
 
 
-def test_the_effects_of_a_rule_are_told_for_each_existing_thing() -> None:
+def test_the_effects_of_a_rule_are_reported_for_each_existing_thing() -> None:
     log = Log()
     log.apply(register(1))
     for name in ("video/1", "video/2", "audio"):

@@ -227,7 +227,7 @@ def test_the_number_of_channels_is_bounded(log: Log, monkeypatch: pytest.MonkeyP
     assert not opened(log, "cam/left").created
 
 
-def test_a_duration_out_of_range_is_told_as_callers_write_it() -> None:
+def test_a_duration_out_of_range_is_reported_as_callers_write_it() -> None:
     with pytest.raises(InvalidArgument) as caught:
         check_ranges("cam", Policy(overlap_nanos=7200 * 10**9))
     assert caught.value.message == "channel cam: overlap is 2 h; it must be more than 0 and at most 1 h"

@@ -92,7 +92,7 @@ def test_a_backup_with_a_changed_bit_anywhere_is_refused(tmp_path: Path, at: int
     data = bytearray(b"".join(make_backup(HEADER, snapshot_of([b"one", b"two"])).parts()))
     data[at] ^= 1
     (tmp_path / "backup").write_bytes(data)
-    with pytest.raises(StoreDamaged, match=r"is no backup|fails its checksum"):
+    with pytest.raises(StoreDamaged, match=r"is not a backup|fails its checksum"):
         restore_from(tmp_path / "backup", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="n")
     assert not (tmp_path / "new").exists()
 
@@ -118,7 +118,7 @@ def test_a_damaged_folder_cannot_be_restored(tmp_path: Path) -> None:
         restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=founder, cluster_id="")  # type: ignore[arg-type]
 
 
-async def test_a_term_that_somebody_hostile_has_raised_is_told_and_a_new_cluster_goes_on_without_it(
+async def test_a_term_that_somebody_hostile_has_raised_is_reported_and_a_new_cluster_goes_on_without_it(
     tmp_path: Path,
 ) -> None:
     async with LiveCluster(1, tmp_path / "old") as cluster:

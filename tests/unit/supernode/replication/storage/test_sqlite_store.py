@@ -235,7 +235,7 @@ def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkey
     assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
 
 
-def test_a_store_of_another_form_is_left_alone_and_the_way_out_is_told(tmp_path: Path) -> None:
+def test_a_store_of_another_format_stays_unchanged_and_the_error_says_what_to_do(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "UPDATE identity SET format_version = 2")
     with pytest.raises(StoreRefused, match="run the version that wrote it"):

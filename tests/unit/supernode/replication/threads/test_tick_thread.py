@@ -107,7 +107,7 @@ class Hanging(Stepping):
         return False
 
 
-def test_a_step_that_hangs_is_told_of_once_and_so_is_its_end(
+def test_a_step_that_hangs_is_reported_once_and_so_is_its_end(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(tick_thread, "STUCK_SECONDS", 0.05)

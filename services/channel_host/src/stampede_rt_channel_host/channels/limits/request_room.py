@@ -20,7 +20,7 @@ class RequestRooms:
     """The memory of a host for all requests that it has not judged yet. One caller gets at most half of it.
 
     One half of the memory is for requests up to JOINED_BYTES_MAX, and the other half for larger requests. So producers
-    that join small items in a request do not wait behind large requests whose pieces do not come.
+    that join small items in a request do not wait for large requests whose pieces do not come.
     """
 
     def __init__(self) -> None:

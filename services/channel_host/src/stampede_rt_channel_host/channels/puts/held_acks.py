@@ -112,7 +112,7 @@ class AckOfReplicas:
 
 
 class HeldAcks:
-    """The acks of one stream that are not due, or stand behind such an ack. Passes them to `pass_on`, in order."""
+    """The acks of one stream that are not due, and the acks after them. Passes them to `pass_on`, in order."""
 
     def __init__(
         self, pass_on: Callable[[pb.PutAck], Awaitable[None]],
@@ -128,7 +128,7 @@ class HeldAcks:
         return bool(self._acks)
 
     async def add(self, ack: pb.PutAck | HeldAck) -> None:
-        """Add an ack behind the others. Waits while there are HELD_ACKS_MAX."""
+        """Add an ack after the others. Waits while there are HELD_ACKS_MAX."""
         while len(self._acks) >= HELD_ACKS_MAX:
             await self._next_change()
         self._acks.append(ack)

@@ -21,7 +21,7 @@ _FIXED64 = 1
 _RUNS_TAG = 4 << 3 | 2
 _NUMBER_TAGS = {1 << 3, 2 << 3}  # first_number and wait_nanos of a run
 _RUN_TAG = 3 << 3 | 2
-_TAIL_BYTES_MAX = 8192  # the most bytes of the fields behind a run, such as a message id and an origin
+_TAIL_BYTES_MAX = 8192  # the most bytes of the fields after a run, such as a message id and an origin
 
 Head = TypeVar("Head")
 Run = TypeVar("Run")
@@ -47,7 +47,7 @@ def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[
     found = _read(raw, head, run, name) if len(raw) > SHORT_BYTES else None
     if found is None and len(raw) > MESSAGE_BYTES_MAX:
         raise InvalidArgument(
-            f"the {len(raw)} bytes of a large request are no valid {name} message whose fields come in the order "
+            f"the {len(raw)} bytes of a large request are not a valid {name} message whose fields come in the order "
             "of their numbers; encode it from the .proto file, and leave out fields that the file does not have"
         )
     return found
@@ -76,7 +76,7 @@ def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run]
 
 
 def _end_of_head(raw: bytes | bytearray) -> int:
-    """The position behind the fields of the head, which come before the runs."""
+    """The position after the fields of the head, which come before the runs."""
     at = 0
     while raw[at] in _HEAD_TAGS:
         if raw[at] & 7 == _FIXED64:

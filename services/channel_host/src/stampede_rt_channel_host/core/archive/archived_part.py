@@ -21,7 +21,7 @@ STRADDLING_MAX = 16
 class ChosenPart(NamedTuple):
     """The blocks of the next seqs, and the blocks whose items lie between theirs in time.
 
-    `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket behind all
+    `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
     these blocks, or None.
     """
 

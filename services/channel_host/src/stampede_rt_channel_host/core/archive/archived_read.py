@@ -126,7 +126,7 @@ class ArchivedRead:
         return WantedWindow(Wanted(self._start, high, self._held.overlap_nanos, size, down=True), FIRST_KEY, border)
 
     def take(self, window: ArchiveWindow) -> Pieces[None]:
-        """Read the items of a window, which lies behind the windows so far."""
+        """Read the items of a window, which lies after the windows so far."""
         if self._query.newest_first and self._edge is not None:
             window = self._bounded(window, self._edge)
         searching_more = self._left == 0

@@ -1,4 +1,4 @@
-"""The blocks of an archive: item runs as they were stored, behind a head with their place and checksums. Pure.
+"""The blocks of an archive: item runs as they were stored, after a head with their place and checksums. Pure.
 
 A segment is a file of blocks, one after the other. A block is never changed. Each block has a checksum of its head, and
 one of its content. So a flipped bit costs one block, and a reader finds the next block by its head.

@@ -157,7 +157,10 @@ def grown(segment: Segment, head: BlockHead) -> Segment:
 
 
 def holes(blocks: Iterable[PlacedBlock], taken: Set[int]) -> Iterator[Hole]:
-    """The holes of a segment beside the blocks at the offsets `taken`: never archived, or in a block without a head."""
+    """The holes next to the blocks that a read took: items never archived, or in a block without a head.
+
+    `taken`: the offsets of these blocks.
+    """
     for before, after in pairwise(one for one in blocks if one.head.kind == ITEMS):
         if before.offset in taken or after.offset in taken:
             yield from _between(before.head, after.head)
@@ -168,7 +171,7 @@ def border_holes(
     blocks_of: Callable[[Segment], Sequence[PlacedBlock]],
     taken: Mapping[Segment, Set[int]],
 ) -> Iterator[Hole]:
-    """The holes between two segments, beside the blocks at the offsets `taken` of each."""
+    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks."""
     for pair in pairwise(one for one in segments if one.items):
         if pair[0] not in taken and pair[1] not in taken:
             continue

@@ -38,7 +38,7 @@ class HeldItems:
     is the cause for which the item with that span end was collected. `newest_consumed` is the latest time of an item
     collected by consumption. `last_cause` is the cause of the last collection. `overlap_nanos`: within this time after
     an item with a duration, a later item does not end its span. `freed_entries` counts the entries freed so far.
-    `missed` counts the seqs of items that a copy never received; it is 0 in a channel that is no copy. `floor_resets`
+    `missed` counts the seqs of items that a copy never received; it is 0 unless the channel is a copy. `floor_resets`
     counts how often a late item has set the floor back.
     """
 

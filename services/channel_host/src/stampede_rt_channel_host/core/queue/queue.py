@@ -211,7 +211,7 @@ class QueueCore:
             self._due_work.follow_up(clock)
 
     def postpone_dead_letter(self, seq: int) -> None:
-        """Put a message whose move failed behind all other messages that wait for their move."""
+        """The move of a message failed: put it to the end of the messages that wait for their move."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 

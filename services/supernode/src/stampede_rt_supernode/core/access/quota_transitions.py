@@ -46,7 +46,7 @@ def set_quotas(state: DirectoryState, operation: SetQuotas, time_unix_nano: int)
 
 
 def remove_quotas(state: DirectoryState, operation: RemoveQuotas, time_unix_nano: int) -> QuotasRemoved:
-    """Remove settings of quotas. A missing setting is no error."""
+    """Remove settings of quotas. A missing setting is not an error."""
     settings = state.access.quotas.settings
     staying = [
         one for one in settings if one.who != operation.who or (operation.quotas and one.quota not in operation.quotas)

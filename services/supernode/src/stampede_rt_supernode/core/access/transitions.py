@@ -45,7 +45,7 @@ def add_access_rule(state: DirectoryState, operation: AddAccessRule, time_unix_n
 
 
 def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_unix_nano: int) -> AccessRuleRemoved:
-    """Remove a rule. A missing rule is no error."""
+    """Remove a rule. A missing rule is not an error."""
     rules = state.access.rules.rules
     if operation.rule not in rules:
         return AccessRuleRemoved(removed=False, version=state.access.version)

@@ -42,7 +42,7 @@ def _invalid(group: str, field: str, text: str) -> InvalidArgument:
 
 
 def same_spec(one: GroupSpec, other: GroupSpec) -> bool:
-    """Whether two specs mean the same. The order of members does not count, nor whether a default is stated."""
+    """Whether two specs mean the same. The order of members does not matter. A stated default is like none."""
     return _plain(one) == _plain(other)
 
 

@@ -120,7 +120,7 @@ def check_room(tables: Tables, queue: str) -> None:
 
 
 def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSpec) -> None:
-    """Check that the dead-letter queue exists, is no mailbox, and does not lead back to the queue.
+    """Check that the dead-letter queue exists, is not a mailbox, and does not lead back to the queue.
 
     `queue_id`, `shown`: the id and the shown name of the queue whose policy is `spec`. Raises QUEUE_NOT_FOUND or
     InvalidArgument.

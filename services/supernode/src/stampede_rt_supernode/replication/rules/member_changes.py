@@ -85,7 +85,7 @@ class MemberChanges:
         return self._addition is None and self._committing is None and not self._transfer.under_way
 
     def add(self, change: MemberChange) -> None:
-        """Begin a change, or refuse it. If the same change is under way, its caller waits for that one."""
+        """Begin a change, or refuse it. If the same change is under way already, `change` ends with it."""
         if not self._node.is_leader:
             self._finish([change], NotLeading("this replica does not lead"))
         elif self._joins_same_change(change):
@@ -136,7 +136,7 @@ class MemberChanges:
     # -- the steps of a change -----------------------------------------------------------------------------------
 
     def _joins_same_change(self, change: MemberChange) -> bool:
-        """If the same change is under way, let the caller wait for that one. Returns whether it is under way."""
+        """If the same change is under way, let `change` end with it. Returns whether it is under way."""
         addition, committing = self._addition, self._committing
         if addition is not None and not change.is_removal and addition.member == change.member:
             addition.callers.append(change)
@@ -193,7 +193,7 @@ class MemberChanges:
             self._node.set_learner(None)
 
     def _is_alive(self, addition: MemberAddition) -> bool:
-        """Whether the newcomer still answers: as a voter that is down, it could cost the cluster its majority."""
+        """Whether the newcomer still answers. As a voter that is down, it could cost the cluster its majority."""
         return self._node.has_answered(addition.member.member_id, within_seconds=self._alive_seconds)
 
     def _is_too_old(self, addition: MemberAddition) -> bool:

@@ -64,11 +64,11 @@ def make_backup(header: BackupHeader, record: bytes) -> Backup:
 def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
     """Read a backup. Returns its origin, and the state of a member that has only the backup's snapshot. Blocks.
 
-    Raises StoreDamaged if the file is no backup, is cut off or damaged, or is of another version. Raises OSError.
+    Raises StoreDamaged if the file is not a backup, is cut off or damaged, or is of another version. Raises OSError.
     """
     data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise StoreDamaged(f"{path} is no backup of a directory: name a file that `stampede supernode snapshot` wrote")
+        raise StoreDamaged(f"{path} is not a backup of a directory; name a file of `stampede supernode snapshot`")
     body, sha256 = data[:-SHA256_BYTES], data[-SHA256_BYTES:]
     if hashlib.sha256(body).digest() != sha256:
         raise StoreDamaged(f"{path} fails its checksum: it is cut off or damaged; use another backup")
