@@ -99,7 +99,7 @@ def check(proto: Path, stable: Path) -> int:
         return 1
     left_out = unserved(proto)
     if left_out:
-        print(f"not served yet, and no part of the accepted contract: {', '.join(one.name for one in left_out)}")
+        print(f"not served yet, and not part of the accepted contract: {', '.join(one.name for one in left_out)}")
     if fresh != stable.read_bytes():
         print(f"{stable.name} does not protect the newest additions yet: python tools/breaking.py --accept")
     return 0

@@ -59,7 +59,7 @@ def listed(page: str) -> list[str]:
 
 
 def complaints(modules: Iterable[tuple[str, str]], page: str) -> list[str]:
-    """Return what is wrong. `modules`: (path, source)."""
+    """Return a line for each fault. `modules`: (path, source)."""
     found, used = [], {UNNAMED}
     for path, source in modules:
         used |= _events(ast.parse(source)) - {""}

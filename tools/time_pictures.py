@@ -78,7 +78,7 @@ def drawn(
 ) -> list[Drawn]:
     """Return the drawing of items in the order of the read. Items of one time are below each other.
 
-    `shown`: those that a group shows.
+    `shown`: the items that a group shows.
     """
     visible = {item.seq for item in (items if shown is None else shown)}
     found: list[Drawn] = []

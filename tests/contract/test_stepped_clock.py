@@ -62,7 +62,7 @@ def test_a_stepped_wall_clock_does_not_freeze_a_channel(
 
 
 @STEPS
-def test_a_put_that_waits_for_the_oldest_item_to_age_is_let_in_after_a_step(
+def test_a_put_that_waits_until_the_oldest_item_is_too_old_is_accepted_after_a_step(
     host: LoopbackHost, rt: st.Connection, step: int, request: pytest.FixtureRequest
 ) -> None:
     channel = rt.channel(f"full/{request.node.callspec.id}", max_items=1, max_age="2s", on_full="block")

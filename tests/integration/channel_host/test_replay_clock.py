@@ -48,7 +48,7 @@ def depth(rt: Any, found: list[object]) -> list[object]:
 def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) -> None:
     """Put the frames of both cameras: some of the right ones late, out of order, or never.
 
-    Each frame waits until the live consumer has `seen` what is decided, so that it decides as early as it can.
+    Before the next frame, wait until the live consumer has `seen` all decided frames, so that it decides each early.
     """
     decided = 0
     for number in range(FRAMES):
@@ -64,7 +64,7 @@ def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) ->
         channel.advance(began + SECOND)
 
 
-def test_ten_replays_at_three_speeds_give_a_consumer_what_it_got_live(rt: st.Connection) -> None:
+def test_ten_replays_at_three_speeds_give_a_consumer_the_same_as_live(rt: st.Connection) -> None:
     left, right = (rt.channel(f"eye/{side}", max_age="60s", archive="7d") for side in ("left", "right"))
     rt.group("stereo", [left, right])
     start, live = left.stats().host_time, []
@@ -90,7 +90,7 @@ def test_blocking_reads_move_the_clock_to_the_instant_of_their_answer(rt: st.Con
         assert seen.newest() is None
         item = seen.newest(timeout=10)
         while item is not None:
-            assert seen.newest() == item  # no time passes between two waits
+            assert seen.newest() == item  # the clock stands still between two waits
             found.append(item.payload)
             instants.append(replay.now)
             item = seen.newest(after=item, timeout=1)
@@ -114,7 +114,7 @@ def test_a_subscription_gives_the_items_in_the_order_of_their_acceptance(rt: st.
         assert [item.payload for item in items] == [b"held", b"a", b"c", b"late", b"d"]
 
 
-def test_a_clock_of_steps_moves_only_when_it_is_told_to(rt: st.Connection) -> None:
+def test_a_clock_of_steps_moves_only_by_steps(rt: st.Connection) -> None:
     channel = rt.channel("clock/steps", max_age="60s", archive="7d")
     start = channel.stats().host_time
     channel.put(b"one")
@@ -148,7 +148,7 @@ def test_a_close_ends_a_read_that_waits_for_the_clock(cluster: LocalCluster, clo
             reading.result(30)
 
 
-def test_a_replay_ends_where_it_is_told_to(rt: st.Connection) -> None:
+def test_a_replay_ends_at_its_stated_end(rt: st.Connection) -> None:
     channel = rt.channel("clock/end", max_age="60s", archive="7d")
     start = channel.stats().host_time
     channel.put(b"one")

@@ -1,4 +1,4 @@
-"""Connections and handles that are copied, pickled and passed to other processes, and how they show themselves."""
+"""Connections and handles that are copied, pickled and passed to other processes, and the texts of their `repr`."""
 
 from __future__ import annotations
 

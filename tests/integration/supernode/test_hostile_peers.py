@@ -74,7 +74,7 @@ async def terms(cluster: Cluster) -> set[int]:
     return {pong.term for pong in pongs}
 
 
-async def test_outsiders_introduce_nobody_and_unseat_nobody_however_often_they_come(tmp_path: Path) -> None:
+async def test_outsiders_add_no_member_and_unseat_no_leader_however_often_they_come(tmp_path: Path) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         await register(leader, 1)
@@ -108,7 +108,7 @@ async def test_a_process_with_the_name_of_a_member_needs_the_store_of_that_membe
         await open_channel(leader, "cam/1")
 
 
-async def test_a_member_whose_store_is_known_to_a_liar_ends_no_process_and_raises_no_term(tmp_path: Path) -> None:
+async def test_a_liar_with_the_store_of_a_member_ends_no_process_and_raises_no_term(tmp_path: Path) -> None:
     """The liar has stopped a member and taken its folder. Each lie costs it its stream, and does no other harm."""
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()

@@ -1,4 +1,4 @@
-"""Hosts with channels, and groups over these channels, beside oracles that know what each host was told.
+"""Hosts with channels and groups over them, and for each host an oracle with the messages that this host got.
 
 Every channel is a ChannelPair, so that its own oracle checks that groups do not affect it. The readers of descriptors
 are in `readers`, and those of whole groups in `listeners`.
@@ -46,7 +46,7 @@ class Placed:
 class Host:
     """The knowledge of one host, in the core and in the oracle.
 
-    `told_by`: the hosts that have told it all since it began.
+    `told_by`: the hosts that have sent this host all their knowledge since it began.
     """
 
     def __init__(self, definitions: Sequence[GroupDefinition]) -> None:
@@ -318,7 +318,7 @@ class World:
             self.hosts[host] = Host(self.definitions)
 
     def stale_words(self, channel_id: bytes) -> None:
-        """Deliver an old message of a former owner. It changes nothing."""
+        """Deliver an old message of a former owner, and check that it changes nothing."""
         one = self.placed[channel_id]
         for host in self.hosts:
             if (known := host.board.find(channel_id)) is not None and known.times.epoch == one.epoch:

@@ -69,7 +69,7 @@ class ShortOfMemory(_Leases):
 
 
 class ShortOfPeersMemory(_Leases):
-    """The same for peers."""
+    """A leader that uses a shorter lease for peers than that of the cluster."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         await super()._take_over(status)
@@ -95,7 +95,7 @@ def found_within(seeds: int, **planted: Any) -> bool:
         try:
             simulate.run(seed, **planted)
         except (PromiseBroken, NotLinearizable, InvariantViolation):
-            return True  # the last one: a supernode noticed the fault itself, and stopped
+            return True  # InvariantViolation: a supernode noticed the fault itself, and stopped
     return False
 
 
@@ -125,5 +125,5 @@ def test_a_host_that_does_not_fence_itself_is_found(monkeypatch: pytest.MonkeyPa
     assert found_within(40)
 
 
-def test_a_disk_that_forgets_what_it_acknowledged_is_found() -> None:
+def test_a_disk_that_forgets_acknowledged_writes_is_found() -> None:
     assert found_within(40, forgets=1)

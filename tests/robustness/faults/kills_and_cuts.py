@@ -49,7 +49,7 @@ async def kill_follower(scene: Scene) -> None:
 async def kill_all(scene: Scene) -> None:
     """Kill all supernodes together, and start them at once.
 
-    The recovery includes their start, which is reported apart.
+    The recovery includes their start. The report also gives the time of the start alone.
     """
     began = time.monotonic()
     for one in scene.cluster.supernodes:
@@ -129,7 +129,7 @@ async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
 def _check_ways(scene: Scene, pairs: Pairs) -> str:
     """Send a datagram in each direction between all supernodes and cut processes.
 
-    Check that exactly the uncut ways work.
+    Check that datagrams arrive in all directions except the cut ones.
     """
     namespaces = {namespace for pair in pairs for namespace in pair} | {
         one.namespace for one in scene.cluster.supernodes

@@ -34,7 +34,7 @@ class EnforcingPart(NamedTuple):
 def parts_behind(endpoints: EndpointPool, judges: Iterable[EnforcingPart], version: int) -> dict[str, str]:
     """Wait until all `judges` apply `version` of access or a later one. Begins no round after IN_FORCE_SECONDS.
 
-    A round asks one part after the other, so a part that hangs makes it up to CALL_SECONDS longer. Returns the names of
+    A round asks one part after the other, so a part that hangs prolongs it by up to CALL_SECONDS. Returns the names of
     the parts that do not apply this version yet, each with the reason.
     """
     waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS

@@ -24,8 +24,9 @@ def file_of(
 ) -> Iterator[tuple[str, int]]:
     """Yield the path of a file with the items of `sources`, and a status: 0, or INCOMPLETE if items are missing.
 
-    One source that exists as a file is that file, with status 0. Other sources are names of channels, or globs. Their
-    file is written below `folder` (None: the folder for temporary files), and is deleted at the end. `since`: as in
+    If the only source is an existing file, yields this file and status 0. Otherwise the sources are names of channels,
+    or globs. The command then writes a file below `folder` (None: the folder for temporary files), and deletes it at
+    the end. `since`: as in
     `Connection.record`. Raises InvalidArgument if there is neither a file nor a channel.
     """
     if len(sources) == 1 and os.path.exists(sources[0]):

@@ -61,7 +61,7 @@ class RoleProcesses:
         return {name: role.process.pid for name, role in self._roles.items()}
 
     def start(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
-        """Start a role, with `environment` on top of the one that all have. Raises DemoFailed if it cannot be run."""
+        """Start a role. `environment` adds variables for this role alone. Raises DemoFailed if it cannot start."""
         try:
             process = subprocess.Popen(
                 command,

@@ -38,22 +38,22 @@ class Turns:
             time.sleep(_GIVE_WAY_SECONDS)
 
     def loop_ended(self) -> None:
-        """Let others look for ever. Call it on the loop's thread, when the loop is closed."""
+        """Release the lock for good. Call it on the loop's thread, when the loop is closed."""
         self.lock.release()
 
     def give(self) -> None:
-        """Let others look. The loop calls it before it waits for events."""
+        """Release the lock, so that other threads can look. The loop calls it before it waits for events."""
         self.lock.release()
 
     def take(self) -> None:
-        """Let nobody look any more. The loop calls it when it has waited."""
+        """Take the lock again. The loop calls it after the wait."""
         self._is_awaited = True
         self.lock.acquire()
         self._is_awaited = False
 
 
 class _GivingSelector(selectors.DefaultSelector):  # type: ignore[misc, valid-type, unused-ignore]  # one of several
-    """A selector during whose waits other threads have their turn."""
+    """A selector that releases the lock of `turns` while it waits."""
 
     def __init__(self, turns: Turns) -> None:
         super().__init__()

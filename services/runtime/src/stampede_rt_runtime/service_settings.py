@@ -1,7 +1,7 @@
 """The settings that all services share.
 
-The help of a service comes from its settings alone. Therefore no module of settings loads gRPC. The methods here import
-late.
+The help of a service comes from its settings alone. Therefore no module of settings loads gRPC. The methods of this
+module import it only when they run.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ TOKENS = (b"", b"null", b"[]", b"{}", b"\xff", b"-1", b"1e999", b'"')
 
 
 def content(source: ByteSource, sound: bytes) -> bytes:
-    """A sound file that was changed, cut or replaced."""
+    """The content of a valid file, changed, cut or replaced."""
     kind = source.below(10)
     if kind == 0:
         return source.choice((b"", NESTED, b"\xff\xfe", b"\0" * 100, hostile_values.text(source).encode()))
@@ -60,7 +60,7 @@ def content(source: ByteSource, sound: bytes) -> bytes:
 
 @contextmanager
 def folder() -> Iterator[Path]:
-    """An empty one, in memory if the system has such a place."""
+    """An empty folder, in memory if the system has /dev/shm."""
     place = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=place if place.is_dir() else None) as name:
         yield Path(name)
@@ -157,7 +157,7 @@ def certificate(source: ByteSource) -> None:
     authority = _authority()
     data = _reencoded(source, authority.certificate) if source.chance(60) else content(source, authority.certificate)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the library, at numbers that a standard forbids
+        warnings.simplefilter("ignore")  # the library warns about numbers that a standard forbids
         for read in (describe, cluster_of):
             read(data)
         issue(IssuedCertificate(data, authority.key), IDENTITY, (), now=MADE, lifetime=timedelta(days=1))

@@ -1,4 +1,4 @@
-"""The drain of a host: which host gets a channel when the first one has no room, or stops too."""
+"""The drain of a host: which host gets a channel if the first one has no room, or also stops."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
 
 
 async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Drained:
-    """Drain so many channels, which are in no groups, to these hosts. Returns the outcome."""
+    """Drain `channels` channels without groups to these hosts. Returns the outcome."""
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
         for number, host in enumerate(hosts):
@@ -100,13 +100,13 @@ async def test_a_recorded_channel_goes_to_a_host_with_an_archive_or_nowhere() ->
     assert (moved, [*left.values()]) == (0, ["it is recorded (archive), and no other live host has an archive"])
 
 
-async def test_a_host_that_stops_too_gets_nothing() -> None:
+async def test_a_host_that_also_stops_gets_no_channel() -> None:
     stopping, free = Host(always=SHUTTING_DOWN), Host()
     assert await drained(3, stopping, free) == Drained(3, {})
     assert len(free.taken) == 3
 
 
-async def test_a_frozen_host_holds_no_channel_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_frozen_host_delays_no_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 0.2)
     frozen, free = Host(is_frozen=True), Host()
     assert await drained(20, frozen, free) == Drained(20, {})

@@ -15,7 +15,7 @@ from stampede_rt_supernode.joining.copied_folder import FINDINGS_NEEDED, OwnAddr
 
 
 class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """Answers each ping with the next of these; the last one stays."""
+    """Answers each ping with the next of `pongs`, and repeats the last one."""
 
     def __init__(self, *pongs: tuple[str, str, int]) -> None:
         self._pongs = list(pongs)
@@ -28,7 +28,7 @@ class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
 
 
 async def watched(one: Answering, looks_max: int = 20) -> str:
-    """The finding of process 7 of s1, of cluster "c": "itself", "copy", or "looks" if it still looks."""
+    """The finding of process 7 of s1, of cluster "c": "itself", "copy", or "looks" if it has found nothing yet."""
     looks = 0
 
     async def count(seconds: float) -> None:

@@ -51,7 +51,7 @@ def leaving(number: int, *, boot: int = 1) -> pb.DeregisterPeerRequest:
 
 
 async def seconds_with_the_host(node: Node, seconds: int, *peers: int) -> None:
-    """Time in which the host and these peers keep their leases."""
+    """Let the time pass. Each second the host and these peers renew their leases."""
     for _ in range(seconds):
         await node.renew(1)
         for peer in peers:
@@ -168,7 +168,7 @@ async def test_a_leader_follows_the_peers_that_change_and_all_of_them_a_few_in_a
     await node.leases.tick()
     assert len(noted) == 1
     noted.clear()
-    node.replica.prepare_restore(node.replica.begin_snapshot()())()  # no change is known of the new state
+    node.replica.prepare_restore(node.replica.begin_snapshot()())()  # the watch knows no changes of the restored state
     await node.leases.tick()
     assert len(noted) == 31
 
@@ -187,7 +187,7 @@ async def test_another_boot_can_neither_renew_nor_leave(node: Node) -> None:
     await node.peers.DeregisterPeer(leaving(99))  # a peer that is not registered counts as having left
 
 
-async def test_peers_are_listed_by_name_and_the_nameless_last(node: Node) -> None:
+async def test_peers_are_listed_by_name_and_those_without_a_name_last(node: Node) -> None:
     for number, name in ((5, "b"), (6, "a"), (4, ""), (3, ""), (9, "a/x")):
         await node.peers.RegisterPeer(entering(number, name))
     names, token = [], ""
@@ -203,7 +203,7 @@ async def test_peers_are_listed_by_name_and_the_nameless_last(node: Node) -> Non
     assert (await reason_of(node.peers.ListPeers(other))).reason == "INVALID_ARGUMENT"
 
 
-async def test_the_dead_are_listed_if_asked_for(node: Node) -> None:
+async def test_peers_without_a_lease_are_listed_on_request(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7, "planner"))
     await seconds_with_the_host(node, 6)
     await node.peers.RegisterPeer(entering(8, "planner"))
@@ -241,7 +241,7 @@ async def _changes(watch: Any, count: int) -> list[peer_pb2.PeerChange]:
     return seen
 
 
-async def test_a_watch_from_what_is_not_kept_must_begin_anew(node: Node) -> None:
+async def test_a_watch_from_an_index_that_is_not_kept_must_begin_anew(node: Node) -> None:
     watch = node.peers.WatchPeers(pb.WatchPeersRequest(after_index=node.log.index + 1))
     assert (await reason_of(watch.read())).reason == "WATCH_RESTART"
 
@@ -263,7 +263,7 @@ async def clocks(node: Node, **fields: Any) -> dict[str, peer_pb2.ClockOffset | 
     return {peer.name: peer.clock if peer.HasField("clock") else None for peer in listed.peers}
 
 
-async def test_the_leader_tells_what_peers_told_it_of_their_clocks_and_only_if_asked(node: Node) -> None:
+async def test_the_leader_gives_the_reported_clocks_of_peers_only_on_request(node: Node) -> None:
     registered = await node.peers.RegisterPeer(entering(7, "planner", clock=BEHIND))
     await node.peers.RegisterPeer(entering(8, "older"))
     assert await clocks(node) == {"older": None, "planner": BEHIND}
@@ -297,7 +297,7 @@ async def test_a_renewal_tells_the_time_of_the_leader_and_how_long_it_was_held(n
     assert renewed.held_nanos == 3_000_000
 
 
-async def test_a_new_leader_knows_the_clocks_that_it_was_told_and_a_follower_sends_to_the_leader(node: Node) -> None:
+async def test_a_new_leader_knows_only_clocks_reported_to_it_and_a_follower_names_the_leader(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7, "planner", clock=BEHIND))
     node.log.tenure = 2
     await node.leases.tick()
@@ -309,7 +309,7 @@ async def test_a_new_leader_knows_the_clocks_that_it_was_told_and_a_follower_sen
     lookup = pb.ResolvePeerRequest(name="planner", with_clocks=True)
     assert (await reason_of(node.peers.ResolvePeer(lookup))).reason == "NOT_LEADER"
     await node.leases.tick()
-    await node.peers.RegisterPeer(entering(8, "late", clock=BEHIND))  # of a follower, which passes over its clock
+    await node.peers.RegisterPeer(entering(8, "late", clock=BEHIND))  # at a follower, which ignores the clock
     node.log.leader_id, node.log.tenure = "s1", 3
     await node.leases.tick()
     assert await clocks(node) == {"late": None, "planner": None}

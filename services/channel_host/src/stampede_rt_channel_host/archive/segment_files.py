@@ -73,8 +73,8 @@ class OpenedArchive(NamedTuple):
 class SegmentFiles(SegmentReads):
     """Reads and writes the segments of one channel. One thread writes; any threads read at the same time.
 
-    `run_bytes_max`: the most bytes that a run, or some advances, take on the disk beside their own: a block of their
-    own, a gap before it, and the beginning of a segment.
+    `run_bytes_max`: the most bytes that a run, or some advances, take on the disk besides their own bytes: a head of
+    a block, a gap before it, and the beginning of a segment.
     """
 
     def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
@@ -151,7 +151,7 @@ class SegmentFiles(SegmentReads):
         return self._segments
 
     def drop_outdated(self, limits: ArchiveLimits, now: int) -> tuple[Segment, ...]:
-        """Delete the segments that the limits do not keep at `now`, but for the last one. Returns the others."""
+        """Delete the segments that the limits do not keep at `now`, except the last one. Returns the others."""
         self._drop_old(limits, now)
         return self._segments
 
@@ -218,7 +218,7 @@ class SegmentFiles(SegmentReads):
     def _undo(self, before: tuple[Segment, ...]) -> None:
         """Take back the bytes that a failed write has appended. The next write begins a new segment.
 
-        What cannot be taken back now is left over: `_delete_leftovers` and `open` find it.
+        If some bytes cannot be taken back now, `_delete_leftovers` or `open` deletes them later.
         """
         file, self._file = self._file, None
         self._segments = before
@@ -262,7 +262,7 @@ class SegmentFiles(SegmentReads):
     def close(self, stop: CleanStop | None) -> None:
         """End the present segment. `stop`: all accepted items are in the archive.
 
-        Without it, deletes a folder without files. With it the folder stays, because the note must.
+        Without it, deletes a folder without files. With it the folder stays, because it holds the note.
         """
         self._end_segment()
         if stop is not None and self._folder.is_dir():

@@ -39,7 +39,7 @@ def identify(accepted: AcceptedProofs, authorization: bytes | None, certificate:
     brought = _brought(authorization)
     token = _token(accepted, brought)
     if token is not None:
-        # before the certificate: many clients may share that, and the token names one of them
+        # the token comes first, because it names one client, and many clients may share a certificate
         return replace(token, connection=certified)
     secret = _by_secret(accepted, brought) if accepted.secrets else None
     return certified or secret or ANYONE
@@ -51,7 +51,7 @@ def of_certificate_alone(accepted: AcceptedProofs, certificate: CallerCertificat
 
 
 def _brought(authorization: bytes | None) -> bytes | None:
-    """The secret or token in the metadata; None: there is none. Empty: the metadata has another scheme."""
+    """The secret or token in the metadata. None: the metadata has none. Empty: it has another scheme."""
     if authorization is None:
         return None
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""

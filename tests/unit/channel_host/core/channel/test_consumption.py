@@ -29,7 +29,7 @@ def three_items(consumers: int = 2, **policy: int | str) -> ChannelCore:
     return channel
 
 
-def test_an_item_goes_once_so_many_distinct_consumers_have_consumed_it() -> None:
+def test_an_item_leaves_when_a_consumer_of_each_place_has_consumed_it() -> None:
     channel = three_items()
     assert channel.consume(ANN, [1, 2], CLOCK).items == 2
     assert held(channel) == [1, 2, 3], "one place was never taken, and holds all"
@@ -38,14 +38,14 @@ def test_an_item_goes_once_so_many_distinct_consumers_have_consumed_it() -> None
     assert channel.counters(CLOCK).collected["consumption"] == 1
 
 
-def test_consuming_twice_is_as_good_as_once() -> None:
+def test_consuming_twice_has_the_same_effect_as_once() -> None:
     channel = three_items()
     assert channel.consume(ANN, [1, 2], CLOCK).items == 2
     assert channel.consume(ANN, [1, 2, 3, 3], CLOCK).items == 1
-    assert held(channel) == [1, 2, 3], "one consumer is no two"
+    assert held(channel) == [1, 2, 3], "one consumer counts once"
 
 
-def test_an_item_stays_until_those_before_it_go_so_that_no_span_grows() -> None:
+def test_an_item_stays_until_the_items_before_it_leave_so_that_no_span_grows() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [2, 3], CLOCK)
     assert times_of(get(channel, 25, 25).slices) == [20]
@@ -89,7 +89,7 @@ def test_a_consumer_that_comes_back_before_its_lease_ends_goes_on_where_it_was()
     assert held(channel, CLOCK + LEASE_NANOS) == [3], "each consume renews the lease"
 
 
-def test_a_newcomer_takes_an_ended_place_before_one_that_waits_for_somebody_else() -> None:
+def test_a_new_consumer_takes_an_ended_place_before_a_place_that_was_never_taken() -> None:
     channel = three_items()
     channel.consume(ANN, [1], CLOCK, lease_nanos=5)
     channel.consume(BOB, [1, 2, 3], CLOCK + 5)
@@ -104,13 +104,13 @@ def test_a_place_is_given_up_at_once_by_a_lease_of_zero() -> None:
     assert held(channel) == []
 
 
-def test_giving_up_a_place_that_one_does_not_have_takes_none() -> None:
+def test_a_consumer_without_a_place_that_gives_it_up_takes_none() -> None:
     channel = three_items()
     channel.consume(ANN, [], CLOCK, lease_nanos=0)
     assert channel.consumers(CLOCK) == []
 
 
-def test_with_no_consumer_left_the_newest_bucket_stays_to_be_found() -> None:
+def test_the_newest_bucket_stays_when_the_last_consumer_is_gone() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [], CLOCK, lease_nanos=5)
     assert held(channel, CLOCK + 5) == [3]
@@ -130,7 +130,7 @@ def test_a_blocked_put_fits_when_consumption_has_made_room_or_the_last_lease_has
     assert held(channel, CLOCK + LEASE_NANOS) == [5]
 
 
-def test_a_late_item_is_taken_below_what_consumption_took() -> None:
+def test_a_late_item_is_accepted_below_consumed_items() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [1, 2], CLOCK)
     assert put(channel, 5, 15).rejections == ()
@@ -139,7 +139,7 @@ def test_a_late_item_is_taken_below_what_consumption_took() -> None:
 
 
 def test_the_rest_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_below_it() -> None:
-    """Trimmed, the first entry of the bucket once came after the others: reads then gave 7 to 12 before 3 to 6."""
+    """Earlier, a trimmed first entry of the bucket came after the others, and reads gave 7 to 12 before 3 to 6."""
     channel = a_channel(consumers=1)
     put(channel, *[100] * 6)
     put(channel, *[100] * 6)
@@ -160,7 +160,7 @@ def test_a_late_item_below_a_run_that_is_half_consumed_leaves_the_other_half() -
     assert times_of(get(channel).slices) == [40]
 
 
-def test_the_other_limits_take_what_is_not_consumed_whichever_comes_first() -> None:
+def test_the_other_limits_also_collect_items_that_are_not_consumed() -> None:
     channel = three_items(consumers=1, max_items=3)
     put(channel, 40)
     counters = channel.counters(CLOCK)
@@ -168,7 +168,7 @@ def test_the_other_limits_take_what_is_not_consumed_whichever_comes_first() -> N
     assert channel.consume(ANN, [1, 2], CLOCK).items == 1, "the first was gone"
 
 
-def test_an_interval_stays_finished_when_the_item_behind_it_is_consumed() -> None:
+def test_an_interval_stays_finished_when_the_item_after_it_is_consumed() -> None:
     channel = three_items(consumers=1)
     assert get(channel, 21, 29).complete
     channel.consume(ANN, [1, 2, 3], CLOCK)
@@ -178,7 +178,7 @@ def test_an_interval_stays_finished_when_the_item_behind_it_is_consumed() -> Non
     assert "consumed" in answer.reason.detail
 
 
-def test_a_long_delay_is_made_up_for_in_small_parts() -> None:
+def test_a_large_backlog_is_collected_in_small_parts() -> None:
     channel = a_channel(consumers=1)
     for time in range(8000):
         put(channel, time)
@@ -202,7 +202,7 @@ def test_fewer_consumers_end_the_places_whose_leases_end_first() -> None:
         channel.consume(BOB, [], CLOCK)
 
 
-def test_more_consumers_hold_what_is_there_until_they_have_come() -> None:
+def test_added_places_hold_all_items_until_consumers_take_these_places() -> None:
     channel = three_items(consumers=1)
     channel.configure(Policy(consumers=2), CLOCK)
     channel.consume(ANN, [1, 2, 3], CLOCK)
@@ -211,7 +211,7 @@ def test_more_consumers_hold_what_is_there_until_they_have_come() -> None:
     assert held(channel) == [3]
 
 
-def test_consumers_can_be_asked_for_while_a_channel_is_in_use() -> None:
+def test_a_channel_in_use_can_get_consumers() -> None:
     channel = a_channel(max_items=4)
     put(channel, 10, 30, 20, 50, 40, 60)
     channel.configure(Policy(consumers=1), CLOCK)
@@ -237,7 +237,7 @@ def test_an_impossible_consumption_is_refused_and_takes_no_place(
     assert channel.consumers(CLOCK) == []
 
 
-def test_a_channel_without_consumers_keeps_nothing_for_anybody_and_says_so() -> None:
+def test_a_channel_without_consumers_refuses_consumption() -> None:
     channel = a_channel(max_items=4)
     put(channel, 10)
     with pytest.raises(InvalidArgument, match="counts no consumption"):
@@ -277,7 +277,7 @@ def test_the_window_falls_back_to_its_lower_bound_when_the_slow_consumer_is_gone
     assert held(channel, CLOCK + LEASE_NANOS) == [2]
 
 
-def test_a_late_item_within_the_prolonged_window_is_taken_and_one_behind_it_is_not() -> None:
+def test_a_late_item_within_the_prolonged_window_is_accepted_and_an_older_one_is_not() -> None:
     channel = a_channel(max_age_nanos=100, max_age_unconsumed_nanos=1000)
     put(channel, CLOCK, durations=[0])
     assert [one.error.reason for one in put(channel, CLOCK - 500, durations=[0]).rejections] == ["TOO_OLD"]
@@ -333,7 +333,7 @@ def test_one_slow_consumer_among_a_thousand_costs_what_it_consumes() -> None:
     assert retention.consumers.looked_at - before <= 800
 
 
-def test_no_consumer_owes_items_that_age_took_and_the_channel_does_not_tell_each_of_a_thousand() -> None:
+def test_no_consumer_owes_items_collected_by_age_and_a_put_does_not_visit_each_of_a_thousand() -> None:
     channel = a_channel(consumers=1000, max_age_nanos=100)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None
@@ -346,10 +346,10 @@ def test_no_consumer_owes_items_that_age_took_and_the_channel_does_not_tell_each
     now = CLOCK + 1990
     held_now = held(channel, now)
     assert {place.waiting for place in channel.consumers(now)} == {len(held_now)}
-    assert channel.consume(5, range(1, 201), now).items == len(held_now), "what is gone counts for nobody"
+    assert channel.consume(5, range(1, 201), now).items == len(held_now), "collected items count for no consumer"
 
 
-def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_it_when_it_counts() -> None:
+def test_consumers_learn_of_collected_items_in_bounded_parts_and_of_all_before_they_consume() -> None:
     channel = a_channel(consumers=2)
     for time in range(5000):
         put(channel, CLOCK + time)
@@ -358,7 +358,7 @@ def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_i
     held, _ = channel.look(CLOCK)
     assert held.items == 10
     assert held.report_gone(1), "there is more to tell"
-    assert held.index.has_below(held.floor), "what was not told of is not freed"
+    assert held.index.has_below(held.floor), "items that consumers have not heard of are not freed"
     parts = 1 + sum(1 for _ in channel.catching_up(CLOCK))
     assert parts > 10
     assert channel.consume(1, [1, 4991], CLOCK).items == 1

@@ -30,7 +30,7 @@ from tests.support.supernode.list_machine import ListMachine
 
 
 class Nobody:
-    """A network without anyone in it."""
+    """A network without other members."""
 
     def release(self, messages: object) -> None:
         raise AssertionError("there is nobody to send to")
@@ -91,7 +91,7 @@ def texts(record: bytes) -> list[bytes]:
     return [text for _, text in machine.entries]
 
 
-def test_a_snapshot_holds_everything_that_was_applied_when_it_was_asked_for() -> None:
+def test_a_snapshot_holds_all_entries_that_were_applied_before_the_request() -> None:
     alone = Alone(MemoryStore())
     for text in (b"a", b"b"):
         alone.propose(text)
@@ -102,13 +102,13 @@ def test_a_snapshot_holds_everything_that_was_applied_when_it_was_asked_for() ->
     assert texts(alone.snapshot().record) == [b"a", b"b", b"c"]
 
 
-def test_without_anything_new_the_last_snapshot_is_the_answer() -> None:
+def test_without_a_new_entry_the_last_snapshot_is_the_answer() -> None:
     alone = Alone(MemoryStore())
     alone.propose(b"a")
     assert alone.snapshot() is alone.snapshot()
 
 
-def test_waiting_requests_are_told_when_the_replica_closes() -> None:
+def test_waiting_requests_get_an_error_when_the_replica_closes() -> None:
     alone = Alone(MemoryStore())
     alone.ask()
     alone.replica.close()
@@ -126,7 +126,7 @@ def test_changes_of_the_members_that_wait_when_the_replica_closes_are_answered()
     assert sorted(str(one) for one in answers) == ["False", "this replica is closing"]
 
 
-def test_no_more_than_a_few_wait() -> None:
+def test_only_so_many_requests_may_wait() -> None:
     alone = Alone(MemoryStore())
     for _ in range(SNAPSHOT_REQUESTS_MAX):
         alone.ask()

@@ -11,11 +11,10 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 
 
 class ArchiveSpan:
-    """The facts that an archive knows without a look at the disk:
+    """The facts that an archive keeps in memory.
 
-    `oldest` and `newest` are times, or None if it is empty.
-
-    `is_cut`: items before the oldest one were archived once, and are gone.
+    `oldest` and `newest` are times, or None if the archive is empty. `is_cut`: items before the oldest one were
+    archived once, and are gone.
     """
 
     __slots__ = ("is_cut", "newest", "oldest")
@@ -27,12 +26,12 @@ class ArchiveSpan:
 
 
 def earliest(one: int | None, other: int | None) -> int | None:
-    """The earlier of two times, of which each may be missing."""
+    """The earlier of two times. None stands for a missing time."""
     return one if other is None else other if one is None else min(one, other)
 
 
 def latest(one: int | None, other: int | None) -> int | None:
-    """The later of two times, of which each may be missing."""
+    """The later of two times. None stands for a missing time."""
     return one if other is None else other if one is None else max(one, other)
 
 
