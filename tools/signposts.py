@@ -1,6 +1,6 @@
 """Check the documents: the paths that they name, the picture of the layers, and the index of decisions.
 
-Without an option, draw the layers into ARCHITECTURE.md again. With --check, print what is wrong, and change nothing.
+Without an option, draw the layers into ARCHITECTURE.md again. With --check, print the faults, and change nothing.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def merge_complaints(pages: Mapping[str, str]) -> list[str]:
 
 
 def complaints() -> list[str]:
-    """Return everything that is wrong on the present pages."""
+    """Return a line for each fault of the present pages."""
     files = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, check=True, capture_output=True, text=True,

@@ -45,7 +45,7 @@ Row = tuple[str, str]
 
 @dataclass
 class Alone:
-    """A replica that commits alone, or follows a leader that is played."""
+    """A replica that commits alone, or follows a leader that the benchmark plays."""
 
     folder: Path
     peers: tuple[str, ...] = ()

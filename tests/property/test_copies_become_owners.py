@@ -1,6 +1,6 @@
 """A copy that was fed with all facts of its owner becomes the owner, and no client notices.
 
-The scenario goes on at the new owner: its items, consumers, counts and answers to repeated runs are the oracle's.
+The scenario goes on at the new owner: its items, consumers, counts and answers to repeated runs agree with the oracle.
 `STAMPEDE_PROPERTY_EXAMPLES` sets the number of scenarios.
 """
 

@@ -107,7 +107,7 @@ def told(answer: ReadAnswer) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_an_answer_in_pieces_is_that_of_the_moment_when_it_was_begun(name: str) -> None:
+def test_an_answer_in_pieces_is_the_answer_of_its_first_moment(name: str) -> None:
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(item_blocks, "BLOCK_ITEMS", 4):
         for seed in range(300):
@@ -123,7 +123,7 @@ def test_an_answer_in_pieces_is_that_of_the_moment_when_it_was_begun(name: str) 
     assert unfinished > 30
 
 
-def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_begun() -> None:
+def test_an_answer_through_a_group_in_pieces_is_the_answer_of_its_first_moment() -> None:
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(300):
@@ -147,7 +147,7 @@ def polled(
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_a_get_that_is_looked_at_later_finds_what_it_would_have_found_at_the_moment(name: str) -> None:
+def test_a_get_that_reads_a_snapshot_later_finds_the_same_as_at_the_moment_of_the_snapshot(name: str) -> None:
     """Gets of the channel alone, and through a group."""
     released = {False: 0, True: 0}
     for seed in range(300):
@@ -173,7 +173,7 @@ def test_a_get_that_is_looked_at_later_finds_what_it_would_have_found_at_the_mom
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_a_subscription_that_begins_in_pieces_owes_what_was_held_when_it_was_begun(name: str) -> None:
+def test_a_subscription_that_begins_in_pieces_owes_the_items_that_were_held_at_its_beginning(name: str) -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(100):
             busy = Busy(POLICIES[name], seed)

@@ -37,7 +37,7 @@ async def many_streams(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def blocked_gets(ground: Ground, under_way: Callable[[], None]) -> None:
-    """30,000 gets that wait for an item of the good clients' channel an hour ahead; refused ones are sent again."""
+    """30,000 gets wait for an item of the good clients' channel an hour ahead. Refused gets are sent again."""
     known = await ground.bound(GOOD_CHANNEL)
     start = time_pb2.Bound(instant_unix_nano=st.now() + FAR_NANOS)
     request = pb.GetRequest(
@@ -59,7 +59,7 @@ async def _block(call: Any, request: pb.GetRequest) -> None:
 
 
 async def busy_puts(ground: Ground, under_way: Callable[[], None]) -> None:
-    """64 streams put 16 items of 100 bytes each at a time, as fast as they are acked."""
+    """64 streams put 16 items of 100 bytes at a time, and wait only for the acks."""
     async with ground.connect() as rt:
         await rt.channel(NAME, max_items=1000)
         known = await ground.bound(NAME)
@@ -80,7 +80,7 @@ async def _put_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
 
 
 async def single_calls(ground: Ground, under_way: Callable[[], None]) -> None:
-    """64 callers ask for a channel's status, as fast as they are answered."""
+    """64 callers ask for a channel's status again after each answer."""
     known = await ground.bound(GOOD_CHANNEL)
     under_way()
     await all_of(*(_ask_again_and_again(ground, known) for _ in range(CALLERS)))
@@ -95,7 +95,7 @@ async def _ask_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
 
 
 async def held_bytes(ground: Ground, under_way: Callable[[], None]) -> None:
-    """Items of 1 MiB that nothing lets go, one after the other, into a channel of the attacker's."""
+    """Items of 1 MiB, one after the other, into a channel of the attacker that keeps them for an hour."""
     async with ground.connect() as rt:
         channel = await rt.channel(NAME, max_age="1h", max_bytes=2**40)
         under_way()

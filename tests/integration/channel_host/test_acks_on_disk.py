@@ -42,7 +42,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
         yield connection
 
 
-def test_a_put_states_another_ack_than_its_channel_and_only_one_that_the_channel_can_give(rt: st.Connection) -> None:
+def test_a_put_may_state_another_ack_than_its_channel_if_the_channel_can_give_it(rt: st.Connection) -> None:
     recorded = rt.channel("ack/recorded", max_items=50, archive="forever")
     assert recorded.put(b"on disk", ack="disk").seq == 1
     with recorded.producer(ack="disk") as producer:

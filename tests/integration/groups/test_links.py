@@ -42,7 +42,7 @@ async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, c
 
 
 async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int) -> None:
-    """The host of `at` has heard how far `channel` is."""
+    """Wait until the host of `at` has heard the newest time of `channel`."""
 
     def is_heard(status: group_pb2.GroupStatus) -> bool:
         told = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
@@ -51,7 +51,7 @@ async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.Gr
     await at.host.until(group, is_heard)
 
 
-async def test_a_link_is_opened_again_though_a_write_came_behind_its_end(
+async def test_a_link_is_opened_again_although_a_write_came_after_its_end(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, broken = HostLink.run, asyncio.Event()
@@ -77,7 +77,7 @@ async def test_hosts_that_part_and_share_another_group_at_once_hear_of_each_othe
     await left.put(t)
     await right.put(t)
     await synced([left, right], first, t)
-    cluster.directory.groups.pop(first.group_id)  # the lower host, which opened the link, is not told yet
+    cluster.directory.groups.pop(first.group_id)  # the lower host, which opened the link, does not know it yet
     await right.host.host.groups._look_up_again(first.group_id)
     second = cluster.directory.add_group("second", [left, right])
     await left.put(t + 5)
@@ -105,7 +105,7 @@ async def test_a_member_is_followed_though_nobody_names_the_group_at_its_host(cl
     await heard(left, fourth, group, t + 5)
 
 
-async def test_a_host_that_missed_a_new_member_learns_of_it_from_who_waits_for_it(cluster: Cluster) -> None:
+async def test_a_host_that_missed_a_new_member_learns_of_it_from_the_host_that_waits_for_it(cluster: Cluster) -> None:
     left, right = await two_channels(cluster)
     third = await right.host.open("third")
     group, t = cluster.directory.add_group("group", [left, right]), left.host.now()
@@ -120,7 +120,7 @@ async def test_a_host_that_missed_a_new_member_learns_of_it_from_who_waits_for_i
     await heard(left, third, group, t + 5)
 
 
-async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
+async def test_hosts_agree_on_the_idle_channels_without_waiting_for_a_sign_of_life(
     cluster: Cluster, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for limit in ("LINK_SIGN_OF_LIFE_SECONDS", "BROKEN_AFTER_SECONDS"):
@@ -132,8 +132,8 @@ async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
     await synced([left, right], group, t)
     clock.advance(S // 10 - 1)
     await left.put(t + 2)
-    await synced([left, right], group, t + 2)  # all that the put brings about has been told
-    clock.advance(1)  # from now on the right one is left out; the cut stays, since the left one holds it
+    await synced([left, right], group, t + 2)  # each host has heard of all effects of the put
+    clock.advance(1)  # from now on the right channel counts as idle; the cut stays, because the left channel holds it
 
     def only_the_other_is_left_out(status: group_pb2.GroupStatus) -> bool:
         return [one.times.channel_id for one in status.members if one.idle] == [right.channel_id]
@@ -144,7 +144,7 @@ async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
     assert (await left.host.status(group)).cut_unix_nano == t + 2
 
 
-async def test_a_channel_of_a_lost_host_falls_idle_like_any_other(cluster: Cluster, clock: ManualClock) -> None:
+async def test_a_channel_of_a_lost_host_becomes_idle_like_any_other(cluster: Cluster, clock: ManualClock) -> None:
     left, right = await two_channels(cluster)
     group, t = cluster.directory.add_group("pair", [left, right], idle_after_nanos=2 * S), left.host.now()
     await left.put(t)

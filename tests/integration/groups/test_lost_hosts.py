@@ -32,7 +32,7 @@ def put_all(group: st.Group, payload: bytes, time: int) -> None:
         channel.put(payload, time=time)
 
 
-def test_another_host_tells_the_status_while_the_first_one_is_stopped(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_another_host_gives_the_status_while_the_first_one_is_stopped(cluster: LocalCluster, rt: st.Connection) -> None:
     group = group_of_two(rt, "stopped")
     put_all(group, b"0", st.now() - SECOND)
     first, second = group.channels
@@ -63,7 +63,7 @@ def test_an_older_descriptor_shows_a_group_that_began_anew(cluster: LocalCluster
     assert group.incarnation != incarnation
 
 
-def test_a_cut_subscription_ends_truly_after_its_hosts_restarted_one_after_the_other(
+def test_a_cut_subscription_ends_with_the_loss_after_its_hosts_restarted_one_after_the_other(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     group, now = group_of_two(rt, "in-turn"), st.now()
@@ -73,7 +73,7 @@ def test_a_cut_subscription_ends_truly_after_its_hosts_restarted_one_after_the_o
         first, second = cluster.hosts
         first.restart()
         put_all(group, b"1", now + SECOND)
-        next(cuts)  # the group goes on: the second host has told the restarted one the cut
+        next(cuts)  # the group goes on: the restarted host has the cut from the second host
         second.restart()
         put_all(group, b"2", now - SECOND)
         with pytest.raises(st.IncarnationLost, match="has restarted or was lost since then, together or one after"):

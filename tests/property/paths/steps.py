@@ -87,7 +87,7 @@ def read_near_the_front(rng: RandomSource, pair: PathPair) -> None:
 
 
 def put_again(rng: RandomSource, pair: PathPair) -> None:
-    """Repeat one of the last runs or any run, or put under wrong numbers."""
+    """Repeat one of the last runs or any run, or put a run with wrong numbers."""
     if not pair.sent:
         return
     former = pair.sent[rng.pick((-1, rng.below(len(pair.sent))))]

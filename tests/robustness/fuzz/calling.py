@@ -31,7 +31,7 @@ class Calling:
 
     @property
     def is_async(self) -> bool:
-        """Calls can be cancelled."""
+        """Whether calls can be cancelled."""
         return self._pool is None
 
     async def plain(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -51,7 +51,7 @@ class Calling:
     async def any_way(self, what: str, call: Awaitable[Any], own_s: float = 0.0, *, endless: bool = False) -> Any:
         """The call's result, INTERRUPTED or FAILED: some calls are cancelled at a random moment, some time out.
 
-        `endless`: it may wait for ever by itself. Fails the test if it does not end, or not with a passing failure.
+        `endless`: the call may wait for ever by itself. Fails the test if the call hangs, or fails for good.
         """
         self.calls += 1
         task = asyncio.ensure_future(call)

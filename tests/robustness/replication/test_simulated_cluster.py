@@ -27,14 +27,14 @@ SEEDS_IN_BLOCK = 100
 
 
 @pytest.mark.parametrize("block", range(8))
-def test_nothing_acknowledged_is_lost_in_bad_weather(block: int) -> None:
+def test_no_acknowledged_command_is_lost_under_random_faults(block: int) -> None:
     play(range(block, SEEDS_IN_SUITE, 8))
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # on a busy machine; on an idle one it takes half a minute
-@pytest.mark.parametrize("first", range(100_000, 102_000, SEEDS_IN_BLOCK))  # each block shows that the run goes on
-def test_nothing_acknowledged_is_lost_in_very_much_bad_weather(first: int) -> None:
+@pytest.mark.parametrize("first", range(100_000, 102_000, SEEDS_IN_BLOCK))  # blocks, so that pytest shows progress
+def test_no_acknowledged_command_is_lost_under_random_faults_of_many_seeds(first: int) -> None:
     play(range(first, first + SEEDS_IN_BLOCK))
 
 
@@ -117,7 +117,7 @@ def test_a_new_leader_serves_within_five_seconds_of_the_loss_of_the_old_one() ->
 
 
 @pytest.mark.parametrize("leader_restarts", [False, True])
-def test_a_member_whose_disk_was_put_back_is_found_out_and_nothing_is_lost(leader_restarts: bool) -> None:
+def test_a_member_with_an_older_copy_of_its_disk_is_refused_and_nothing_is_lost(leader_restarts: bool) -> None:
     world, name, _ = calm_cluster()
     leader = world.members[name]
     victim, away = (member for member in world.members.values() if member is not leader)
@@ -141,7 +141,7 @@ def test_a_member_whose_disk_was_put_back_is_found_out_and_nothing_is_lost(leade
 
 
 @pytest.mark.parametrize("with_snapshot", [False, True])
-def test_a_member_that_comes_to_another_state_finds_out_and_never_leads(with_snapshot: bool) -> None:
+def test_a_member_whose_state_differs_notices_it_and_never_leads(with_snapshot: bool) -> None:
     world = World(5, size=3, weather=Weather(), snapshot_every=5 if with_snapshot else PRODUCTION)
     for member in world.members.values():
         member.start()
@@ -205,7 +205,7 @@ class ForgetsWhatItSends(PreVoteElections):
     [PreVoteElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
 )
 def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
-    """To send a snapshot of 12 kB takes 2 s, and the members take one every second."""
+    """The transfer of a snapshot of 12 kB takes 2 s, and the members take a snapshot every second."""
     world = World(3, size=3, weather=Weather(), rules=rules, snapshot_every=50, kept_log_bytes=1_000_000)
     for member in world.members.values():
         member.start()
@@ -247,7 +247,7 @@ class ForgetsWhoLedItIn(PreVoteElections):
 
 
 def replaced(world: World, old: list[str], new: int) -> None:
-    """Add `new` members and remove the old ones, which end. All of it happens between two snapshots."""
+    """Add `new` members and remove the old ones, which end. All these changes happen between two snapshots."""
     for _ in range(new):
         leader = leading(world)
         assert leader.replica is not None
@@ -390,7 +390,7 @@ def test_a_planted_fault_in_the_rules_is_found(fault: type, first_seed: int) -> 
     assert any(is_caught(seed, rules=fault) for seed in range(first_seed, first_seed + 100))
 
 
-def test_a_disk_that_forgets_what_it_acknowledged_is_found() -> None:
+def test_a_disk_that_forgets_acknowledged_writes_is_found() -> None:
     assert any(is_caught(seed, forgets=1) for seed in range(60))
 
 
@@ -460,7 +460,7 @@ def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_o
 
 
 @pytest.mark.parametrize("leads", [True, False])
-def test_while_nobody_knows_what_most_hold_states_that_differ_are_in_doubt_and_all_go_on(leads: bool) -> None:
+def test_while_no_majority_of_equal_states_is_known_differing_states_are_in_doubt_and_all_go_on(leads: bool) -> None:
     world = World(7, size=3, weather=Weather(), snapshot_every=PRODUCTION)
     forked, leader = forking(world, leads=leads)
     one, away = (member for member in world.members.values() if member is not forked)

@@ -6,7 +6,7 @@ import re
 import sys
 
 import pytest
-from grpc._cython import cygrpc  # type: ignore[attr-defined]  # it is private, and so is its logger
+from grpc._cython import cygrpc  # type: ignore[attr-defined]  # the class and its logger are private
 
 from stampede_rt_runtime.logs import JsonFormatter, LineFormatter, set_up_logging
 
@@ -73,12 +73,12 @@ def test_a_json_line_has_no_control_character_whatever_its_values(value: object)
     json.loads(line)
 
 
-def test_a_record_without_an_event_is_an_other_one() -> None:
+def test_a_record_without_an_event_has_the_event_other() -> None:
     assert json.loads(JsonFormatter().format(record("m")))["event"] == "other"
     assert " event=other " in LineFormatter().format(record("m"))
 
 
-def test_a_caller_that_has_gone_before_its_answer_fills_no_log(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_has_no_line_for_a_caller_that_has_gone_before_its_answer(capsys: pytest.CaptureFixture[str]) -> None:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:

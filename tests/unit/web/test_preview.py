@@ -65,7 +65,7 @@ def test_a_picture_needs_its_own_first_bytes_and_svg_is_text() -> None:
     assert preview_of("image/svg+xml", b"<svg onload='x'/>")["kind"] == "text"
 
 
-def test_a_vector_is_a_plot_and_numbers_that_are_none_are_left_out() -> None:
+def test_a_vector_is_a_plot_and_nan_values_are_left_out() -> None:
     shown = preview_of("application/x-npy", NumpyCodec().encode(np.array([1.0, np.nan, 3.0])))
     assert (shown["kind"], shown["values"], shown["shape"]) == ("plot", [1.0, None, 3.0], [3])
 

@@ -99,8 +99,8 @@ class Moves(Proxies):
         """Move all channels, queues and mailboxes of a host to other hosts, while they are in use. For operators.
 
         Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most
-        60 s, with those that have not moved and why. The host goes on to serve, and
-        may get other channels. Raises HostNotFound, PermissionDenied, Unavailable.
+        60 s. The answer names the channels that have not moved, and why. The host goes on to serve, and may get other
+        channels. Raises HostNotFound, PermissionDenied, Unavailable.
         """
         nanos = parse_duration(timeout, "timeout")
         hosts = {one.name: one for one in await self.hosts()}

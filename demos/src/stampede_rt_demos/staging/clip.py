@@ -39,7 +39,7 @@ class EncodedVideo:
 
 
 def decode_video(path: Path, width: int, height: int, quality: int) -> EncodedVideo:
-    """Decode all frames, scale them and encode each as JPEG. Takes about a second and the JPEGs' size of memory.
+    """Decode all frames, scale them and encode each as JPEG. Takes about a second, and memory for all JPEGs.
 
     Raises DemoFailed if the file cannot be decoded, has no video, or is longer than CLIP_SECONDS_MAX.
     """

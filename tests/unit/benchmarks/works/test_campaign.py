@@ -47,7 +47,7 @@ class Absent:
         return "absent-server is not installed; apt-get install absent"
 
 
-def test_a_system_that_is_not_here_is_said_plainly_and_the_rest_goes_on() -> None:
+def test_an_absent_system_is_reported_and_the_others_are_measured() -> None:
     said: list[str] = []
     finished: list[Work] = []
     found = compare(

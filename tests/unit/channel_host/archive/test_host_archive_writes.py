@@ -35,7 +35,7 @@ def large(number: int) -> list[ArchivedRun]:
     return [ArchivedRun(number, run_at(1 + 2 * number, payload=b"x" * 2**18))]
 
 
-def test_a_read_only_folder_costs_no_item_and_doubles_none_once_it_can_be_written_again(
+def test_writes_that_failed_in_a_read_only_folder_lose_and_double_no_item(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, _ = opened(tmp_path)
@@ -71,7 +71,7 @@ def test_an_old_segment_that_cannot_be_deleted_does_not_fail_the_write(
     assert len(segments) < 6
 
 
-def test_files_that_are_no_segments_do_not_disturb_an_archive(tmp_path: Path) -> None:
+def test_files_that_are_not_segments_do_not_disturb_an_archive(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     write(files, 1, 1)
     files.close(None)
@@ -172,7 +172,7 @@ def test_a_stop_in_the_middle_of_a_write_doubles_no_item(tmp_path: Path, monkeyp
     assert (sum(one.items for one in found.segments), found.stop is not None) == (2, True)
 
 
-def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_written_no_more(
+def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> int:

@@ -15,7 +15,7 @@ from stampede_rt.wire.peers import clock_message, clock_offset
 from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
 
 
-def test_the_same_proof_makes_the_same_participant() -> None:
+def test_the_same_proof_makes_the_same_peer() -> None:
     first, again = (PeerIdentity.parse("planner", "0123456789abcdef", os.urandom(48)) for _ in range(2))
     assert first == again
     assert (len(first.peer_id), len(first.proof)) == (16, 32)
@@ -23,13 +23,13 @@ def test_the_same_proof_makes_the_same_participant() -> None:
     assert PeerIdentity.parse("viewer", "0123456789abcdef", b"") != first
 
 
-def test_without_a_proof_every_start_is_another_participant() -> None:
+def test_without_a_proof_every_start_is_another_peer() -> None:
     first, second = (PeerIdentity.parse("planner", None, os.urandom(48)) for _ in range(2))
     assert first.peer_id != second.peer_id
     assert first.proof != second.proof
 
 
-def test_a_set_up_keeps_what_was_stated_and_what_was_not() -> None:
+def test_a_policy_keeps_its_stated_and_its_unstated_fields() -> None:
     stated = parse_queue_policy(max_items=3, on_full="reject", lease="5s", dead_letter_queue_id=bytes(16))
     assert queue_policy_from_spec(queue_policy_to_spec(stated)) == stated
     assert queue_policy_from_spec(queue_policy_to_spec(QueuePolicy())) == QueuePolicy()
@@ -42,14 +42,14 @@ def test_an_error_names_its_queue_once() -> None:
     assert (str(error), error.metadata) == ("queue 'work': it is full", {"queue": "work"})
 
 
-def test_a_wrong_lease_is_named() -> None:
+def test_the_error_names_a_wrong_lease() -> None:
     with pytest.raises(InvalidArgument, match="lease is '2h'; it is at most 1 h"):
         parse_queue_policy(lease="2h")
     assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
 
 
 def test_a_clock_is_compared_with_the_time_halfway_through_the_call() -> None:
-    """Sent at 5000 by the own clock, 600 on the way there and back, and held for 400 before 4000 was told."""
+    """The peer calls at 5000 by its own clock. The ways take 600, the supernode waits 400, and then reads 4000."""
     found = ClockOffset.measured(
         sent_unix_nano=5000, took_nanos=1000, told_unix_nano=4000, supernode="s1", held_nanos=400
     )
@@ -60,7 +60,7 @@ nanos = any_of.integers(0, 10**12)
 
 
 @given(there=nanos, held=nanos, back=nanos, ahead=any_of.integers(-(10**18), 10**18))
-def test_the_true_offset_of_a_clock_is_never_further_off_than_it_is_said_to_be(
+def test_the_error_of_a_measured_offset_is_never_above_its_uncertainty(
     there: int, held: int, back: int, ahead: int
 ) -> None:
     sent = 10**18

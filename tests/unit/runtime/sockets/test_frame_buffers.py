@@ -44,7 +44,7 @@ async def test_a_stream_that_is_cancelled_as_it_gets_a_place_leaves_it_to_the_ne
     assert first.cancelled()
 
 
-async def test_a_longer_frame_takes_more_places_and_those_behind_it_wait_for_it() -> None:
+async def test_a_longer_frame_takes_more_places_and_the_frames_after_it_wait() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     half, other, whole, small = (buffers.place(busy) for _ in range(4))
     assert half.take_now(PLACES * PLACE_BYTES // 2)
@@ -62,10 +62,10 @@ async def test_a_longer_frame_takes_more_places_and_those_behind_it_wait_for_it(
     whole.leave()
     await waiting[1]
     small.leave()
-    assert whole.take_now(PLACES * PLACE_BYTES + 1), "a frame that needs more than all takes all"
+    assert whole.take_now(PLACES * PLACE_BYTES + 1), "a frame that needs more places than there are takes all"
 
 
-async def test_a_long_frame_that_waits_no_more_lets_the_next_one_go_on() -> None:
+async def test_the_next_frame_goes_on_when_a_long_frame_stops_waiting() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     half, whole, small = (buffers.place(busy) for _ in range(3))
     assert half.take_now(PLACES * PLACE_BYTES // 2)

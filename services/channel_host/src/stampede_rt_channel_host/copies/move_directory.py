@@ -64,7 +64,7 @@ class MoveDirectory:
         return FeedSource(found.owner_host_id, target, found.epoch)
 
     async def other_hosts(self) -> list[OtherHost]:
-        """The live hosts without this one."""
+        """The live hosts other than this one."""
         request, hosts = directory_service_pb2.ListHostsRequest(), []
         while True:  # ends with the last page
             page: directory_service_pb2.ListHostsResponse = await self._supernodes.call(
@@ -131,7 +131,7 @@ class MoveDirectory:
         return recorded_queue((await self._call("CommitQueueMove", request, stub)).queue)
 
     async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
-        """Let the former owner be the heir no more. Idempotent. `may_be_replica`: do nothing if it is a replica."""
+        """Remove the former owner as the heir. Idempotent. `may_be_replica`: do nothing if it is a replica."""
         if may_be_replica and await self._kept_at(channel_id, host_id) is Kept.REPLICA:
             return
         request = replicas_pb.RemoveReplicaRequest(

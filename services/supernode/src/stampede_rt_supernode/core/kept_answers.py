@@ -5,8 +5,8 @@ each MARK_NANOS of its own clock. Every replica keeps the last MARKS_KEPT marks,
 oldest of these marks. So all replicas forget an operation at the same log position.
 
 No replica performs a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago
-or earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but
-one (`check_not_late`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the
+or earlier (calls.py). And the directory refuses a command whose request came to its supernode before the second-newest
+mark (`check_not_late`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the
 greatest age of a request.
 """
 
@@ -109,7 +109,7 @@ class KeptAnswers:
     def check_not_late(self, as_of_index: int) -> None:
         """Check that a command does not come too late. `as_of_index`: see Command.
 
-        Raises Unavailable with reason AMBIGUOUS if the supernode got the request before the last mark but one.
+        Raises Unavailable with reason AMBIGUOUS if the supernode got the request before the second-newest mark.
         """
         if 0 < as_of_index < (self.marks[-2] if len(self.marks) > 1 else 0):
             raise Unavailable(

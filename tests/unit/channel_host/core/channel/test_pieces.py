@@ -28,7 +28,7 @@ class CountedKeys(SortedList):  # type: ignore[misc]
         return self._counted(super().irange(*args, **kwargs))
 
 
-def test_keys_in_parts_are_read_as_the_parts_are_asked_for() -> None:
+def test_keys_of_a_part_are_read_only_when_a_caller_takes_the_part() -> None:
     keys = CountedKeys(range(1000))
     parts = batched_keys(keys, 10)
     assert keys.read == 0
@@ -47,7 +47,7 @@ def test_keys_may_come_and_go_between_two_parts() -> None:
     assert [*chain.from_iterable(parts)] == [10, 11, *range(14, 38, 2)]
 
 
-def test_the_rests_of_works_are_done_one_after_the_other_after_a_pause() -> None:
+def test_the_rest_of_each_work_is_done_one_after_the_other_after_a_pause() -> None:
     done: list[str] = []
 
     def work(name: str, pieces: int) -> Pieces[None]:

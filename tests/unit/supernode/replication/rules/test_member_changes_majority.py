@@ -46,7 +46,7 @@ class Leader(LoneNode):
 
 
 @pytest.mark.parametrize("removed", ["a", "b"])
-def test_a_new_leader_counts_nobody_as_alive_that_has_not_answered_it(removed: str) -> None:
+def test_a_new_leader_counts_only_members_that_have_answered_it_as_alive(removed: str) -> None:
     leader = Leader("b")  # `c` is down
     [outcome] = leader.remove(removed)
     assert isinstance(outcome, ChangeUnderWay)
@@ -84,7 +84,7 @@ def test_a_member_that_is_down_can_be_removed_at_once() -> None:
 
 def test_a_leader_of_five_hands_over_for_its_removal_while_three_of_the_others_are_alive() -> None:
     leader = Leader("b", "c", size=5)
-    assert isinstance(leader.remove("a")[0], ChangeUnderWay), "two of four are no majority"
+    assert isinstance(leader.remove("a")[0], ChangeUnderWay), "two of four are not a majority"
     leader.hear("d")
     assert leader.remove("a") == []
     assert leader.changes.hands_over
@@ -100,7 +100,7 @@ def test_the_successor_is_one_that_has_answered_in_this_term() -> None:
     assert [to for to, message in leader.said() if isinstance(message, TimeoutNow)] == ["c"]
 
 
-def test_a_newcomer_that_went_silent_becomes_no_voter_until_it_answers_again() -> None:
+def test_a_newcomer_that_went_silent_becomes_a_voter_only_after_it_answers_again() -> None:
     leader = Leader("b", "c")
     leader.changes.add(MemberChange(Member(member_id="new", address="new:1"), False, lambda outcome: None))
     leader.node.transport.deliver(Connected("new"))

@@ -23,7 +23,7 @@ def may_be_held(hosted: HostedChannel, stated: int) -> bool:
 
 
 def check_wanted(hosted: HostedChannel, stated: int) -> None:
-    """Raises InvalidArgument if the channel cannot ack a put so."""
+    """Raises InvalidArgument if the channel cannot acknowledge a put in the stated way."""
     name = hosted.record.name
     if stated not in channel_pb2.Ack.values():
         raise InvalidArgument(f"ack is {stated}, which this version does not know; see Ack for the values")
@@ -40,7 +40,7 @@ def check_wanted(hosted: HostedChannel, stated: int) -> None:
 def check_disk(hosted: HostedChannel, stated: int, *, is_repeated: bool) -> None:
     """Raises NotArchived for a put that waits for the disk while the archive of its channel takes no items.
 
-    Not for a repeated put, whose items the channel has accepted: it waits for them again.
+    It does not raise for a repeated put, because the channel has accepted its items: such a put waits for them again.
     """
     recording = hosted.recording
     if recording is not None and recording.recorder.failure and not is_repeated and _waits_for_disk(hosted, stated):

@@ -59,8 +59,8 @@ class Consumers:
 
     The argument `clock` of the methods is the host's clock, which never goes back. The channel calls `note_collected`
     for every seq whose item it has collected. Before that call such a seq counts as not consumed. `looked_at` counts
-    how often a method has examined one place. `changes` counts the calls that changed a place. The end of a lease is no
-    such call.
+    how often a method has examined one place. `changes` counts the calls that changed a place. The end of a lease does
+    not count.
     """
 
     def __init__(self, places: int) -> None:
