@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, remove_stop, write_stop
-from stampede_rt_channel_host.archive.segment_reads import SUFFIX, SegmentReads
+from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
+from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
@@ -79,7 +80,9 @@ class SegmentFiles(SegmentReads):
 
     def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
         """`facts` go into each new segment, for people who look into the file."""
-        super().__init__(folder)
+        self._files = SegmentFolder(folder)
+        super().__init__(self._files)
+        self._folder = folder
         self.run_bytes_max = ROW_BYTES + 4 * HEAD_BYTES + ADVANCE_BYTES + len(json.dumps(facts))
         self._facts = facts
         self._segments: tuple[Segment, ...] = ()
@@ -96,10 +99,9 @@ class SegmentFiles(SegmentReads):
         stop = read_stop(self._folder)
         if stop is not None and not stop.is_of(incarnation, epoch):
             stop = None
-        numbers = sorted(int(path.stem) for path in self._folder.glob(f"*{SUFFIX}") if path.stem.isdecimal())
         found, torn_bytes, damaged = [], 0, 0
         following: int | None = None
-        for number in reversed(numbers):
+        for number in reversed(self._files.numbers()):
             segment, torn, bad = self._open_one(number, following)
             torn_bytes, damaged = torn_bytes + torn, damaged + bad
             if segment is not None:
@@ -113,7 +115,7 @@ class SegmentFiles(SegmentReads):
         """Open a segment. `following`: the first seq of the next segment. Blocks from this seq on do not count: a write
         that failed left them behind, and their items were written again. None: the segment is the last one.
         """
-        path, is_last = self._path(number), following is None
+        path, is_last = self._files.file_of(number), following is None
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
         try:
             length = os.fstat(file).st_size
@@ -195,7 +197,7 @@ class SegmentFiles(SegmentReads):
         self._end_segment()
         number = self._segments[-1].number + 1 if self._segments else 1
         self._delete_leftovers(number)
-        self._file = os.open(self._path(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
+        self._file = os.open(self._files.file_of(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
         sync_folder(self._folder)
         sync_folder(self._folder.parent)  # the folder may be new
         opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
@@ -227,14 +229,14 @@ class SegmentFiles(SegmentReads):
                 os.close(file)
         with suppress(OSError):
             if before:
-                os.truncate(self._path(before[-1].number), before[-1].length)
+                os.truncate(self._files.file_of(before[-1].number), before[-1].length)
         with suppress(OSError):
             self._delete_leftovers(before[-1].number + 1 if before else 1)
 
     def _delete_leftovers(self, number: int) -> None:
         """Delete the segments from this number on, which failed writes have left. Raises OSError."""
-        while self._path(number).exists():
-            self._path(number).unlink()
+        while self._files.file_of(number).exists():
+            self._files.file_of(number).unlink()
             number += 1
 
     def _drop_old(self, limits: ArchiveLimits, now: int) -> None:
@@ -249,7 +251,7 @@ class SegmentFiles(SegmentReads):
             if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
                 return
             try:
-                self._path(oldest.number).unlink(missing_ok=True)
+                self._files.file_of(oldest.number).unlink(missing_ok=True)
             except OSError:
                 return
             size -= oldest.length

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from threading import Lock
 
+from stampede_rt_channel_host.archive.segment_folder import SegmentPlace
 from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
     ArchivedAdvance,
@@ -29,20 +28,18 @@ from stampede_rt_channel_host.core.archive import (
     is_whole,
     part_of,
     past_of,
-    scan,
     window_of,
 )
 from stampede_rt_channel_host.core.channel import Run
 
 SEGMENTS_KEPT, BLOCKS_KEPT = 64, 2**16  # the most segments, and blocks of them, whose heads stay in memory
-SUFFIX = ".segment"
 
 
 class SegmentReads:
-    """Reads the segments in a folder. Any threads read at the same time, while one thread writes."""
+    """Reads the segments in a place. Any threads read at the same time, while one thread writes."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, place: SegmentPlace) -> None:
+        self.place = place
         self._lock = Lock()
         self._kept: OrderedDict[int, Sequence[PlacedBlock]] = OrderedDict()
         self.damaged_blocks = 0
@@ -109,8 +106,8 @@ class SegmentReads:
 
     def _content_of(self, segment: Segment, block: PlacedBlock) -> bytes | None:
         """The content of a block, or None if it is damaged."""
-        with self._path(segment.number).open("rb", buffering=0) as file:
-            content = os.pread(file.fileno(), block.head.content_bytes, block.offset + HEAD_BYTES)
+        with self.place.opened(segment.number) as read_at:
+            content = read_at(block.offset + HEAD_BYTES, block.head.content_bytes)
         if is_whole(block.head, content):
             return content
         self.damaged_blocks += 1
@@ -123,15 +120,11 @@ class SegmentReads:
             if blocks is not None and blocks and blocks[-1].end >= segment.length:
                 self._kept.move_to_end(segment.number)
                 return blocks if blocks[-1].end == segment.length else [b for b in blocks if b.end <= segment.length]
-        with self._path(segment.number).open("rb", buffering=0) as file:
-            found = scan(lambda at, size: os.pread(file.fileno(), size, at), segment.length, check_contents=False)
+        found = self.place.blocks(segment)
         with self._lock:
-            self._kept[segment.number] = found.blocks
+            self._kept[segment.number] = found
             while len(self._kept) > SEGMENTS_KEPT or (
                 len(self._kept) > 1 and sum(map(len, self._kept.values())) > BLOCKS_KEPT
             ):
                 self._kept.popitem(last=False)
-        return found.blocks
-
-    def _path(self, number: int) -> Path:
-        return self._folder / f"{number:012}{SUFFIX}"
+        return found

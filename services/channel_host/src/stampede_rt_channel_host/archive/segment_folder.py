@@ -1,0 +1,54 @@
+"""Where the bytes of closed and open segments are: a folder, or another place with the same few methods. Blocks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
+
+SUFFIX = ".segment"
+
+
+class SegmentPlace(Protocol):
+    """Has the segments of one channel. Any threads read at the same time.
+
+    Its methods raise FileNotFoundError if the segment has left the archive, and OSError if it cannot be read.
+    """
+
+    def opened(self, number: int) -> AbstractContextManager[ReadAt]:
+        """Open a segment: within the context the function reads its bytes."""
+        ...
+
+    def blocks(self, segment: Segment) -> Sequence[PlacedBlock]:
+        """The blocks of a segment, as far as `segment` knows it."""
+        ...
+
+
+class SegmentFolder:
+    """The segments of one channel as files of a folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def file_of(self, number: int) -> Path:
+        """The file of a segment, whether it exists or not."""
+        return self.path / f"{number:012}{SUFFIX}"
+
+    def numbers(self) -> list[int]:
+        """The numbers of the segments in the folder, in ascending order. Raises OSError."""
+        return sorted(int(path.stem) for path in self.path.glob(f"*{SUFFIX}") if path.stem.isdecimal())
+
+    @contextmanager
+    def opened(self, number: int) -> Iterator[ReadAt]:
+        """Open a segment: within the context the function reads its bytes."""
+        with self.file_of(number).open("rb", buffering=0) as file:
+            yield lambda offset, size: os.pread(file.fileno(), size, offset)
+
+    def blocks(self, segment: Segment) -> Sequence[PlacedBlock]:
+        """The blocks of a segment, as far as `segment` knows it."""
+        with self.opened(segment.number) as read_at:
+            return scan(read_at, segment.length, check_contents=False).blocks
