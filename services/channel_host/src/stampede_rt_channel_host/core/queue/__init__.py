@@ -5,6 +5,7 @@ from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
 from stampede_rt_channel_host.core.queue.items import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, FailedDelivery, QueuedRun
+from stampede_rt_channel_host.core.queue.journal import QueueJournal, QueueStep
 from stampede_rt_channel_host.core.queue.limits import (
     BLOCK,
     DROP_OLDEST,
@@ -57,7 +58,9 @@ __all__ = [
     "QueueCore",
     "QueueCounters",
     "QueueHandoff",
+    "QueueJournal",
     "QueueLimits",
+    "QueueStep",
     "QueueTally",
     "QueuedRun",
     "SeqRange",

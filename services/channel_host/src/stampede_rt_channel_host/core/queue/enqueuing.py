@@ -10,11 +10,11 @@ from itertools import islice
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
-from stampede_rt_channel_host.core.queue.message_ids import MessageIds
+from stampede_rt_channel_host.core.queue.message_ids import KnownMessage, MessageIds
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
@@ -273,12 +273,18 @@ class Enqueuing:
         """Set the outcome of a run whose messages are all judged, and remember it."""
         run.outcome = self._remember(run, now)
         if run.message_id and run.progress.accepted_any:
-            self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now, run.owner)
+            known = KnownMessage(run.message_id, run.outcome.parts[0].first_seq, now, run.owner)
+            self.message_ids.record(*known)
+            if self._queue_items.changes is not None:
+                self._queue_items.changes.message_ids.append(known)
 
     def _remember(self, run: Enqueue, now: int) -> RunOutcome:
         """Remember the run's outcome so far, so that a repetition of the run gets it or continues after it."""
         judged = run.progress.outcome(now)
         self.retries.record(run.producer_id, run.first_number, judged, run.owner)
+        if run.producer_id and self._queue_items.changes is not None:
+            kept = KeptRun(run.producer_id, run.first_number, judged, run.owner)
+            self._queue_items.changes.producers.append(kept)
         return judged
 
     def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:

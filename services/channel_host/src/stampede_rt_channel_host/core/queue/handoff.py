@@ -79,17 +79,17 @@ class QueueHandoff:
 
 def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
     """The queue as of `now`. The result shares no mutable object with the queue."""
-    held = [item.seq for item in queue_items.tracked.values()]
-    fresh = [seq for run, position in queue_items.fresh() for seq in range(run.first_seq + position, run.end_seq)]
+    tracked = _ranges(item.seq for item in queue_items.tracked.values())
+    fresh = (SeqRange(run.first_seq + position, run.end_seq - 1) for run, position in queue_items.fresh())
     return QueueHandoff(
         next_seq=queue_items.next_seq,
         next_delivery_id=leasing.next_delivery_id,
         tally=replace(queue_items.tally),
-        runs=[QueuedRun(run.first_seq, run.lengths, now - run.accepted_at, run.body) for run in _runs(queue_items)],
-        held=_ranges(chain(held, fresh)),
-        items=[_state(item, leasing, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())],
+        runs=[run_with_age(run, now) for run in _runs(queue_items)],
+        held=_joined(chain(tracked, fresh)),
+        items=[state_of(item, leasing, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())],
         acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
-        producers=[_aged(kept, now) for kept in enqueuing.retries.kept(now)],
+        producers=[aged(kept, now) for kept in enqueuing.retries.kept(now)],
         message_ids=[known._replace(time=now - known.time) for known in enqueuing.message_ids.all(now)],
     )
 
@@ -104,26 +104,36 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
     run: QueuedRun | None = None
     for seq in chain.from_iterable(range(first, last + 1) for first, last in state.held):
         while run is None or seq >= run.end_seq:
-            old = next(runs)
-            run = QueuedRun(old.first_seq, old.lengths, now - old.accepted_at, old.body)
-            run.held = 0
+            run = fresh_run_of(next(runs), now)
         queue_items.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
         if seq in states:
-            _enter(queue_items, leasing, states[seq], now)
+            enter(queue_items, leasing, states[seq], now)
         elif seq < fresh_from:
             queue_items.refresh(queue_items.tracked[seq])
     queue_items.next_seq = state.next_seq
     for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they will leave
-        queue_items.set_leaving(queue_items.tracked[seq])
+        queue_items.leaving.move_to_end(seq)
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        enqueuing.retries.record(kept.producer_id, kept.first_number, _aged(kept, now).outcome)
+        enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome)
     for known in state.message_ids:
         enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
 
-def _aged(kept: KeptRun, now: int) -> KeptRun:
+def run_with_age(run: QueuedRun, now: int) -> QueuedRun:
+    """The run with its age in place of its time of acceptance."""
+    return QueuedRun(run.first_seq, run.lengths, now - run.accepted_at, run.body)
+
+
+def fresh_run_of(aged_run: QueuedRun, now: int) -> QueuedRun:
+    """The run of `run_with_age` at another host, whose clock shows `now`. None of its messages is held yet."""
+    run = QueuedRun(aged_run.first_seq, aged_run.lengths, now - aged_run.accepted_at, aged_run.body)
+    run.held = 0
+    return run
+
+
+def aged(kept: KeptRun, now: int) -> KeptRun:
     """The run with its age in place of its time (for `export`), or its time in place of its age (for `restore`)."""
     return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
@@ -157,6 +167,17 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
     return found
 
 
+def _joined(ranges: Iterable[SeqRange]) -> list[SeqRange]:
+    """The ranges, ascending, with those joined that have no gap between them."""
+    found: list[SeqRange] = []
+    for one in ranges:
+        if found and found[-1].last + 1 == one.first:
+            found[-1] = SeqRange(found[-1].first, one.last)
+        else:
+            found.append(one)
+    return found
+
+
 def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
     """The messages with a history that do not wait for a move to the dead-letter queue."""
     for item in queue_items.tracked.values():
@@ -165,7 +186,7 @@ def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
             yield item
 
 
-def _state(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
+def state_of(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
     """A tracked message as a value."""
     leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
     return ItemState(
@@ -184,16 +205,22 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
     return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
-def _enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
-    """Give a restored message its history."""
+def enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
+    """Give a tracked message the history that another host knows, in place of its own."""
     item = queue_items.tracked[state.seq]
+    former = {delivery_id: leasing.leases[delivery_id] for delivery_id in item.leases.values()}
+    leasing.void(item)
     item.acknowledged = tuple(state.acknowledged)
     item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])
+    queue_items.delays.disarm(item)
     for lease, number in zip(state.leases, state.deliveries, strict=False):
         taker = TakerState(lease.taker_id, name=lease.taker_name)
-        leased = Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
+        leased = former.get(lease.delivery_id)  # the deadlines tell leases apart by their ids, so one id is one object
+        leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         leasing.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
         queue_items.delays.arm(item, now + state.delay_nanos)
+    if state.is_leaving:
+        queue_items.set_leaving(item)
     queue_items.refresh(item)

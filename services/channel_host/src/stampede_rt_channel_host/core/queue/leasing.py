@@ -12,7 +12,7 @@ from itertools import islice
 
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
+from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged, AcknowledgedDeliveries
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import (
     GIVEN_BACK,
@@ -89,6 +89,7 @@ class Leasing:
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
         self._deadlines.arm(lease, expires)
+        self._queue_items.note_change(lease.item)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
         """Perform a taker's settlement of a delivery.
@@ -154,7 +155,7 @@ class Leasing:
         """Remove the message as consumed if enough takers have acknowledged it. Returns True if it was removed."""
         if len(item.acknowledged) < self._queue_items.limits.copies:
             return False
-        self._void(item)
+        self.void(item)
         self._queue_items.tally.consumed += 1
         self._queue_items.remove(item)
         return True
@@ -177,14 +178,14 @@ class Leasing:
     def give_up(self, item: TrackedItem) -> None:
         """End the leases of the message. Let it move to the dead-letter queue or, if there is none, remove it."""
         if self._queue_items.limits.dead_letters:
-            self._void(item)
+            self.void(item)
             self._queue_items.set_leaving(item)
         else:
             self.expel(item)
 
     def expel(self, item: TrackedItem) -> None:
         """End the leases of the message and remove it, without a move to a dead-letter queue."""
-        self._void(item)
+        self.void(item)
         self._queue_items.tally.expelled += 1
         self._queue_items.remove(item)
 
@@ -193,11 +194,14 @@ class Leasing:
         self._end(lease)
         item.acknowledged = (*item.acknowledged, lease.taker.taker_id)
         self.acknowledged.record(lease.order, lease.taker.taker_id, now)
+        if self._queue_items.changes is not None:
+            self._queue_items.changes.acknowledged.append(Acknowledged(lease.order, lease.taker.taker_id, now))
         if not self.settle_copies(item):
             self._queue_items.refresh(item)
 
     def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
         self._deadlines.arm(lease, now + verdict.lease_nanos)
+        self._queue_items.note_change(lease.item)
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
     def _terminate(self, lease: Lease, reason: str) -> None:
@@ -231,7 +235,13 @@ class Leasing:
         self._queue_items.refresh(item)
         self._queue_items.log_return(item)
 
-    def _void(self, item: TrackedItem) -> None:
+    def postpone(self, nanos: int) -> None:
+        """Let all leases last `nanos` longer, because nobody has served the queue for this time."""
+        for lease in self.leases.values():
+            self._deadlines.arm(lease, (lease.due or 0) + nanos)
+            self._queue_items.note_change(lease.item)
+
+    def void(self, item: TrackedItem) -> None:
         """End all leases of the message."""
         for delivery_id in list(item.leases.values()):
             self._end(self.leases[delivery_id])
@@ -241,6 +251,7 @@ class Leasing:
         del self.leases[lease.order], lease.item.leases[lease.taker.taker_id]
         self._queue_items.leased -= not lease.item.leases
         self._deadlines.disarm(lease)
+        self._queue_items.note_change(lease.item)
 
     def _stale(self, delivery_id: int) -> LeaseExpired:
         """The error of a settlement of a delivery that the taker does not have any more."""

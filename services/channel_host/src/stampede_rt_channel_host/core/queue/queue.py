@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from itertools import islice
+from typing import Any
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel.pieces import Pieces
@@ -13,6 +14,7 @@ from stampede_rt_channel_host.core.queue.due_work import DueWork
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
 from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
+from stampede_rt_channel_host.core.queue.journal import QueueJournal
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
@@ -84,11 +86,25 @@ class QueueCore:
 
         The time of this call grows with the number of messages.
         """
-        queue = cls(limits, incarnation=incarnation, name=name, may_serve=may_serve)
-        handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
+        queue = cls.restored(limits, state, now, incarnation=incarnation, name=name, may_serve=may_serve)
         queue._due_work.check_all()  # the other host may have known other limits
         queue._due_work.tick(now)
         return queue
+
+    @classmethod
+    def restored(cls, limits: QueueLimits, state: QueueHandoff, now: int, **about: Any) -> QueueCore:
+        """As `restore`, for a copy: the queue does no work that is due, because its owner does it."""
+        queue = cls(limits, **about)
+        handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
+        return queue
+
+    def journal(self, next_step: int = 1) -> QueueJournal:
+        """A journal of all changes of the queue from now on. The first step gets the number `next_step`."""
+        return QueueJournal(self._queue_items, self._leasing, self._enqueuing, next_step)
+
+    def postpone(self, nanos: int) -> None:
+        """Let all leases last longer, because nobody has served the queue for `nanos`."""
+        self._leasing.postpone(nanos)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge a run. When this method returns, the run is done, or it waits and `take_finished` returns it later.

@@ -15,6 +15,7 @@ from typing import Any
 from sortedcontainers import SortedDict, SortedList
 
 from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
@@ -46,7 +47,7 @@ class QueueItems:
 
     `tracked` maps seqs to tracked messages. `leased` counts messages with a lease. `stored_bytes` is the sum of the
     bodies of all runs with a held message. `leaving` has the messages that wait for their move to the dead-letter
-    queue, by seq.
+    queue, by seq. `changes` collects the changes for replicas; None: there are no replicas.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -58,6 +59,7 @@ class QueueItems:
         self.tracked: ChunkedMap[TrackedItem] = ChunkedMap()
         self.leaving: OrderedDict[int, TrackedItem] = OrderedDict()
         self.delays: Deadlines[TrackedItem] = Deadlines()  # the messages that the queue holds back
+        self.changes: QueueChanges | None = None
         self.returns_logged = 0  # the number of the latest return; see `log_return`
         self._fresh: deque[QueuedRun] = deque()
         self._fresh_position = 0  # the position of the first fresh message in the first run of `_fresh`
@@ -117,6 +119,8 @@ class QueueItems:
         run.body = body
         if run.held:
             self.stored_bytes += len(body)
+        if self.changes is not None:
+            self.changes.runs.append(run)
 
     def drop_oldest(self) -> bool:
         """Remove the oldest message without a lease. Returns False if there is none."""
@@ -127,6 +131,8 @@ class QueueItems:
             self._fresh_position += 1
             self.fresh_items -= 1
             self._release(run, length)
+            if self.changes is not None:
+                self.changes.remove(run.first_seq + self._fresh_position - 1)
         else:
             return False
         self.tally.dropped += 1
@@ -155,7 +161,13 @@ class QueueItems:
         self._fresh_position += 1
         self.fresh_items -= 1
         self.tracked[item.seq] = item
+        self.note_change(item)
         return item
+
+    def note_change(self, item: TrackedItem) -> None:
+        """Note that a tracked message has changed."""
+        if self.changes is not None:
+            self.changes.items[item.seq] = item
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
         """The runs with fresh messages, each with the position of its first fresh message."""
@@ -198,6 +210,7 @@ class QueueItems:
 
     def refresh(self, item: TrackedItem) -> None:
         """Update the sorted lists after a change of the message."""
+        self.note_change(item)
         available = not item.is_leaving and item.due is None and item.free_copies(self.limits.copies) > 0
         unleased = not item.is_leaving and not item.leases
         if available != item.is_available:
@@ -228,6 +241,8 @@ class QueueItems:
         if item.is_unleased:
             self._unleased.remove(item.seq)
         self._release(item.run, item.length)
+        if self.changes is not None:
+            self.changes.remove(item.seq)
 
     def _release(self, run: QueuedRun, length: int) -> None:
         """Subtract a message that leaves the queue from all sums."""

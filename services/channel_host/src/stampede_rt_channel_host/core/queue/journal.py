@@ -1,0 +1,165 @@
+"""The steps of a queue, so that replicas at other hosts repeat them (paper, section 3.5). Pure.
+
+A step has everything that one call of the queue has changed. A copy that has repeated all steps up to a number is equal
+to its owner right after that step. The owner counts its steps as a channel counts its items. So the rule of the
+replicas in sync holds for both, because this rule compares numbers only.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from itertools import islice
+from typing import NamedTuple
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.queue.changes import QueueChanges
+from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.handoff import QueueHandoff, aged, enter, fresh_run_of, run_with_age, state_of
+from stampede_rt_channel_host.core.queue.items import TrackedItem
+from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+
+JOURNAL_BYTES_MAX = 64 * 2**20
+"""The most bytes of the steps that a queue keeps for its replicas. A replica that lacks older steps begins anew."""
+_STEP_BYTES, _ENTRY_BYTES = 600, 200  # about the memory of a step, and of each entry in it
+
+
+class QueueStep(NamedTuple):
+    """A step. `changes` has the accepted runs, and the new states of messages; its times are ages as of `time`.
+
+    `changes.held` is empty. `removed`: the seqs of the messages that have left the queue.
+    """
+
+    number: int
+    time: int
+    changes: QueueHandoff
+    removed: tuple[int, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """About its memory."""
+        changes = self.changes
+        entries = len(changes.items) + len(changes.acknowledged) + len(changes.producers) + len(changes.message_ids)
+        bodies = sum(len(run.body) for run in changes.runs)
+        return _STEP_BYTES + bodies + _ENTRY_BYTES * entries + 8 * len(self.removed)
+
+
+class QueueJournal:
+    """The latest steps of a queue. At the owner `note` makes them, at a copy `apply` repeats those of the owner.
+
+    The queue has made all steps before `next_step`.
+    """
+
+    def __init__(
+        self, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, next_step: int = 1,
+        bytes_max: int = JOURNAL_BYTES_MAX,
+    ) -> None:  # fmt: skip
+        self._queue_items = queue_items
+        self._leasing = leasing
+        self._enqueuing = enqueuing
+        self._bytes_max = bytes_max
+        self._steps: deque[QueueStep] = deque()
+        self._changes = queue_items.changes = QueueChanges()
+        self._tally = replace(queue_items.tally)
+        self._clock = 0
+        self.next_step = next_step
+        self.size_bytes = 0
+
+    def note(self, now: int) -> bool:
+        """Make a step of all changes since the last step. Returns False if nothing has changed."""
+        self._clock = now = max(self._clock, now)
+        if not self._changes and self._tally == self._queue_items.tally:
+            return False
+        step = QueueStep(self.next_step, now, self._changed(now), tuple(self._changes.removed))
+        self._append(step)
+        return True
+
+    def _changed(self, now: int) -> QueueHandoff:
+        changes = self._changes
+        items = sorted(changes.items.values(), key=lambda item: item.seq)
+        return QueueHandoff(
+            next_seq=self._queue_items.next_seq,
+            next_delivery_id=self._leasing.next_delivery_id,
+            tally=replace(self._queue_items.tally),
+            runs=[run_with_age(run, now) for run in changes.runs],
+            held=(),
+            items=[state_of(item, self._leasing, now) for item in items],
+            acknowledged=[one._replace(time=now - one.time) for one in changes.acknowledged],
+            producers=[aged(kept, now) for kept in changes.producers],
+            message_ids=[known._replace(time=now - known.time) for known in changes.message_ids],
+        )
+
+    def steps_from(self, number: int, bytes_max: int) -> list[QueueStep] | None:
+        """The steps from `number` on, of about `bytes_max` bytes, but at least one. None if the journal lacks some."""
+        first = self.next_step - len(self._steps)
+        if not first <= number <= self.next_step:
+            return None
+        found: list[QueueStep] = []
+        for step in islice(self._steps, number - first, None):
+            found.append(step)
+            bytes_max -= step.size_bytes
+            if bytes_max <= 0:
+                break
+        return found
+
+    def apply(self, step: QueueStep, now: int) -> None:
+        """Repeat a step of the owner. `now`: the copy's clock. Ignores a step that the copy has repeated before.
+
+        Raises InvalidArgument if steps are missing, or if the step does not fit the queue: then begin the copy anew.
+        """
+        if step.number < self.next_step:
+            return
+        if step.number > self.next_step:
+            raise InvalidArgument(f"step {step.number} of the queue came, and step {self.next_step} is missing")
+        self._add_runs(step.changes, now)
+        states = {one.seq: one for one in step.changes.items}
+        removed = {*step.removed}
+        for seq in sorted(states.keys() | removed):
+            item = self._queue_items.tracked.get(seq) or self._tracked(seq)
+            if seq in removed:
+                self._leasing.void(item)
+                self._queue_items.remove(item)
+            else:
+                enter(self._queue_items, self._leasing, states[seq], now)
+        self._note_rest(step.changes, now)
+        self._append(step._replace(time=now))
+
+    def _add_runs(self, changes: QueueHandoff, now: int) -> None:
+        for run in changes.runs:
+            own = fresh_run_of(run, now)
+            for position in range(len(own.lengths)):
+                self._queue_items.put_back(own, position, is_fresh=True)
+        self._queue_items.next_seq = changes.next_seq
+
+    def _tracked(self, seq: int) -> TrackedItem:
+        """The first fresh message, which must have this seq: messages are delivered and dropped in their order."""
+        run = self._queue_items.fresh_run()
+        if run is None or run.first_seq + self._queue_items.fresh_position != seq:
+            raise InvalidArgument(f"a step of the queue changes message {seq}, which the copy does not hold")
+        return self._queue_items.track_fresh()
+
+    def _note_rest(self, changes: QueueHandoff, now: int) -> None:
+        """Take over what a step says beside the messages."""
+        self._queue_items.tally = replace(changes.tally)
+        self._leasing.next_delivery_id = changes.next_delivery_id
+        for one in changes.acknowledged:
+            self._leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
+        for kept in changes.producers:
+            self._enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
+        for known in changes.message_ids:
+            self._enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+
+    def _append(self, step: QueueStep) -> None:
+        self._changes.clear()
+        self._tally = replace(self._queue_items.tally)
+        self.next_step = step.number + 1
+        self._steps.append(step)
+        self.size_bytes += step.size_bytes
+        while self.size_bytes > self._bytes_max and len(self._steps) > 1:
+            self.size_bytes -= self._steps.popleft().size_bytes
+
+    def forget(self, next_step: int) -> None:
+        """Forget the steps before `next_step`: every replica has them."""
+        while self._steps and self._steps[0].number < next_step:
+            self.size_bytes -= self._steps.popleft().size_bytes

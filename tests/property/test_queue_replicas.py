@@ -1,0 +1,138 @@
+"""A copy of a queue that repeats its owner's steps equals the owner at each step, and goes on as the owner did.
+
+The stories are those of `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them twice,
+and begin anew. A copy that has all steps takes the queue over, and the rest of the story is compared with the oracle.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.copies.queue_messages import parts_of
+from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal, QueueStep, handoff
+from tests.property import test_queue_against_oracle as stories
+from tests.property.queue_pair import QueuePair, limits_of
+from tests.property.random_source import RandomSource
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
+
+
+def contents(core: QueueCore, clock: int) -> list[bytes]:
+    """Everything that the queue holds and knows at `clock`, without a call that changes it."""
+    state = handoff.export(core._queue_items, core._leasing, core._enqueuing, clock)
+    items = [*sorted(state.items, key=lambda one: one.seq)]
+    acknowledged = [*sorted(state.acknowledged)]
+    state = replace(state, items=items, acknowledged=acknowledged)
+    return [part.SerializeToString(deterministic=True) for part in parts_of(state)]
+
+
+class Copy:
+    """A copy at another host, whose clock shows the same time."""
+
+    def __init__(self, pair: ReplicatedPair) -> None:
+        state = handoff.export(pair.core._queue_items, pair.core._leasing, pair.core._enqueuing, pair.clock)
+        self.core = QueueCore.restored(limits_of(pair.oracle.setup), state, pair.clock, incarnation=7)
+        self.journal = self.core.journal(pair.journal.next_step)
+
+    def take(self, steps: list[QueueStep], now: dict[int, int]) -> None:
+        for step in steps:
+            self.journal.apply(step, now[step.number])
+
+
+class ReplicatedPair(QueuePair):
+    """A queue with copies. `seen`: the queue's contents after each step, with the clock of that step."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.journal: QueueJournal = self.core.journal()
+        self.copies: list[Copy] = []
+        self.seen: dict[int, tuple[int, list[bytes]]] = {}
+
+    def check(self) -> None:
+        super().check()
+        if self.journal.note(self.clock):
+            self.seen[self.journal.next_step] = self.clock, contents(self.core, self.clock)
+
+    def feed(self, copy: Copy, back: int, bytes_max: int) -> None:
+        """Send some steps, perhaps with steps that the copy has already."""
+        steps = self.journal.steps_from(max(self._oldest(), copy.journal.next_step - back), bytes_max)
+        assert steps is not None
+        for step in steps:
+            copy.take([step], {one.number: one.time for one in steps})
+            if step.number == copy.journal.next_step - 1:
+                clock, expected = self.seen[copy.journal.next_step]
+                assert contents(copy.core, clock) == expected
+
+    def _oldest(self) -> int:
+        return self.journal.next_step - len(self.journal._steps)
+
+    def hand_over(self) -> None:
+        """A copy with all steps becomes the owner, without another word of the former owner."""
+        while self.takers:
+            self.leave(0, drain=False)
+        while self.waiting:
+            self.withdraw(0)
+        copy = self.copies.pop() if self.copies else Copy(self)
+        self.feed(copy, 0, 10**9)
+        assert copy.journal.next_step == self.journal.next_step
+        self.core, self.journal = copy.core, copy.journal
+        self.core.configure(limits_of(self.oracle.setup), self.clock)
+        self.copies = [one for one in self.copies if one.journal.next_step >= self._oldest()]
+        self.check()
+
+
+def begin(rng: RandomSource, pair: ReplicatedPair) -> None:
+    if len(pair.copies) < 3:
+        pair.copies.append(Copy(pair))
+
+
+def feed(rng: RandomSource, pair: ReplicatedPair) -> None:
+    if pair.copies:
+        pair.feed(rng.pick(pair.copies), rng.pick((0, 0, 1, 3)), rng.pick((1, 1000, 10**6)))
+
+
+def lose(rng: RandomSource, pair: ReplicatedPair) -> None:
+    if pair.copies:
+        pair.copies.pop(rng.below(len(pair.copies)))
+
+
+STEPS = (*stories.STEPS, begin, feed, feed, feed, feed, lose, stories.hand_over)
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=10, max_size=50))
+def test_a_copy_equals_its_owner_after_each_step_and_goes_on_as_the_owner(numbers: list[int]) -> None:
+    pair = ReplicatedPair(RandomSource(numbers[0]).pick(stories.SETUPS), stories.FIRST_CLOCK)
+    for number in numbers[1:]:
+        rng = RandomSource(number)
+        step = rng.pick(STEPS)
+        note(step.__name__)
+        step(rng, pair)
+
+
+def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
+    pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
+    copy = Copy(pair)
+    pair.enqueue([8], 5, 1, None, "")
+    pair.enqueue([8], 5, 2, None, "")
+    steps = pair.journal.steps_from(2, 10**9)
+    assert steps is not None
+    with pytest.raises(InvalidArgument):
+        copy.journal.apply(steps[0], pair.clock)
+
+
+def test_the_journal_forgets_the_oldest_steps_above_its_bound() -> None:
+    pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
+    pair.journal._bytes_max = 3000
+    for number in range(1, 20):
+        pair.enqueue([8], 5, number, None, "")
+    assert pair.journal.size_bytes <= 3000
+    assert pair.journal.steps_from(1, 10**9) is None
+    assert pair.journal.steps_from(pair.journal.next_step, 1) == []
