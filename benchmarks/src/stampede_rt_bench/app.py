@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.administration.output_forms import add_output
 from stampede_rt.cli.interrupts import unwinding
+from stampede_rt.cli.output import print_rows
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_bench.capacity.command import MEMORY, capacity_works, measure_capacity
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
@@ -18,6 +20,7 @@ from stampede_rt_bench.growth.dimensions import DIMENSIONS
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, skew, visibility
+from stampede_rt_bench.printing import announce, finish, show
 from stampede_rt_bench.tables import Table
 from stampede_rt_bench.works.catalogue import READERS, works
 from stampede_rt_bench.works.processes import ServerFailed
@@ -73,15 +76,22 @@ def _paper(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
     effort = Effort(items_max=arguments.items_max, runs=arguments.runs, frames=arguments.frames)
     folder.mkdir(parents=True, exist_ok=True)
+    figures = []
     for name in arguments.figure or FIGURES:
         title, measure = FIGURES[name]
-        print(f"\n{title[0].upper()}{title[1:]}", flush=True)
-        measure(effort, folder / f"{name}.png").print()
+        announce(f"{title[0].upper()}{title[1:]}", arguments.output)
+        chart = folder / f"{name}.png"
+        table = measure(effort, chart)
+        show(table, arguments.output)
+        figures.append({"figure": name, "title": title, "chart": str(chart), **table.values()})
+    if arguments.output != "table":
+        print_rows(figures, arguments.output, none="")
     return 0
 
 
 def _matching(arguments: argparse.Namespace) -> int:
-    compare(arguments.seconds, arguments.seed).print()
+    table = compare(arguments.seconds, arguments.seed)
+    finish(table.values(), table.render(), arguments.output)
     return 0
 
 
@@ -100,6 +110,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     matching.add_argument("--seed", type=_between(0, 2**31), default=1, help="the seed of the recordings (default: 1)")
     matching.set_defaults(run=_matching)
+    for one in kinds.choices.values():
+        add_output(one)
     return parser
 
 

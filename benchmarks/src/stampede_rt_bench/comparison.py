@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from stampede_rt_bench.peers.nats_core import NatsCore
 from stampede_rt_bench.peers.ours import StampedeRt
 from stampede_rt_bench.peers.redis_streams import RedisStreams
 from stampede_rt_bench.peers.zenoh import Zenoh
+from stampede_rt_bench.printing import finish, say, show
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.works.campaign import Results, compare
 from stampede_rt_bench.works.catalogue import READERS, Work, size, works
@@ -48,7 +48,7 @@ def measure_limits(arguments: argparse.Namespace) -> int:
     """Measure the limits. Returns 1 if a run failed. Raises OSError."""
     report = _report(arguments, "limits", "What the parts can do", PACKAGES[:1])
     report.tables.append(_memory(arguments.rounds))
-    report.tables[0][1].print()
+    show(report.tables[0][1], arguments.output)
     return _run(report, list(LIMITS.values()), _chosen(works(()), arguments.work), arguments)
 
 
@@ -95,8 +95,8 @@ def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], argu
     report.lacks = {system.name: system.lacks for system in systems}
 
     def done(results: Results, work: Work) -> None:
-        print(flush=True)
-        report.table(results, work).print()
+        say(f"measured: {work.title}")
+        show(report.table(results, work), arguments.output, "")
         report.write(results, folder)  # after each work, so that an interrupted campaign keeps its results
 
     results = compare(
@@ -105,10 +105,10 @@ def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], argu
         rounds=arguments.rounds,
         seconds=arguments.seconds,
         done=done,
-        say=lambda text: print(f"stampede bench: {text}", file=sys.stderr, flush=True),
+        say=say,
     )
     for table in [table for _, table in report.readers(results)] + ([table_of_goals(results)] if report.ours else []):
-        print(flush=True)
-        table.print()
-    print(f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts.")
+        show(table, arguments.output, "")
+    told = f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts."
+    finish(report.values(results), told, arguments.output)
     return 1 if results.failures else 0

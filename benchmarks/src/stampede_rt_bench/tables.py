@@ -1,11 +1,24 @@
-"""Tables in plain text and in Markdown."""
+"""Tables in plain text, in Markdown, and as data for JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from stampede_rt_bench.measuring import Spread
+
+
+class Cell(str):
+    """The text of a cell for people, with its `value` for programs."""
+
+    value: object
+
+    def __new__(cls, text: str, value: object) -> Cell:
+        """Return `text` with the value."""
+        cell = super().__new__(cls, text)
+        cell.value = value
+        return cell
 
 
 @dataclass
@@ -33,7 +46,21 @@ class Table:
         """Print the table on standard output."""
         print(self.render(), flush=True)
 
+    def values(self) -> dict[str, Any]:
+        """Return the table as data for JSON. A row is an object with the columns as its keys."""
+        rows = [
+            {column: getattr(cell, "value", cell) for column, cell in zip(self.columns, row, strict=True)}
+            for row in self.rows
+        ]
+        return {"rows": rows, "notes": self.notes}
 
-def spread(value: Spread, digits: int = 1) -> str:
+
+def number(value: float, digits: int = 0) -> Cell:
+    """Return a number as in `1,234.5`."""
+    return Cell(f"{value:,.{digits}f}", value)
+
+
+def spread(value: Spread, digits: int = 1) -> Cell:
     """Return the median with the least and the greatest value, as in `12.3 (12.0 to 14.1)`."""
-    return f"{value.median:,.{digits}f} ({value.least:,.{digits}f} to {value.most:,.{digits}f})"
+    text = f"{value.median:,.{digits}f} ({value.least:,.{digits}f} to {value.most:,.{digits}f})"
+    return Cell(text, asdict(value))

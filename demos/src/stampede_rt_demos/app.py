@@ -7,8 +7,11 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+from stampede_rt.administration.output_forms import add_output
 from stampede_rt.cli.interrupts import unwinding
+from stampede_rt.cli.output import print_rows
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.film import require_libraries
@@ -31,7 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
     if arguments.demo is None:
-        print(_listing())
+        rows = [{"demo": name, "about": about} for name, about in DEMOS.items()]
+        print(_listing()) if arguments.output == "table" else print_rows(rows, arguments.output, none="")
         return 0
     try:
         with unwinding(signal.SIGINT, signal.SIGTERM):
@@ -47,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = TerminalParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
+    add_output(parser)
     demos = parser.add_subparsers(dest="demo", metavar="NAME")
     for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo), ("rover", _rover)):
         demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)
@@ -58,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
                 action="store_true",
                 help="encrypt all traffic; the roles have certificates, not tokens",
             )
+        add_output(demo, default=argparse.SUPPRESS)  # the default of the parser above stays
         demo.set_defaults(run=run)
     return parser
 
@@ -67,21 +73,25 @@ def _tv_watcher(arguments: argparse.Namespace) -> int:
     require_libraries()
     from stampede_rt_demos.tv_watcher.app import run
 
-    return run(seconds=arguments.seconds, picture=arguments.picture, certificates=arguments.certificates)
+    return run(**_common(arguments), certificates=arguments.certificates)
 
 
 def _stereo(arguments: argparse.Namespace) -> int:
     require_libraries()
     from stampede_rt_demos.stereo.app import run
 
-    return run(seconds=arguments.seconds, picture=arguments.picture, certificates=arguments.certificates)
+    return run(**_common(arguments), certificates=arguments.certificates)
 
 
 def _rover(arguments: argparse.Namespace) -> int:
     require_libraries()
     from stampede_rt_demos.rover.app import run
 
-    return run(seconds=arguments.seconds, picture=arguments.picture)
+    return run(**_common(arguments))
+
+
+def _common(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {"seconds": arguments.seconds, "picture": arguments.picture, "form": arguments.output}
 
 
 def _seconds(text: str) -> int:

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
-import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from stampede_rt.cli.commands import full_parser, run
+from stampede_rt_bench.app import _parser as bench_parser
+from stampede_rt_demos.app import _parser as demo_parser
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.command_line.documented_fields import DOCUMENTED, require_fields
 from tests.support.command_line.every_verb import EVERY, NOT_RUN, WAITS_FOR_NEWS, WITHOUT_JSON, Stage, stage
 from tests.support.processes import started
 from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2, supernodes=1, scope="module")
-PAGE = Path(__file__).parents[3] / "docs/command-line.md"
 FINDS_FAULTS = ("doctor", "host drain")  # these may tell of faults, and then have status 1
 SERVICE_NOUNS = ("supernode", "host", "certs", "demo", "bench")  # EVERY has verbs of these nouns, too
 
@@ -63,6 +62,8 @@ def test_every_verb_of_a_client_is_run_here_and_has_the_option_output() -> None:
     assert set(verbs) == {name for name in run_here if name.split()[0] not in SERVICE_NOUNS}
     without = {name for name, parser in verbs.items() if "--output" not in parser._option_string_actions}
     assert without == {"completion"}
+    for parser in (demo_parser(), bench_parser()):
+        assert all("--output" in below._option_string_actions for _, below in leaves(parser))
 
 
 def status_of(words: list[str], name: str, made: Stage) -> int:
@@ -71,40 +72,6 @@ def status_of(words: list[str], name: str, made: Stage) -> int:
             return run(words)
         except SystemExit as end:  # --help
             return int(end.code or 0)
-
-
-def documented() -> dict[str, set[str]]:
-    """The fields of each command by the page. A word in capitals stands for the fields in its own row."""
-    rows = re.findall(r"^\| (.+) \| (`.+) \|$", PAGE.read_text().partition("## Fields")[2], flags=re.MULTILINE)
-    cells = {one.strip("`"): re.findall(r"`([^`]+)`", right) for left, right in rows for one in left.split(", ")}
-
-    def whole(path: str) -> set[str]:
-        head, _, word = path.rpartition(".")
-        if not word.isupper():
-            return {path}
-        return {f"{head}.{one}".removeprefix(".") for below in cells[word] for one in whole(below)}
-
-    return {name: set().union(*map(whole, paths)) for name, paths in cells.items() if not name.isupper()}
-
-
-DOCUMENTED = documented()
-
-
-def fields(value: Any, opened: set[str], prefix: str = "") -> Iterator[str]:
-    """The paths of all values. A path in `opened` is an object whose keys differ from case to case."""
-    if isinstance(value, list) and value:
-        for one in value:
-            yield from fields(one, opened, f"{prefix}[]")
-    elif isinstance(value, dict) and value:
-        for key, one in value.items():
-            path = f"{prefix}{{}}" if prefix in opened else f"{prefix}.{key}".removeprefix("[]").removeprefix(".")
-            yield from fields(one, opened, path)
-    else:
-        yield prefix
-
-
-def bare(path: str) -> str:
-    return path.removesuffix("?").removesuffix("[]").removesuffix("{}")
 
 
 def test_the_page_names_the_fields_of_every_verb() -> None:
@@ -119,18 +86,7 @@ def test_a_verb_prints_the_fields_that_the_page_names(
     status = status_of([*EVERY[name](printed_things), "--output", "json"], name, printed_things)
     out, err = capsys.readouterr()
     assert status == 0 or name in FINDS_FAULTS, err
-    try:
-        printed = json.loads(out)
-    except json.JSONDecodeError:  # one object in each line
-        printed = [json.loads(line) for line in out.splitlines()]
-    assert printed or name == "rebalance"  # there is nothing to even out
-    expected = DOCUMENTED[name]
-    opened = {path[: end.start()] for path in expected for end in re.finditer(r"\{\}", path)}
-    found = set(map(bare, fields(printed, opened))) if printed else set(map(bare, expected))
-    empty = {path for path in found if any(one.startswith((f"{path}[", f"{path}{{", f"{path}.")) for one in expected)}
-    needed = {bare(path) for path in expected if not path.endswith("?")}
-    lacking = {path for path in needed - found if not any(path.startswith(f"{one}") for one in empty)}
-    assert (sorted(found - set(map(bare, expected)) - empty), sorted(lacking)) == ([], []), printed
+    require_fields(name, out, may_be_empty=name == "rebalance")  # there is nothing to even out
 
 
 # Commands that go on until Ctrl-C, or wait for long, with their statuses after Ctrl-C. NAME is a channel without news.

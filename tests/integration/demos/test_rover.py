@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.rover.app import run
+from stampede_rt_demos.rover import app
 from stampede_rt_demos.rover.orchestrator import conduct
 from stampede_rt_demos.rover.programme import SECONDS_MIN
 from stampede_rt_demos.rover.report import RoverReport, render
 from stampede_rt_demos.staging.progress import Progress
+from tests.support.command_line.documented_fields import require_fields
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,14 @@ def test_the_run_is_described_in_words_and_drawn(report: RoverReport, tmp_path: 
     assert (tmp_path / "rover.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_json_of_a_run_has_the_fields_that_the_page_names(
+    report: RoverReport, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(app, "conduct", lambda *_, **__: report)
+    assert app.run(seconds=SECONDS_MIN, picture=None, form="json") == 0
+    require_fields("demo rover", capsys.readouterr().out)
+
+
 def test_a_run_too_short_for_the_outage_is_refused() -> None:
     with pytest.raises(DemoFailed, match="16 s or more"):
-        run(seconds=SECONDS_MIN - 1, picture=None)
+        app.run(seconds=SECONDS_MIN - 1, picture=None)

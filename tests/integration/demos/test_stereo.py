@@ -12,10 +12,11 @@ import pytest
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.staging.rights import Right
-from stampede_rt_demos.stereo import orchestrator
+from stampede_rt_demos.stereo import app, orchestrator
 from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
 from stampede_rt_demos.stereo.programme import Side
 from stampede_rt_demos.stereo.report import render
+from tests.support.command_line.documented_fields import require_fields
 
 SECONDS, RUNS_MAX = 4, 3
 
@@ -60,6 +61,14 @@ def test_the_run_is_described_in_words_and_drawn(outcome: Outcome, tmp_path: Pat
 
     draw(outcome.report, outcome.frames, 40_000_000, tmp_path / "stereo.png")
     assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_json_of_a_run_has_the_fields_that_the_page_names(
+    outcome: Outcome, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(app, "conduct", lambda *_, **__: outcome)
+    assert app.run(seconds=SECONDS, picture=None, form="json") == 0
+    require_fields("demo stereo", capsys.readouterr().out)
 
 
 def test_roles_may_do_what_their_rights_say_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:

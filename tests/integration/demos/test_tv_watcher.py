@@ -16,8 +16,10 @@ from PIL import Image
 
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.tv_watcher import app
 from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
 from stampede_rt_demos.tv_watcher.report import render
+from tests.support.command_line.documented_fields import require_fields
 
 SECONDS, RUNS_MAX = 4, 3
 EXPECTED = {"captions": 1, "video": 25, "audio": 8, "motion": 25, "loudness": 8}
@@ -73,6 +75,14 @@ def test_the_times_are_measured_and_reported(outcome: Outcome):
         assert figure.latency_p99_nanos is not None
         assert 0 < figure.latency_p50_nanos <= figure.latency_p99_nanos
     assert "Nothing was lost" in render(outcome.report)
+
+
+def test_the_json_of_a_run_has_the_fields_that_the_page_names(
+    outcome: Outcome, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(app, "conduct", lambda *_, **__: outcome)
+    assert app.run(seconds=SECONDS, picture=None, form="json") == 0
+    require_fields("demo tv-watcher", capsys.readouterr().out)
 
 
 def test_the_picture_shows_the_spans(outcome: Outcome, tmp_path: Path):

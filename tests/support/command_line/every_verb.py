@@ -223,7 +223,11 @@ EVERY: dict[str, Words] = {
 """The words of a command, by the verb and its variant. They work in any order."""
 WAITS_FOR_NEWS = ("watch", "group watch", "group match", "mailbox get")
 """The commands that end with the next news. `Stage.busy` makes some."""
-WITHOUT_JSON = ("completion", "demo", "bench")
-"""The verbs that print no data."""
-NOT_RUN = ("supernode remove", "supernode join")
-"""Verbs that need another supernode. Tests of supernodes run them."""
+WITHOUT_JSON = ("completion", "bench")
+"""The commands that print no data."""
+NOT_RUN = (
+    *("supernode remove", "supernode join"),
+    *("demo tv-watcher", "demo stereo", "demo rover"),
+    *("bench paper", "bench matching", "bench growth", "bench capacity", "bench limits", "bench peers"),
+)
+"""The commands that need another supernode or a long time. The tests of their subjects run them."""

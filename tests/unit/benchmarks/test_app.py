@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,9 @@ import pytest
 from stampede_rt_bench.app import main
 from stampede_rt_bench.filling import filled_channel, time_of
 from stampede_rt_bench.measuring import Spread
+from stampede_rt_bench.paper.memory_cost import RUNS_OF_ITEMS
 from stampede_rt_bench.tables import Table
+from tests.support.command_line.documented_fields import require_fields
 
 PNG = b"\x89PNG"
 
@@ -22,6 +25,18 @@ def test_a_figure_prints_its_table_and_draws_its_chart(
     assert main(words) == 0
     assert "1,000" in capsys.readouterr().out
     assert (tmp_path / f"{figure}.png").read_bytes().startswith(PNG)
+
+
+def test_a_figure_and_a_table_are_json_for_programs_with_the_fields_of_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["paper", "--figure", "memory", "--items-max", "1000", "--runs", "1", "--out", str(tmp_path)]
+    assert main([*words, "--output", "json"]) == 0
+    output = capsys.readouterr()
+    require_fields("bench paper", output.out)
+    assert "stampede bench: Memory of held items" in output.err
+    (figure,) = json.loads(output.out)
+    assert {row["items in a run"] for row in figure["rows"]} == set(RUNS_OF_ITEMS)
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

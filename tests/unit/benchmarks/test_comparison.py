@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
@@ -11,19 +13,39 @@ from stampede_rt_bench.app import main
 from stampede_rt_bench.limits.sockets import RawSockets
 from stampede_rt_bench.works.catalogue import works
 from stampede_rt_bench.works.run import measure
+from tests.support.command_line.documented_fields import require_fields
 
 QUICK = ["--seconds", "0.1", "--rounds", "1"]
 
 
-def test_limits_are_measured_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["limits", "--work", "put", *QUICK, "--out", str(tmp_path)]) == 0
-    assert "bare Unix socket" in capsys.readouterr().out
-    report = json.loads((tmp_path / "limits.json").read_text())
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("limits")
+
+
+@pytest.fixture(scope="module")
+def printed(folder: Path) -> str:
+    with contextlib.redirect_stdout(io.StringIO()) as output:
+        assert main(["limits", "--work", "put", *QUICK, "--out", str(folder), "--output", "json"]) == 0
+    return output.getvalue()
+
+
+def test_the_json_of_limits_has_the_fields_that_the_page_names_and_is_the_written_file(
+    printed: str, folder: Path
+) -> None:
+    require_fields("bench limits", printed)
+    assert json.loads(printed) == json.loads((folder / "limits.json").read_text())
+
+
+def test_limits_are_measured_and_reported(printed: str, folder: Path) -> None:
+    page = (folder / "limits.md").read_text()
+    assert "| bare Unix socket |" in page
+    report = json.loads(printed)
     (work,) = report["works"]
     assert set(work["systems"]) == {"bare gRPC", "bare Unix socket", "bare TCP socket"}
     assert all(system["items_per_second"]["median"] > 0 for system in work["systems"].values())
     assert report["failures"] == []
-    assert (tmp_path / "limits-operations.png").exists()
+    assert (folder / "limits-operations.png").exists()
 
 
 @pytest.mark.parametrize("name", ["newest", "interval", "stream-18kb", "latency-300"])

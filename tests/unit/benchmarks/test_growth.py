@@ -12,6 +12,7 @@ from stampede_rt_bench.growth.dimensions import DIMENSIONS
 from stampede_rt_bench.growth.own_channels import powers
 from stampede_rt_bench.growth.report import steepest
 from stampede_rt_bench.measuring import Spread
+from tests.support.command_line.documented_fields import require_fields
 
 SMALL = ["--channels-max", "3", "--items-max", "200", "--readers-max", "3", "--groups-max", "2"]
 SMALL += ["--runs", "2", "--operations", "8"]
@@ -37,8 +38,14 @@ def test_growth_of_everything_is_measured_and_reported(tmp_path: Path, capsys: p
         assert (tmp_path / f"growth-{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_only_the_named_growth_is_measured(tmp_path: Path) -> None:
-    assert main(["growth", "--of", "readers", *SMALL, "--out", str(tmp_path)]) == 0
+def test_only_the_named_growth_is_measured_and_printed_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["growth", "--of", "readers", *SMALL, "--out", str(tmp_path), "-o", "jsonl"]) == 0
+    output = capsys.readouterr()
+    require_fields("bench growth", output.out)
+    assert output.out.count("\n") == 1
+    assert DIMENSIONS["readers"].title in output.err
     assert list(json.loads((tmp_path / "growth.json").read_text())["growth"]) == ["readers"]
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
 from stampede_rt_bench.capacity.memory import measure_memory
 from stampede_rt_bench.capacity.report import CapacityReport
 from stampede_rt_bench.machine import describe
 from stampede_rt_bench.peers.ours import StampedeRt
+from stampede_rt_bench.printing import finish, say, show
 from stampede_rt_bench.works.campaign import Results, compare
 from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, SMALL, Work, size, works
 
@@ -45,29 +45,24 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
     system, only = StampedeRt(), arguments.work
     report = CapacityReport(command=_command(arguments), machine=describe(("grpcio",)), system=system.name)
     if not only or MEMORY in only:
-        _say("memory: channels and items in a new host")
+        say("memory: channels and items in a new host")
         report.memory = measure_memory(arguments.items, arguments.rounds)
         report.write(folder)
 
     def done(results: Results, work: Work) -> None:
-        _say(f"measured: {work.title}")
+        say(f"measured: {work.title}")
         report.results = results
         report.machine["load after"] = f"{os.getloadavg()[0]:.1f}"
         report.write(folder)  # after each work, so that an interrupted run keeps its figures
 
     chosen = [work for work in capacity_works() if not only or work.name in only]
-    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=_say)
+    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=say)
     for table in report.tables():
-        print(flush=True)
-        table.print()
-    print(f"\nThe report is in {folder}: capacity.md and capacity.json.")
+        show(table, arguments.output, "")
+    finish(report.values(), f"\nThe report is in {folder}: capacity.md and capacity.json.", arguments.output)
     return 1 if report.results.failures else 0
 
 
 def _command(arguments: argparse.Namespace) -> str:
     words = f"--seconds {arguments.seconds:g} --rounds {arguments.rounds} --items {arguments.items}"
     return f"stampede bench capacity {words}" + "".join(f" --work {name}" for name in arguments.work or [])
-
-
-def _say(text: str) -> None:
-    print(f"stampede bench: {text}", file=sys.stderr, flush=True)

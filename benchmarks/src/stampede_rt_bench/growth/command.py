@@ -8,6 +8,7 @@ from pathlib import Path
 from stampede_rt_bench.growth.dimensions import DIMENSIONS, Sizes
 from stampede_rt_bench.growth.report import GrowthReport, table_of
 from stampede_rt_bench.machine import describe
+from stampede_rt_bench.printing import announce, finish, show
 
 
 def measure_growth(arguments: argparse.Namespace) -> int:
@@ -30,9 +31,9 @@ def measure_growth(arguments: argparse.Namespace) -> int:
     command += "".join(f" --of {name}" for name in arguments.of or [])
     report = GrowthReport(command=command, machine=describe(("grpcio",)), runs=sizes.runs)
     for name in names:
-        print(f"\n{DIMENSIONS[name].title}", flush=True)
+        announce(DIMENSIONS[name].title, arguments.output)
         costs = DIMENSIONS[name].measure(sizes)
-        table_of(name, costs).print()
+        show(table_of(name, costs), arguments.output)
         report.add(name, costs, folder)
-    print(f"\nThe report is in {folder}: growth.md, growth.json and the charts.")
+    finish(report.values(), f"\nThe report is in {folder}: growth.md, growth.json and the charts.", arguments.output)
     return 0

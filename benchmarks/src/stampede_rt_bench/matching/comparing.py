@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_bench.matching import approximate_time, message_filters, ours
 from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, record
 from stampede_rt_bench.matching.sets import Judgement, judge
-from stampede_rt_bench.tables import Table
+from stampede_rt_bench.tables import Cell, Table, number
 
 COLUMNS = ("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", "told of", "delay p50 ms", "p99", "max")
 
@@ -40,7 +40,8 @@ def compare(seconds: int, seed: int) -> Table:
 def _cells(judgement: Judgement) -> tuple[str, ...]:
     delays = judgement.delays_nanos
     shown = [
-        f"{delays[int(share * (len(delays) - 1))] / NANOS_PER_MS:.1f}" if delays else "-" for share in (0.5, 0.99, 1)
+        number(delays[int(share * (len(delays) - 1))] / NANOS_PER_MS, 1) if delays else Cell("-", None)
+        for share in (0.5, 0.99, 1)
     ]
     counts = (judgement.possible, judgement.right, judgement.wrong, judgement.unmatched)
-    return (*map(str, counts), "-" if judgement.told is None else str(judgement.told), *shown)
+    return (*map(number, counts), Cell("-", None) if judgement.told is None else number(judgement.told), *shown)

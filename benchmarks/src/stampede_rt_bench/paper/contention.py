@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt_bench.charts import Axes, Points, draw_lines
 from stampede_rt_bench.measuring import Effort, Spread
 from stampede_rt_bench.peers.ours import StampedeClient, StampedeRt
-from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.tables import Cell, Table, number, spread
 from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, LARGE, MEDIUM, frames, size
 from stampede_rt_bench.works.interface import Receiver, Room, Served
 from stampede_rt_bench.works.run import count_lost
@@ -99,11 +99,11 @@ def _row(item_bytes: int, consumers: int, runs: Sequence[Sequence[int]]) -> list
     mean = statistics.fmean(sum(lost) for lost in runs)
     return [
         size(item_bytes),
-        str(consumers),
-        f"{mean:,.1f}; {spread(by_all, 0)}",
-        str(max(max(lost) for lost in runs)),
+        number(consumers),
+        Cell(f"{mean:,.1f}; {spread(by_all, 0)}", {"mean": mean, **asdict(by_all)}),
+        number(max(max(lost) for lost in runs)),
         paper.by_all,
-        paper.most,
+        Cell(paper.most, paper.most_frames),
     ]
 
 

@@ -25,7 +25,7 @@ from stampede_rt_bench.filling import (
     time_of,
 )
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
-from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.tables import Table, number, spread
 from stampede_rt_channel_host.core.channel import ChannelCore, Query
 
 GETS_PER_RUN = 20_000
@@ -95,7 +95,7 @@ def _over_grpc(effort: Effort) -> list[tuple[float, Spread]]:
 def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
     table = Table(["items", *(f"{name}, us" for name in lines)])
     for place, (items, _) in enumerate(lines["early"]):
-        table.rows.append([f"{items:,}", *(spread(points[place][1]) for points in lines.values())])
+        table.rows.append([number(items), *(spread(points[place][1]) for points in lines.values())])
     means = [
         [points[place][1].median for name, points in lines.items() if name in POSITIONS]
         for place, (items, _) in enumerate(lines["early"])

@@ -13,7 +13,7 @@ from stampede_rt_bench.charts import Axes, draw_lines
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.filling import filled_channel, filled_remote_channel, time_of
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
-from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.tables import Table, number, spread
 from stampede_rt_channel_host.core.channel import Query
 
 HELD_ITEMS_MAX = 1_000_000
@@ -77,7 +77,7 @@ def _table(lines: dict[str, Points]) -> Table:
     for place, (count, _) in enumerate(next(iter(lines.values()))):
         remote = list(lines.values())[-1][place][1]
         cells = [spread(points[place][1]) for points in lines.values()]
-        table.rows.append([f"{int(count):,}", *cells, f"{remote.median / count:,.2f}"])
+        table.rows.append([number(int(count)), *cells, number(remote.median / count, 2)])
     table.notes = [
         "At the host stored runs are given by reference; a client makes an Item of each. Medians (least to most).",
         "Paper: the time of a get grows about linearly with the items returned; it gives no figures.",

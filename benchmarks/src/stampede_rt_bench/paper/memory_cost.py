@@ -9,7 +9,7 @@ from pathlib import Path
 from stampede_rt_bench.charts import Axes, draw_lines
 from stampede_rt_bench.filling import filled_channel
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, quiet
-from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.tables import Table, number, spread
 
 HELD_ITEMS_MIN, HELD_ITEMS_MAX = 100_000, 1_000_000
 RUNS_OF_ITEMS = (1, 8, 64, 256)
@@ -26,7 +26,7 @@ def measure(effort: Effort, chart: Path) -> Table:
     title = f"Memory over the payload, {held:,} held items of {PAYLOAD_BYTES} B"
     draw_lines(chart, Axes(title=title, x="items in each put run", y="bytes per item"), {"resident memory": points})
     table = Table(["items in a run", "bytes over the payload, an item"])
-    table.rows = [[str(run_items), spread(value, 0)] for run_items, value in points]
+    table.rows = [[number(run_items), spread(value, 0)] for run_items, value in points]
     table.notes = [
         f"Resident memory of a process with {held:,} items, less one without, less payloads (goal: {GOAL_BYTES})."
     ]

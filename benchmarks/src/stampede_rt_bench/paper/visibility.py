@@ -13,7 +13,7 @@ import stampede_rt as st
 from stampede_rt_bench.charts import Lane, Span, draw_spans
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.measuring import Effort
-from stampede_rt_bench.tables import Table
+from stampede_rt_bench.tables import Table, number
 
 NANOS_PER_SECOND = 1_000_000_000
 TEXT_NANOS, AUDIO_NANOS = NANOS_PER_SECOND, NANOS_PER_SECOND // 8
@@ -59,15 +59,8 @@ def _look(table: Table, when: str, group: st.Group, channels: Sequence[st.Channe
         shown, held = (one.get(base, end, match="start") for one in (group[channel], channel))
         assert shown.cut is not None
         cut_s = (shown.cut - base) / NANOS_PER_SECOND
-        table.rows.append(
-            [
-                f"{channel.name}, {when}",
-                str(len(held)),
-                str(len(shown)),
-                str(len(held) - len(shown)),
-                f"{cut_s:.3f}",
-            ]
-        )
+        counts = (len(held), len(shown), len(held) - len(shown))
+        table.rows.append([f"{channel.name}, {when}", *map(number, counts), number(cut_s, 3)])
         visible = {item.seq for item in shown}
         spans = [Span((item.time - base) / 1e9, ((item.end or end) - base) / 1e9, item.seq in visible) for item in held]
         lanes.append(Lane(f"{channel.name.removeprefix('bench/')},\n{when}", spans, cut_s))

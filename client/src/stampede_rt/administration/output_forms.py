@@ -9,9 +9,9 @@ from typing import Any
 FORMS = ("table", "json", "jsonl")
 
 
-def add_output(parser: argparse.ArgumentParser) -> None:
+def add_output(parser: argparse.ArgumentParser, default: str = "table") -> None:
     """Add the option for the form of the output."""
-    parser.add_argument("-o", "--output", choices=FORMS, default="table", help="how to print; default table")
+    parser.add_argument("-o", "--output", choices=FORMS, default=default, help="how to print; default table")
 
 
 def json_text(value: Any, form: str) -> str:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.rover.orchestrator import conduct
 from stampede_rt_demos.rover.programme import SECONDS_MIN
-from stampede_rt_demos.rover.report import render
-from stampede_rt_demos.staging.film import ATTRIBUTION
+from stampede_rt_demos.rover.report import facts, render
 from stampede_rt_demos.staging.pictures import require_writable
-from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.results import print_results, progress_in
 
 
-def run(*, seconds: int, picture: Path | None) -> int:
+def run(*, seconds: int, picture: Path | None, form: str = "table") -> int:
     """Run the demo for `seconds`, print its results, and with `picture` draw one there. Returns exit status 0.
 
     Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
@@ -23,13 +21,12 @@ def run(*, seconds: int, picture: Path | None) -> int:
         raise DemoFailed(f"--seconds is {seconds}; after the loss of a host it goes on only in {SECONDS_MIN} s or more")
     if picture is not None:
         require_writable(picture)
-    progress = Progress(sys.stdout)
+    progress = progress_in(form)
     try:
         report = conduct(seconds, progress)
     finally:
         progress.close()
-    print(f"\n{render(report)}")
-    print(f"Film: {ATTRIBUTION}.")
+    print_results(render(report), facts(report), picture, form)
     if picture is not None:
         from stampede_rt_demos.rover.picture import draw  # takes a second to import, and is not always needed
 
@@ -37,5 +34,6 @@ def run(*, seconds: int, picture: Path | None) -> int:
             draw(report, picture)
         except (ValueError, OSError) as error:
             raise DemoFailed(f"the picture {picture} cannot be drawn: {error}") from error
-        print(f"Picture: {picture}")
+        if form == "table":
+            print(f"Picture: {picture}")
     return 0

@@ -44,6 +44,20 @@ class RoverReport:
         return max((nanos for _, nanos in self.puts), default=0)
 
 
+def facts(report: RoverReport) -> dict[str, object]:
+    """Return the results as data for JSON."""
+    sent, received, unsent = report.commands
+    names = ("seconds", "frames", "by_reference", "pairs_possible", "pairs", "wrong", "lost", "planner_pairs")
+    return {
+        "demo": "rover",
+        **{name: getattr(report, name) for name in names},
+        "puts": len(report.puts),
+        "longest_put_nanos": report.longest_put_nanos,
+        "commands": {"sent": sent, "received": received, "unsent": unsent},
+        "events": [{"after_nanos": at, "event": what} for at, what in report.events],
+    }
+
+
 def render(report: RoverReport) -> str:
     """Return the results as text, one sentence a line."""
     sent, received, unsent = report.commands

@@ -49,6 +49,31 @@ class StereoReport:
         return sum(abs(disparity - truth) <= CLOSE_PIXELS for _, disparity, truth in self.measured)
 
 
+def facts(report: StereoReport) -> dict[str, object]:
+    """Return the results as data for JSON."""
+    names = (
+        *("seconds", "pairs_possible", "pairs", "wrong", "dropped", "told_of_all", "close", "latecomer_pairs"),
+        *("answers", "unanswered", "stops", "round_trip_p50_nanos"),
+    )
+    return {
+        "demo": "stereo",
+        **{name: getattr(report, name) for name in names},
+        "cameras": [_camera(side, report) for side in Side],
+    }
+
+
+def _camera(side: Side, report: StereoReport) -> dict[str, object]:
+    before, after = report.put_p50_nanos[side]
+    return {
+        "camera": side.name.lower(),
+        "frames": report.sent[side],
+        "without_partner": len(report.alone_expected[side]),
+        "told_of": len(report.alone_told[side]),
+        "put_p50_before_nanos": before,
+        "put_p50_after_nanos": after,
+    }
+
+
 def render(report: StereoReport) -> str:
     """Return the results as text, one sentence a line."""
     left, right = (report.sent[side] for side in Side)

@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.staging.film import ATTRIBUTION
 from stampede_rt_demos.staging.pictures import require_writable
-from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.results import print_results, progress_in
 from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
-from stampede_rt_demos.tv_watcher.report import render, subtitle
+from stampede_rt_demos.tv_watcher.report import facts, render, subtitle
 
 
-def run(*, seconds: int, picture: Path | None, certificates: bool = False) -> int:
+def run(*, seconds: int, picture: Path | None, certificates: bool = False, form: str = "table") -> int:
     """Run the TV watcher for `seconds`, print its table, and with `picture` draw one there. Returns exit status 0.
 
     Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
     """
     if picture is not None:
         require_writable(picture)
-    progress = Progress(sys.stdout)
+    progress = progress_in(form)
     try:
         outcome = conduct(seconds, progress, certificates=certificates)
     finally:
         progress.close()
-    print(f"\n{render(outcome.report)}")
-    print(f"Film: {ATTRIBUTION}.")
+    print_results(render(outcome.report), facts(outcome.report), picture, form)
     if picture is not None:
         _draw(outcome, picture)
-        print(f"Picture: {picture}")
+        if form == "table":
+            print(f"Picture: {picture}")
     return 0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from stampede_rt_demos.staging.statistics import percentile
 from stampede_rt_demos.tv_watcher.statistics import StepFigures, StreamFigures
@@ -38,6 +38,22 @@ class RunReport:
     def in_step(self, step: StepFigures) -> bool:
         """Whether the span was complete, had the expected items, and its features had the times of their sources."""
         return step.complete and step.features_keep_times and dict(step.counts) == dict(self.expected)
+
+
+def facts(report: RunReport) -> dict[str, object]:
+    """Return the results as data for JSON."""
+    delays = _delays(report.steps)
+    return {
+        "demo": "tv-watcher",
+        "streams": [{**asdict(figure), "lost": figure.lost} for figure in report.figures],
+        "spans": len(report.steps),
+        "spans_in_step": sum(report.in_step(step) for step in report.steps),
+        "delay_p50_nanos": percentile(delays, 50),
+        "delay_p99_nanos": percentile(delays, 99),
+        "lateness_max_nanos": dict(report.lateness_max_nanos),
+        "role_cpu_percent": dict(report.role_cpu_percent),
+        "cluster_cpu_percent": report.cluster_cpu_percent,
+    }
 
 
 def render(report: RunReport) -> str:

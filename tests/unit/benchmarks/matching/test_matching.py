@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
-from stampede_rt_bench.app import main
+from stampede_rt_bench import app
 from stampede_rt_bench.matching import approximate_time, message_filters, ours
+from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, Arrival, nearest_sets, record, times_of
 from stampede_rt_bench.matching.sets import FoundSet, Replay, judge
+from tests.support.command_line.documented_fields import require_fields
 
 TOLERANCE = 20 * NANOS_PER_MS
 
@@ -50,8 +54,16 @@ def test_our_match_gives_no_wrong_set_and_tells_of_every_item_without_one(condit
     assert 0 <= judgement.unmatched - judgement.told <= 2  # the last ones are not settled when the recording ends
 
 
-def test_the_table_has_every_synchroniser_or_says_how_to_get_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["matching", "--seconds", "15"]) == 0
+def test_the_table_has_every_synchroniser_or_says_how_to_get_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = compare(15, 1)
+    monkeypatch.setattr(app, "compare", lambda seconds, seed: table)
+    assert app.main(["matching", "--output", "json"]) == 0
+    printed = capsys.readouterr().out
+    require_fields("bench matching", printed)
+    assert sum(row["synchroniser"] == "g.match" for row in json.loads(printed)["rows"]) == len(SCENARIOS)
+    assert app.main(["matching", "--seconds", "15"]) == 0
     printed = capsys.readouterr().out
     assert printed.count("g.match") == len(SCENARIOS)
     for name, peer in (("filters, Python", message_filters), ("filters, C++", approximate_time)):

@@ -280,6 +280,7 @@ _shtab_stampede_bench_capacity_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each work (default\: 3)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -295,6 +296,7 @@ _shtab_stampede_bench_growth_options=(
   "--groups-max[the most groups of a channel (default\: 500)]:N:"
   "--runs[the runs of each figure (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -306,6 +308,7 @@ _shtab_stampede_bench_limits_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each work (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -315,6 +318,7 @@ _shtab_stampede_bench_matching_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seconds[the length of each recording (default\: 60)]:seconds:"
   "--seed[the seed of the recordings (default\: 1)]:seed:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -327,6 +331,7 @@ _shtab_stampede_bench_paper_options=(
   "--runs[the runs for each figure (default\: 5)]:N:"
   "--frames[the frames of each run of contention (default\: 2312, as in the paper\: 77 s)]:N:"
   "--out[the folder for charts (default\: out\/bench)]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -340,6 +345,7 @@ _shtab_stampede_bench_peers_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each work (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -508,6 +514,7 @@ _shtab_stampede_context_use_defaults_added=0
 
 _shtab_stampede_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   ":NAME:(tv-watcher stereo rover)"
 )
 
