@@ -18,6 +18,8 @@ from stampede_rt_channel_host.core.archive import (
     PastFacts,
     PlacedBlock,
     Segment,
+    SegmentBlocks,
+    TimeRange,
     WantedWindow,
 )
 from stampede_rt_channel_host.core.channel import (
@@ -188,20 +190,22 @@ class ArchivedChannel:
         part = archive.part_of(runs, chosen)
         return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
 
-    def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
-        return self._blocks[segment.number]
+    def _blocks_of(self, segment: Segment) -> SegmentBlocks:
+        return SegmentBlocks(self._blocks[segment.number])
 
-    def _archived_runs_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedRun]:
+    def _archived_runs_of(
+        self, segment: Segment, block: PlacedBlock, within: TimeRange | None = None
+    ) -> list[ArchivedRun]:
         content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
         assert archive.is_whole(block.head, content)
-        return archive.decode_items(block.head, content, self._decode)
+        return archive.decode_items(block.head, content, self._decode, within)
 
     def _advances_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedAdvance]:
         content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
         return archive.decode_advances(content)
 
-    def _runs_of(self, segment: Segment, block: PlacedBlock) -> list[Run]:
-        return [one.run for one in self._archived_runs_of(segment, block)]
+    def _runs_of(self, segment: Segment, block: PlacedBlock, within: TimeRange | None = None) -> list[Run]:
+        return [one.run for one in self._archived_runs_of(segment, block, within)]
 
     def _load(self, wanted: WantedWindow, segments: Sequence[Segment], blocks_of: BlocksOf) -> archive.ArchiveWindow:
         self.loads += 1
@@ -209,7 +213,7 @@ class ArchivedChannel:
         self.loaded_max = max(self.loaded_max, sum(one.head.length for _, one in chosen.blocks))
         runs = []
         for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
-            runs += self._runs_of(segment, block)
+            runs += self._runs_of(segment, block, wanted.wanted.times)
         return archive.window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
 
     def _decode(self, body: bytes) -> Run:

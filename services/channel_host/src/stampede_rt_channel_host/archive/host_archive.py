@@ -11,6 +11,7 @@ from contextlib import suppress
 
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse, FoundFolder
+from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
@@ -45,6 +46,7 @@ class HostArchive:
         self.disk = disk or DiskUse()
         self.disk.on_full = self._make_room
         self._decode, self._now = decode, now
+        self._kept = KeptBlocks()
         self._recorders: set[ChannelRecorder] = set()
         self._making_room: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
@@ -70,7 +72,7 @@ class HostArchive:
         """The files of a channel, after a look at them. Raises OSError."""
         channel_id, name = record.channel_id, record.name
         facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
-        files = SegmentFiles(self.folder.of_channel(channel_id), facts)
+        files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
         loop = asyncio.get_running_loop()
         found = await loop.run_in_executor(self._writer, files.open, record.epoch, record.incarnation)
         if found.torn_bytes or found.damaged_blocks:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, remove_stop, write_stop
+from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
@@ -21,6 +22,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRun,
     BlockHead,
     Segment,
+    SegmentBlocks,
     encode_advances,
     encode_gap,
     encode_items,
@@ -78,10 +80,10 @@ class SegmentFiles(SegmentReads):
     a block, a gap before it, and the beginning of a segment.
     """
 
-    def __init__(self, folder: Path, facts: dict[str, str | int]) -> None:
-        """`facts` go into each new segment, for people who look into the file."""
+    def __init__(self, folder: Path, facts: dict[str, str | int], kept: KeptBlocks | None = None) -> None:
+        """`facts` go into each new segment, for people who look into the file. `kept`: see `SegmentReads`."""
         self._files = SegmentFolder(folder)
-        super().__init__(self._files)
+        super().__init__(self._files, kept)
         self._folder = folder
         self.run_bytes_max = ROW_BYTES + 4 * HEAD_BYTES + ADVANCE_BYTES + len(json.dumps(facts))
         self._facts = facts
@@ -130,6 +132,8 @@ class SegmentFiles(SegmentReads):
         segment = summary(number, blocks[-1].end if blocks else 0, blocks)
         if segment is None:
             path.unlink()
+        else:
+            self._kept.keep(self, number, FoundBlocks(segment.length, SegmentBlocks(blocks)))
         return segment, torn, len(scanned.damaged)
 
     def write(

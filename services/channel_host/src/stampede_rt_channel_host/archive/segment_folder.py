@@ -23,8 +23,8 @@ class SegmentPlace(Protocol):
         """Open a segment: within the context the function reads its bytes."""
         ...
 
-    def blocks(self, segment: Segment) -> Sequence[PlacedBlock]:
-        """The blocks of a segment, as far as `segment` knows it."""
+    def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
+        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
         ...
 
 
@@ -48,7 +48,7 @@ class SegmentFolder:
         with self.file_of(number).open("rb", buffering=0) as file:
             yield lambda offset, size: os.pread(file.fileno(), size, offset)
 
-    def blocks(self, segment: Segment) -> Sequence[PlacedBlock]:
-        """The blocks of a segment, as far as `segment` knows it."""
+    def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
+        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
         with self.opened(segment.number) as read_at:
-            return scan(read_at, segment.length, check_contents=False).blocks
+            return scan(read_at, segment.length, check_contents=False, begin=begin).blocks

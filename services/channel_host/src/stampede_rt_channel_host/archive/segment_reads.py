@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import partial
-from threading import Lock
 
+from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentPlace
 from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
@@ -18,6 +17,8 @@ from stampede_rt_channel_host.core.archive import (
     Past,
     PlacedBlock,
     Segment,
+    SegmentBlocks,
+    TimeRange,
     WantedWindow,
     border_holes,
     choose,
@@ -32,16 +33,14 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import Run
 
-SEGMENTS_KEPT, BLOCKS_KEPT = 64, 2**16  # the most segments, and blocks of them, whose heads stay in memory
-
 
 class SegmentReads:
     """Reads the segments in a place. Any threads read at the same time, while one thread writes."""
 
-    def __init__(self, place: SegmentPlace) -> None:
+    def __init__(self, place: SegmentPlace, kept: KeptBlocks | None = None) -> None:
+        """`kept`: the blocks that the reads of all channels have found."""
         self.place = place
-        self._lock = Lock()
-        self._kept: OrderedDict[int, Sequence[PlacedBlock]] = OrderedDict()
+        self._kept = KeptBlocks() if kept is None else kept
         self.damaged_blocks = 0
         """The blocks that reads found damaged."""
 
@@ -53,19 +52,20 @@ class SegmentReads:
         rest: Callable[[], None],
         past: Past | None = None,
     ) -> ArchiveWindow:
-        """Load a window of `segments`, perhaps those of `past`. Calls `rest` after each block, for other threads."""
+        """Load a window of `segments`, perhaps those of `past`. Calls `rest` between two blocks, for other threads."""
         blocks_of = self._blocks_of if past is None else past.blocks_of(self._blocks_of)
         chosen = choose(segments, blocks_of, wanted.wanted)
         runs: list[Run] = []
         missing: list[Hole] = []
         taken: dict[Segment, set[int]] = {}
-        for segment, block in sorted(chosen.blocks, key=lambda one: one[1].head.first_seq):
-            found = self._runs_of(segment, block, decode)
-            runs += found
+        for at, (segment, block) in enumerate(sorted(chosen.blocks, key=lambda one: one[1].head.first_seq)):
+            if at:
+                rest()
+            found = self._archived_runs_of(decode, segment, block, wanted.wanted.times)
+            runs += (one.run for one in found or ())
             taken.setdefault(segment, set()).add(block.offset)
-            if not found:
+            if found is None:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
-            rest()
         for segment, offsets in taken.items():
             missing += holes(blocks_of(segment), offsets)
         missing += border_holes(segments, blocks_of, taken)
@@ -74,7 +74,7 @@ class SegmentReads:
 
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> Past:
         """The segments as they were at an earlier instant."""
-        return past_of(segments, self._blocks_of, partial(self._archived_runs_of, decode), self._advances_of, as_of)
+        return past_of(segments, self._blocks_of, partial(self._all_runs_of, decode), self._advances_of, as_of)
 
     def load_part(
         self,
@@ -93,16 +93,20 @@ class SegmentReads:
         return part_of(runs, chosen)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
-        return [one.run for one in self._archived_runs_of(decode, segment, block)]
+        return [one.run for one in self._all_runs_of(decode, segment, block)]
+
+    def _all_runs_of(self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock) -> list[ArchivedRun]:
+        return self._archived_runs_of(decode, segment, block) or []
 
     def _advances_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedAdvance]:
         return decode_advances(self._content_of(segment, block) or b"")
 
     def _archived_runs_of(
-        self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock
-    ) -> list[ArchivedRun]:
+        self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock, within: TimeRange | None = None
+    ) -> list[ArchivedRun] | None:
+        """The runs of a block that a read of these times needs, or None if the block is damaged."""
         content = self._content_of(segment, block)
-        return [] if content is None else decode_items(block.head, content, decode)
+        return None if content is None else decode_items(block.head, content, decode, within)
 
     def _content_of(self, segment: Segment, block: PlacedBlock) -> bytes | None:
         """The content of a block, or None if it is damaged."""
@@ -113,18 +117,11 @@ class SegmentReads:
         self.damaged_blocks += 1
         return None
 
-    def _blocks_of(self, segment: Segment) -> Sequence[PlacedBlock]:
+    def _blocks_of(self, segment: Segment) -> SegmentBlocks:
         """The blocks of a segment, as far as it had grown when the read began."""
-        with self._lock:
-            blocks = self._kept.get(segment.number)
-            if blocks is not None and blocks and blocks[-1].end >= segment.length:
-                self._kept.move_to_end(segment.number)
-                return blocks if blocks[-1].end == segment.length else [b for b in blocks if b.end <= segment.length]
-        found = self.place.blocks(segment)
-        with self._lock:
-            self._kept[segment.number] = found
-            while len(self._kept) > SEGMENTS_KEPT or (
-                len(self._kept) > 1 and sum(map(len, self._kept.values())) > BLOCKS_KEPT
-            ):
-                self._kept.popitem(last=False)
-        return found
+        found = self._kept.get(self, segment.number)
+        if found.length < segment.length:
+            more = self.place.blocks(segment, found.length)
+            found = FoundBlocks(segment.length, found.blocks.followed_by(more))
+            self._kept.keep(self, segment.number, found)
+        return found.blocks.before(segment.length)

@@ -81,7 +81,7 @@ def test_seqs_of_a_gap_and_of_a_block_without_a_head_are_a_hole_beside_the_block
     raw = b"".join((*first[1], *gap[1], *third[1]))
     blocks = scanned(raw).blocks
     hole = archive.Hole(1005, 1008, 4)
-    for present in (blocks, [blocks[0], blocks[2]]):
+    for present in (archive.SegmentBlocks(blocks), archive.SegmentBlocks([blocks[0], blocks[2]])):
         assert [*archive.holes(present, {blocks[0].offset})] == [*archive.holes(present, {blocks[2].offset})] == [hole]
         assert [*archive.holes(present, set())] == []
     short = archive.summary(0, len(raw), blocks)

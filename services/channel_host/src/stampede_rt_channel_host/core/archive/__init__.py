@@ -28,6 +28,7 @@ from stampede_rt_channel_host.core.archive.block import (
     ArchivedAdvance,
     ArchivedRun,
     BlockHead,
+    TimeRange,
     decode_advances,
     decode_head,
     decode_items,
@@ -37,6 +38,7 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
+from stampede_rt_channel_host.core.archive.holes import Hole, border_holes, holes
 from stampede_rt_channel_host.core.archive.past import (
     NextItems,
     Past,
@@ -49,17 +51,15 @@ from stampede_rt_channel_host.core.archive.past import (
 )
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import (
-    Hole,
     PlacedBlock,
     ReadAt,
     Scan,
     Segment,
-    border_holes,
     grown,
-    holes,
     scan,
     summary,
 )
+from stampede_rt_channel_host.core.archive.segment_blocks import BLOCK_INDEX_BYTES, SegmentBlocks
 from stampede_rt_channel_host.core.archive.window import (
     ArchiveWindow,
     BlocksOf,
@@ -73,6 +73,7 @@ from stampede_rt_channel_host.core.archive.window import (
 __all__ = [
     "ADVANCES",
     "ADVANCE_BYTES",
+    "BLOCK_INDEX_BYTES",
     "GAP",
     "HEAD_BYTES",
     "ITEMS",
@@ -96,6 +97,8 @@ __all__ = [
     "RunsOf",
     "Scan",
     "Segment",
+    "SegmentBlocks",
+    "TimeRange",
     "Wanted",
     "WantedWindow",
     "border_holes",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
-from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq, item_blocks
+from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, Slice
@@ -66,11 +67,12 @@ def _among(
         if segment.low[0] > last[0]:
             later.append(segment.low[0])
             continue
-        for block in item_blocks(blocks_of(segment)):
-            if block.head.low[0] > last[0]:
-                later.append(block.head.low[0])
-            elif block.head.high > first:
+        blocks = blocks_of(segment)
+        for block in takewhile(lambda one: one.head.low[0] <= last[0], blocks.up(first)):
+            if block.head.high > first:
                 among.append((segment, block))
+        start = blocks.first_start_after(last[0])
+        later += [] if start is None else [start]
     return among, min(later, default=None)
 
 

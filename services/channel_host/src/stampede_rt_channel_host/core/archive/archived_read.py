@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.archive.holes import Hole
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
-from stampede_rt_channel_host.core.archive.segment import Hole
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Wanted
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.holdings import Holdings

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 from zlib import crc32
 
-from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
 
 MAGIC = b"SRTA"
@@ -21,9 +21,10 @@ advances of the channel."""
 
 _SUM = struct.Struct("<4sI")  # the magic, and the checksum of the rest of the head
 _HEAD = struct.Struct("<IIIIIQQqQqQqq")
-_ROW = struct.Struct("<qI")  # for each run: when its items were accepted, and the length of its body
+_ROW = struct.Struct("<qIqq")  # for each run: when it was accepted, the length of its body, its least and greatest time
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
 HEAD_BYTES, ROW_BYTES, ADVANCE_BYTES = _SUM.size + _HEAD.size, _ROW.size, _ADVANCE.size
+PACKED_HEAD_BYTES = _HEAD.size
 
 
 class BlockHead(NamedTuple):
@@ -52,6 +53,14 @@ class BlockHead(NamedTuple):
         return HEAD_BYTES + self.content_bytes
 
 
+class TimeRange(NamedTuple):
+    """The times of a read, from `start` to `end`. `overlap` is the overlap of the channel in nanoseconds."""
+
+    start: int
+    end: int
+    overlap: int
+
+
 class ArchivedRun(NamedTuple):
     """A run to archive, and the host's clock when its items were accepted."""
 
@@ -61,7 +70,9 @@ class ArchivedRun(NamedTuple):
 
 def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
     """A block of runs, in seq order: its head, and its parts, which the caller writes one after the other."""
-    table = b"".join(_ROW.pack(one.accepted, len(one.run.body)) for one in runs)
+    lows, highs = [lowest(one.run) for one in runs], [highest(one.run) for one in runs]
+    rows = zip(runs, lows, highs, strict=True)
+    table = b"".join(_ROW.pack(one.accepted, len(one.run.body), low[0], high[0]) for one, low, high in rows)
     parts = [table, *(bytes(one.run.body) for one in runs)]
     head = BlockHead(
         kind=ITEMS,
@@ -71,8 +82,8 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
         items=sum(len(one.run) for one in runs),
         first_seq=runs[0].run.first_seq,
         end_seq=runs[-1].run.first_seq + len(runs[-1].run),
-        low=min(lowest(one.run) for one in runs),
-        high=max(highest(one.run) for one in runs),
+        low=min(lows),
+        high=max(highs),
         first_accepted=min(one.accepted for one in runs),
         last_accepted=max(one.accepted for one in runs),
     )
@@ -114,9 +125,20 @@ def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:
 
 def encode_head(head: BlockHead) -> bytes:
     """The bytes of a head, HEAD_BYTES long."""
-    *plain, low, high, first_accepted, last_accepted = head
-    rest = _HEAD.pack(*plain, *low, *high, first_accepted, last_accepted)
+    rest = pack_head(head)
     return _SUM.pack(MAGIC, crc32(rest)) + rest
+
+
+def pack_head(head: BlockHead) -> bytes:
+    """The facts of a head in PACKED_HEAD_BYTES, without a checksum."""
+    *plain, low, high, first_accepted, last_accepted = head
+    return _HEAD.pack(*plain, *low, *high, first_accepted, last_accepted)
+
+
+def unpack_head(raw: bytes, at: int = 0) -> BlockHead:
+    """The head that `pack_head` has packed, from position `at` on."""
+    *plain, low_time, low_seq, high_time, high_seq, first_accepted, last_accepted = _HEAD.unpack_from(raw, at)
+    return BlockHead._make((*plain, (low_time, low_seq), (high_time, high_seq), first_accepted, last_accepted))
 
 
 def decode_head(raw: bytes) -> BlockHead | None:
@@ -127,8 +149,7 @@ def decode_head(raw: bytes) -> BlockHead | None:
     rest = raw[_SUM.size : HEAD_BYTES]
     if magic != MAGIC or crc32(rest) != checksum:
         return None
-    *plain, low_time, low_seq, high_time, high_seq, first_accepted, last_accepted = _HEAD.unpack(rest)
-    return BlockHead._make((*plain, (low_time, low_seq), (high_time, high_seq), first_accepted, last_accepted))
+    return unpack_head(rest)
 
 
 def is_whole(head: BlockHead, content: bytes | memoryview) -> bool:
@@ -136,16 +157,34 @@ def is_whole(head: BlockHead, content: bytes | memoryview) -> bool:
     return len(content) == head.content_bytes and crc32(content) == head.content_crc
 
 
-def decode_items(head: BlockHead, content: bytes, decode: Callable[[bytes], Run]) -> list[ArchivedRun]:
-    """The runs below the head's `end_seq`. The content is whole. `decode` makes a run of its stored body."""
+def decode_items(
+    head: BlockHead, content: bytes, decode: Callable[[bytes], Run], within: TimeRange | None = None
+) -> list[ArchivedRun]:
+    """The runs below the head's `end_seq`. The content is whole. `decode` makes a run of its stored body.
+
+    `within`: leaves out runs that a read of these times does not need.
+    """
     at, runs = head.runs * _ROW.size, []
-    for accepted, length in _ROW.iter_unpack(content[:at]):
-        run = decode(content[at : at + length])
+    rows = [row for row in _ROW.iter_unpack(content[:at]) if row[0] <= head.last_accepted]
+    low, high = _needed(rows, within) if within is not None else (FIRST_KEY[0], LAST_KEY[0])
+    for accepted, length, least, greatest in rows:
+        begin, at = at, at + length
+        if least > high or greatest < low:
+            continue
+        run = decode(content[begin:at])
         if run.first_seq >= head.end_seq:
             break
         runs.append(ArchivedRun(accepted, run))
-        at += length
     return runs
+
+
+def _needed(rows: Sequence[tuple[int, int, int, int]], within: TimeRange) -> tuple[int, int]:
+    """The times between which a read needs items: also the bucket before the range, and the one after it."""
+    start, end = within.start, within.end
+    before = (row[3] if row[3] < start else row[2] for row in rows if row[2] < start)
+    after = (row[2] if row[2] > end else row[3] for row in rows if row[3] > end)
+    low = min(max(before, default=start), start - within.overlap)
+    return low, min(after, default=end)
 
 
 def lowest(run: Run) -> ItemKey:

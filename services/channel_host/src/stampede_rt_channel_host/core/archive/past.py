@@ -11,8 +11,6 @@ from typing import NamedTuple
 from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.timeline import ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.block import (
-    ADVANCES,
-    ITEMS,
     ArchivedAdvance,
     ArchivedRun,
     BlockHead,
@@ -21,6 +19,7 @@ from stampede_rt_channel_host.core.archive.block import (
 )
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, summary
+from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.archive.window import BlocksOf
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
@@ -54,7 +53,7 @@ class Past(NamedTuple):
     """
 
     segments: tuple[Segment, ...]
-    last_blocks: Sequence[PlacedBlock] | None
+    last_blocks: SegmentBlocks | None
     next_items: NextItems | None
     advance: int | None = None
     next_advance: int | None = None
@@ -78,25 +77,22 @@ def past_of(
     """The archive as it was at the instant `as_of`. Asks for the runs of a block or two, and for one of advances."""
     past, reached = Past(tuple(segments), None, None), segments
     for at, segment in enumerate(segments):
-        blocks = blocks_of(segment) if segment.last_accepted > as_of else ()
-        later = (place for place, one in enumerate(blocks) if one.head.kind == ITEMS and one.head.last_accepted > as_of)
-        place = next(later, None)
+        place = blocks_of(segment).first_accepted_after(as_of) if segment.last_accepted > as_of else None
         if place is not None:
-            past, reached = _cut(segments[:at], segment, blocks[: place + 1], runs_of, as_of), segments[: at + 1]
+            blocks = blocks_of(segment).up_to(place + 1)
+            past, reached = _cut(segments[:at], segment, blocks, runs_of, as_of), segments[: at + 1]
             break
     advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
     return past._replace(advance=advance, next_advance=next_advance)
 
 
-def _cut(
-    before: Sequence[Segment], segment: Segment, blocks: Sequence[PlacedBlock], runs_of: RunsOf, as_of: int
-) -> Past:
+def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int) -> Past:
     """The past if the last of `blocks` has the first items that the host accepted later."""
-    *kept, last = blocks
+    kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
     runs = runs_of(segment, last)
     first, following = _part(last, runs, as_of)
     if first is not None:
-        kept.append(first)
+        kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
     if short is None:
         return Past(tuple(before), None, following)
@@ -134,7 +130,7 @@ def _advances(
     """
     following: int | None = None
     for segment in reversed(segments):
-        blocks = [one for one in blocks_of(segment) if one.head.kind == ADVANCES]
+        blocks = blocks_of(segment).of_advances
         count = sum(one.head.first_accepted <= as_of for one in blocks)
         if count < len(blocks):
             following = blocks[count].head.first_accepted

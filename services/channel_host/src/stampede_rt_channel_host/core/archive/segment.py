@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.archive.block import (
@@ -64,16 +63,8 @@ class Segment(NamedTuple):
     last_accepted: int
 
 
-class Hole(NamedTuple):
-    """Items that an archive does not have. Their times lie between `start` and `end`, unless they came late."""
-
-    start: int
-    end: int
-    items: int
-
-
-def scan(read_at: ReadAt, length: int, *, check_contents: bool) -> Scan:
-    """All blocks of a segment of `length` bytes.
+def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0) -> Scan:
+    """All blocks of a segment of `length` bytes, or those from the offset `begin` on.
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
     `check_contents` the last blocks also belong to the torn tail if their contents are damaged: a host that lost its
@@ -81,7 +72,7 @@ def scan(read_at: ReadAt, length: int, *, check_contents: bool) -> Scan:
     """
     blocks: list[PlacedBlock] = []
     damaged: list[tuple[int, int]] = []
-    offset = 0
+    offset = begin
     while offset < length:
         head = decode_head(read_at(offset, HEAD_BYTES))
         if head is not None and offset + head.length <= length:
@@ -95,7 +86,7 @@ def scan(read_at: ReadAt, length: int, *, check_contents: bool) -> Scan:
         offset = following
     if check_contents:
         _cut_torn(blocks, read_at, damaged)
-    end = blocks[-1].end if blocks else 0
+    end = blocks[-1].end if blocks else begin
     return Scan(blocks, end, [one for one in damaged if one[0] < end])
 
 
@@ -154,37 +145,3 @@ def grown(segment: Segment, head: BlockHead) -> Segment:
         high=head.high if segment.high is None else max(segment.high, head.high),
         last_accepted=accepted,
     )
-
-
-def holes(blocks: Iterable[PlacedBlock], taken: Set[int]) -> Iterator[Hole]:
-    """The holes next to the blocks that a read took: items never archived, or in a block without a head.
-
-    `taken`: the offsets of these blocks.
-    """
-    for before, after in pairwise(one for one in blocks if one.head.kind == ITEMS):
-        if before.offset in taken or after.offset in taken:
-            yield from _between(before.head, after.head)
-
-
-def border_holes(
-    segments: Sequence[Segment],
-    blocks_of: Callable[[Segment], Sequence[PlacedBlock]],
-    taken: Mapping[Segment, Set[int]],
-) -> Iterator[Hole]:
-    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks."""
-    for pair in pairwise(one for one in segments if one.items):
-        if pair[0] not in taken and pair[1] not in taken:
-            continue
-        before, after = ([one for one in blocks_of(segment) if one.head.kind == ITEMS] for segment in pair)
-        if not before or not after:
-            continue
-        last, first = before[-1], after[0]
-        if last.offset in taken.get(pair[0], ()) or first.offset in taken.get(pair[1], ()):
-            yield from _between(last.head, first.head)
-
-
-def _between(before: BlockHead, after: BlockHead) -> Iterator[Hole]:
-    if after.first_seq > before.end_seq:
-        start, end = sorted((before.high[0], after.low[0]))
-        inner = (start + 1, end - 1) if end - start > 1 else (start, end)
-        yield Hole(*inner, after.first_seq - before.end_seq)

@@ -12,15 +12,17 @@ from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.values.timeline import format_instant
-from stampede_rt_channel_host.core.archive.block import ITEMS, BlockHead
-from stampede_rt_channel_host.core.archive.segment import Hole, PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.block import BlockHead, TimeRange
+from stampede_rt_channel_host.core.archive.holes import Hole
+from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
 
 WINDOW_BYTES_MAX = 64 * 2**20
 """The most bytes of blocks that a read loads at once, if there is more than one block."""
-BlocksOf = Callable[[Segment], Sequence[PlacedBlock]]
+BlocksOf = Callable[[Segment], SegmentBlocks]
 """Returns the blocks of a segment. The shell keeps the blocks of the segments that reads used last."""
 
 
@@ -39,6 +41,11 @@ class Wanted(NamedTuple):
     from_time: int | None = None
     down: bool = False
     bytes_limit: int = WINDOW_BYTES_MAX
+
+    @property
+    def times(self) -> TimeRange:
+        """The times whose items the read wants."""
+        return TimeRange(self.start, self.high[0], self.overlap)
 
 
 class Chosen(NamedTuple):
@@ -129,7 +136,7 @@ class _Growing:
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> int:
-    """The time from which on the read needs items: that of the bucket before `start`, whose spans may reach there."""
+    """The time from which on the read needs items: not after the bucket before `start`, whose spans may reach there."""
     start = wanted.start
     before = FIRST_KEY[0]
     for segment in segments:
@@ -138,28 +145,20 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) 
         if segment.high[0] < start:
             before = max(before, segment.high[0])
         else:
-            ends = (one.head.high[0] for one in item_blocks(blocks_of(segment)))
-            before = max(before, max((end for end in ends if end < start), default=before))
+            blocks = blocks_of(segment)
+            found = (blocks.last_end_before(start), blocks.last_start_before(start))
+            before = max(before, *(one for one in found if one is not None))
     low = min(start - wanted.overlap, start if before == FIRST_KEY[0] else before)
     return low if wanted.from_time is None else max(low, wanted.from_time)
-
-
-def item_blocks(blocks: Iterable[PlacedBlock]) -> Iterator[PlacedBlock]:
-    """The blocks that have items."""
-    return (one for one in blocks if one.head.kind == ITEMS)
 
 
 def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
     """The blocks that reach to `low` or beyond, by their least key. Asks for a segment's blocks only when it is due."""
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
-    waiting: list[tuple[ItemKey, int, int, Segment, PlacedBlock]] = []
+    merging = _Merging(lambda block: block.head.low)
     for at, segment in enumerate(due):
-        for block in item_blocks(blocks_of(segment)):
-            if block.head.high >= low:
-                heappush(waiting, (block.head.low, segment.number, block.offset, segment, block))
-        bound = _least(due[at + 1]) if at + 1 < len(due) else LAST_KEY
-        while waiting and waiting[0][0] < bound:
-            yield heappop(waiting)[3:]
+        merging.begin(segment, blocks_of(segment).up(low))
+        yield from merging.below(_least(due[at + 1]) if at + 1 < len(due) else LAST_KEY)
 
 
 def _down(
@@ -168,15 +167,36 @@ def _down(
     """The blocks with keys from `low` up to `high`, by their greatest key, the last one first."""
     due = [one for one in segments if one.high is not None and one.high >= low and _least(one) < high]
     due.sort(key=_greatest, reverse=True)
-    waiting: list[tuple[int, int, int, int, Segment, PlacedBlock]] = []
+    merging = _Merging(lambda block: _mirrored(block.head.high))
     for at, segment in enumerate(due):
-        for block in item_blocks(blocks_of(segment)):
-            if block.head.high >= low and block.head.low < high:
-                time, seq = block.head.high
-                heappush(waiting, (-time, -seq, segment.number, block.offset, segment, block))
-        bound = _greatest(due[at + 1]) if at + 1 < len(due) else FIRST_KEY
-        while waiting and (-waiting[0][0], -waiting[0][1]) > bound:
-            yield heappop(waiting)[4:]
+        merging.begin(segment, blocks_of(segment).down(low, high))
+        yield from merging.below(_mirrored(_greatest(due[at + 1]) if at + 1 < len(due) else FIRST_KEY))
+
+
+def _mirrored(key: ItemKey) -> ItemKey:
+    """A key that sorts in the reverse order."""
+    return -key[0], -key[1]
+
+
+class _Merging:
+    """Merges the blocks of several segments. `key` gives the key by which the blocks of each segment ascend."""
+
+    def __init__(self, key: Callable[[PlacedBlock], ItemKey]) -> None:
+        self._key = key
+        self._next: list[tuple[ItemKey, int, PlacedBlock, Segment, Iterator[PlacedBlock]]] = []  # a heap
+
+    def begin(self, segment: Segment, blocks: Iterator[PlacedBlock]) -> None:
+        """Add the blocks of one more segment."""
+        block = next(blocks, None)
+        if block is not None:
+            heappush(self._next, (self._key(block), segment.number, block, segment, blocks))
+
+    def below(self, bound: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
+        """The next blocks, whose keys are below `bound`."""
+        while self._next and self._next[0][0] < bound:
+            _, _, block, segment, blocks = heappop(self._next)
+            self.begin(segment, blocks)
+            yield segment, block
 
 
 def _least(segment: Segment) -> ItemKey:
@@ -194,8 +214,9 @@ def _next_low(segments: Sequence[Segment], blocks_of: BlocksOf, time: int) -> in
         if segment.low is None or segment.high is None or segment.high[0] <= time:
             continue
         if first is None or segment.low[0] < first:
-            lows = [one.head.low[0] for one in item_blocks(blocks_of(segment)) if one.head.low[0] > time]
-            first = min(lows if first is None else [*lows, first], default=None)
+            start = blocks_of(segment).first_start_after(time)
+            if start is not None:
+                first = start if first is None else min(first, start)
     return first
 
 
@@ -234,5 +255,4 @@ def _from_seq(
 ) -> Iterator[tuple[Segment, PlacedBlock]]:
     for segment in segments:
         if segment.end_seq > first_seq and segment.items:
-            blocks = item_blocks(blocks_of(segment))
-            yield from ((segment, one) for one in blocks if one.head.end_seq > first_seq)
+            yield from ((segment, one) for one in blocks_of(segment).from_seq(first_seq))

@@ -1,0 +1,57 @@
+"""The items that an archive lacks, next to those that a read takes. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from itertools import pairwise
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
+
+
+class Hole(NamedTuple):
+    """Items that an archive does not have. Their times lie between `start` and `end`, unless they came late."""
+
+    start: int
+    end: int
+    items: int
+
+
+def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
+    """The holes next to the blocks that a read took: items never archived, or in a block without a head.
+
+    `taken`: the offsets of these blocks.
+    """
+    positions = {blocks.position(offset) for offset in taken}
+    for at in sorted(positions | {at - 1 for at in positions if at}):
+        before, after = blocks.items_at(at), blocks.items_at(at + 1)
+        if before is not None and after is not None:
+            yield from _between(before, after)
+
+
+def border_holes(
+    segments: Sequence[Segment],
+    blocks_of: Callable[[Segment], SegmentBlocks],
+    taken: Mapping[Segment, Set[int]],
+) -> Iterator[Hole]:
+    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks."""
+    for earlier, later in pairwise(one for one in segments if one.items):
+        last = blocks_of(earlier).items_at(-1) if earlier in taken else None
+        first = blocks_of(later).items_at(0) if later in taken else None
+        if last is not None and last.offset in taken[earlier]:
+            first = first or blocks_of(later).items_at(0)
+        elif first is not None and first.offset in taken[later]:
+            last = last or blocks_of(earlier).items_at(-1)
+        else:
+            continue
+        if first is not None and last is not None:
+            yield from _between(last, first)
+
+
+def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:
+    before, after = earlier.head, later.head
+    if after.first_seq > before.end_seq:
+        start, end = sorted((before.high[0], after.low[0]))
+        inner = (start + 1, end - 1) if end - start > 1 else (start, end)
+        yield Hole(*inner, after.first_seq - before.end_seq)

@@ -1,0 +1,165 @@
+"""The blocks of one segment in little memory, with orders by time, by seq and by acceptance. Pure."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple, overload
+
+from stampede_rt_channel_host.core.archive.block import ADVANCES, ITEMS, PACKED_HEAD_BYTES, pack_head, unpack_head
+from stampede_rt_channel_host.core.archive.segment import PlacedBlock
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+
+BLOCK_INDEX_BYTES = 192
+"""About so many bytes of memory take the facts about one block."""
+
+
+class _Columns(NamedTuple):
+    """The facts in the order of the file: of all blocks, and from `places` on, of the blocks that have items.
+
+    `places` are the positions of these blocks among all.
+    """
+
+    heads: bytes
+    offsets: array[int]
+    advances: array[int]
+    places: array[int]
+    lows: array[int]
+    highs: array[int]
+    end_seqs: array[int]
+    accepted: array[int]
+
+
+class SegmentBlocks(Sequence[PlacedBlock]):
+    """The blocks of a segment, or its first ones, in the order of the file. Immutable."""
+
+    __slots__ = ("_accepted", "_by_high", "_by_low", "_columns", "_high_times", "_least", "_low_times", "_reach")
+
+    def __init__(self, blocks: Iterable[PlacedBlock] = ()) -> None:
+        self._sort(_columns_of([*blocks], 0))
+
+    def _sort(self, columns: _Columns) -> None:
+        self._columns = columns
+        lows, highs = columns.lows, columns.highs
+        # at equal times the order of the file is the order of the seqs, and sorting keeps it
+        self._by_low = array("I", sorted(range(len(lows)), key=lows.__getitem__))
+        self._low_times = array("q", (lows[at] for at in self._by_low))
+        self._reach = array("q", accumulate((highs[at] for at in self._by_low), max))  # of this block and those before
+        self._by_high = array("I", sorted(range(len(highs)), key=highs.__getitem__))
+        self._high_times = array("q", (highs[at] for at in self._by_high))
+        self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))  # and of those after
+        self._least.reverse()
+        self._accepted = array("q", accumulate(columns.accepted, max))
+
+    def followed_by(self, blocks: Iterable[PlacedBlock]) -> SegmentBlocks:
+        """These blocks, and then others."""
+        more = _columns_of([*blocks], len(self))
+        pairs: Iterable[Any] = zip(self._columns, more, strict=True)
+        return _made(_Columns(*(one + other for one, other in pairs)))
+
+    def up_to(self, count: int) -> SegmentBlocks:
+        """The first `count` blocks."""
+        heads, offsets, advances, *of_items = self._columns
+        items = bisect_left(self._columns.places, count)
+        kept = (heads[: count * PACKED_HEAD_BYTES], offsets[:count], advances[: bisect_left(advances, count)])
+        return _made(_Columns(*kept, *(one[:items] for one in of_items)))
+
+    def before(self, offset: int) -> SegmentBlocks:
+        """The blocks that begin before `offset`."""
+        count = bisect_left(self._columns.offsets, offset)
+        return self if count == len(self) else self.up_to(count)
+
+    def __len__(self) -> int:
+        return len(self._columns.offsets)
+
+    @overload
+    def __getitem__(self, at: int) -> PlacedBlock: ...
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[PlacedBlock]: ...
+    def __getitem__(self, at: int | slice) -> PlacedBlock | Sequence[PlacedBlock]:
+        if isinstance(at, slice):
+            return [self[one] for one in range(*at.indices(len(self)))]
+        offset = self._columns.offsets[at]
+        return PlacedBlock(offset, unpack_head(self._columns.heads, at % len(self) * PACKED_HEAD_BYTES))
+
+    def items_at(self, at: int) -> PlacedBlock | None:
+        """The block at position `at` among those that have items; -1: the last one. None: there is none."""
+        places = self._columns.places
+        return self[places[at]] if -len(places) <= at < len(places) else None
+
+    def position(self, offset: int) -> int:
+        """The position of the block at `offset` among those that have items."""
+        return bisect_left(self._columns.places, bisect_left(self._columns.offsets, offset))
+
+    def up(self, low: ItemKey) -> Iterator[PlacedBlock]:
+        """The blocks of items that reach to `low` or beyond, by their least key."""
+        for at in range(bisect_left(self._reach, low[0]), len(self._by_low)):
+            block = self._of(self._by_low[at])
+            if block.head.high >= low:
+                yield block
+
+    def down(self, low: ItemKey, high: ItemKey) -> Iterator[PlacedBlock]:
+        """The blocks of items with keys from `low` up to `high`, by their greatest key, the last one first."""
+        for at in reversed(range(bisect_right(self._least, high[0]))):
+            block = self._of(self._by_high[at])
+            if block.head.high < low:
+                return
+            if block.head.low < high:
+                yield block
+
+    def from_seq(self, first_seq: int) -> Iterator[PlacedBlock]:
+        """The blocks of items that have `first_seq` or later seqs, in the order of the seqs."""
+        for at in range(bisect_right(self._columns.end_seqs, first_seq), len(self._columns.places)):
+            yield self._of(at)
+
+    def last_end_before(self, time: int) -> int | None:
+        """The greatest time at which a block of items ends before `time`, or None."""
+        at = bisect_left(self._high_times, time)
+        return self._high_times[at - 1] if at else None
+
+    def last_start_before(self, time: int) -> int | None:
+        """The greatest time at which a block of items begins before `time`, or None."""
+        at = bisect_left(self._low_times, time)
+        return self._low_times[at - 1] if at else None
+
+    def first_start_after(self, time: int) -> int | None:
+        """The least time at which a block of items begins after `time`, or None."""
+        at = bisect_right(self._low_times, time)
+        return self._low_times[at] if at < len(self._low_times) else None
+
+    def first_accepted_after(self, instant: int) -> int | None:
+        """The position of the first block whose items the host had not all accepted by `instant`, or None."""
+        at = bisect_right(self._accepted, instant)
+        return self._columns.places[at] if at < len(self._columns.places) else None
+
+    @property
+    def of_advances(self) -> Sequence[PlacedBlock]:
+        """The blocks of advances."""
+        return [self[at] for at in self._columns.advances]
+
+    def _of(self, at: int) -> PlacedBlock:
+        return self[self._columns.places[at]]
+
+
+def _made(columns: _Columns) -> SegmentBlocks:
+    blocks = SegmentBlocks.__new__(SegmentBlocks)
+    blocks._sort(columns)
+    return blocks
+
+
+def _columns_of(blocks: Sequence[PlacedBlock], first: int) -> _Columns:
+    """The columns of blocks, the first of which has the position `first`."""
+    with_items = [(at, one.head) for at, one in enumerate(blocks, first) if one.head.kind == ITEMS]
+    heads = [head for _, head in with_items]
+    return _Columns(
+        heads=b"".join(pack_head(one.head) for one in blocks),
+        offsets=array("Q", (one.offset for one in blocks)),
+        advances=array("I", (at for at, one in enumerate(blocks, first) if one.head.kind == ADVANCES)),
+        places=array("I", (at for at, _ in with_items)),
+        lows=array("q", (head.low[0] for head in heads)),
+        highs=array("q", (head.high[0] for head in heads)),
+        end_seqs=array("Q", (head.end_seq for head in heads)),
+        accepted=array("q", (head.last_accepted for head in heads)),
+    )

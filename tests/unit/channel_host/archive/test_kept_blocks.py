@@ -1,0 +1,69 @@
+"""The places of blocks that a host keeps between reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.core.archive import ArchivedRun, PlacedBlock, Segment, SegmentBlocks, Wanted, WantedWindow
+from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+
+ALL = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
+
+
+def run_at(seq: int) -> Run:
+    return make_run(seq, [seq], None, [7], b"%d" % seq)
+
+
+def decode(body: bytes) -> Run:
+    return run_at(int(body))
+
+
+def test_the_kept_blocks_of_all_channels_stay_below_their_limit_and_those_used_last_stay(tmp_path: Path) -> None:
+    kept = KeptBlocks(bytes_max=20_000)
+    files = SegmentFiles(tmp_path, {}, kept)
+    files.open(1)
+    segments = files.write([[ArchivedRun(1, run_at(1))]], ArchiveLimits(None, None))
+    files.load(segments, ALL, decode, lambda: None)
+    [*_, block] = kept.get(files, 1).blocks
+    for channel in range(100):
+        kept.keep(channel, 1, FoundBlocks(block.end, SegmentBlocks([block])))
+        assert kept.get(files, 1).length == segments[0].length
+    assert kept.bytes <= 20_000
+    assert kept.get(0, 1).length == 0
+    assert kept.get(99, 1).length == block.end
+
+
+def test_a_read_of_a_file_that_has_grown_looks_only_at_its_new_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = SegmentFiles(tmp_path, {})
+    files.open(1)
+    begun: list[int] = []
+    blocks = files.place.blocks
+
+    def noted(segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
+        begun.append(begin)
+        return blocks(segment, begin)
+
+    monkeypatch.setattr(files.place, "blocks", noted)
+    first: tuple[Segment, ...] = ()
+    lengths = [0]
+    for number in range(1, 4):
+        segments = files.write([[ArchivedRun(number, run_at(number))]], ArchiveLimits(None, None))
+        first = first or segments
+        for _ in range(2):
+            assert seqs(files, segments) == [*range(1, number + 1)]
+        assert seqs(files, first) == [1], "a read that began before sees the file as it was"
+        lengths.append(segments[-1].length)
+    assert begun == lengths[:-1]
+
+
+def seqs(files: SegmentFiles, segments: tuple[Segment, ...]) -> list[int]:
+    window = files.load(segments, ALL, decode, lambda: None)
+    return [part.first_seq for part in window.items.slices(FIRST_KEY, LAST_KEY)]
