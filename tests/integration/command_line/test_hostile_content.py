@@ -16,10 +16,10 @@ from stampede_rt.cli.commands import run
 from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.command_line.hostile_text import HOSTILE
 from tests.support.command_line.terminal import run_in_terminal
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
-HOSTILE = "a\x1b]0;title\x07b\r\nforged\u202e\x9b31m\x1b[2J"
 Words = Callable[[Path], list[list[str]]]
 
 # Each verb, with words that print what other programs have written. A verb that is not here fails the test below.

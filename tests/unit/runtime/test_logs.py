@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import subprocess
 import sys
 
 import pytest
@@ -94,3 +95,24 @@ def test_the_log_has_no_line_for_a_caller_that_has_gone_before_its_answer(capsys
     told = capsys.readouterr().err
     assert "ExecuteBatchError" not in told
     assert "a defect" in told
+
+
+def test_an_error_that_nobody_handles_is_one_line_in_the_main_thread_and_in_others() -> None:
+    script = (
+        "import threading\n"
+        "from stampede_rt_runtime.logs import log_defects, set_up_logging\n"
+        "def fail(): raise ValueError('a\\r\\nforged\\x1b[2J\\u202e')\n"
+        "set_up_logging('info')\n"
+        "log_defects()\n"
+        "one = threading.Thread(target=fail)\n"
+        "one.start()\n"
+        "one.join()\n"
+        "fail()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=30, check=False)
+    *lines, rest = ended.stderr.decode().split("\n")
+    assert (ended.returncode, len(lines), rest) == (1, 2, "")
+    for line in lines:
+        assert line.isprintable()
+        assert " event=defect " in line
+        assert "ValueError: a\\r\\nforged\\x1b[2J\\u202e" in line

@@ -25,6 +25,14 @@ async def answer(
     body: bytes = b"",
 ) -> tuple[int, dict[str, str]]:
     """Return the status and the headers of the guarded answer."""
+    guard = Guard(APP, token=token, secure=True, loopback_only=loopback_only)
+    return await ask(guard, path, host=host, cookie=cookie, method=method, body=body)
+
+
+async def ask(
+    guard: Guard, path: str = "/", *, host: str, cookie: str = "", method: str = "GET", body: bytes = b""
+) -> tuple[int, dict[str, str]]:
+    """Return the status and the headers of the answer of `guard`."""
     scope: dict[str, Any] = {
         "type": "http",
         "method": method,
@@ -40,7 +48,7 @@ async def answer(
     async def send(message: Any) -> None:
         sent.append(message)
 
-    await Guard(APP, token=token, secure=True, loopback_only=loopback_only)(scope, receive, send)
+    await guard(scope, receive, send)
     return sent[0]["status"], {name.decode(): value.decode() for name, value in sent[0]["headers"]}
 
 
@@ -86,3 +94,14 @@ async def test_a_login_that_is_too_long_is_refused() -> None:
 
 async def test_beyond_loopback_any_name_serves_because_the_login_guards() -> None:
     assert (await answer("/login", token=TOKEN, loopback_only=False, host="rig.example"))[0] == 200
+
+
+async def test_refused_requests_and_logins_are_logged_at_most_once_a_second(caplog: pytest.LogCaptureFixture) -> None:
+    guard = Guard(APP, token=TOKEN, secure=True, loopback_only=True)
+    for _ in range(3):
+        await ask(guard, host="evil.example")
+    (line,) = caplog.records
+    assert (vars(line)["event"], vars(line)["verb"], vars(line)["thing"]) == ("access_denied", "page", "evil.example")
+    caplog.clear()
+    await answer("/login", method="POST", body=b"token=wrong", token=TOKEN)
+    assert [vars(one)["verb"] for one in caplog.records] == ["login"]

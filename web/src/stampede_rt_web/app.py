@@ -17,6 +17,7 @@ import uvicorn
 from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
+from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.main import announce
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
@@ -35,6 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     try:
         settings = load_settings(WebSettings, service="web", argv=words, environ=os.environ)
+        set_up_logging(settings.log_level, settings.log_format)
+        log_defects()
         address = check_listen(settings.listen, allow_insecure_anywhere=settings.may_listen_anywhere)
         token = None if settings.token_file is None else read_token(settings.token_file)
         if settings.secret_file is not None:  # the client and `examine` of `stampede doctor` read it there
@@ -81,6 +84,7 @@ async def _serve(settings: WebSettings, address: Address, token: str | None) -> 
     config = uvicorn.Config(
         guarded,
         log_config=None,
+        log_level="warning",  # of the server alone; at "info" it tells what the ready line says
         access_log=False,
         server_header=False,
         limit_concurrency=CONNECTIONS_MAX,

@@ -16,6 +16,8 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from stampede_rt_runtime.access.audit import AuditLog
+
 COOKIE = "stampede_session"
 LOGIN_BYTES_MAX = 1024
 TOKEN_CHARACTERS_MIN = 16
@@ -47,6 +49,7 @@ class Guard:
         self._token = token
         self._secure = secure
         self._loopback_only = loopback_only
+        self._audit = AuditLog()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it. Every answer gets the headers that limit scripts."""
@@ -65,6 +68,7 @@ class Guard:
     async def _refusal(self, request: Request) -> Response | None:
         """Return the answer for a request that the app must not see; None if the app may answer."""
         if self._loopback_only and not is_loopback_name(request.headers.get("host", "")):
+            self._note(request, "page", request.headers.get("host", ""))
             return PlainTextResponse("This page answers only under a name of loopback, such as localhost.", 403)
         if self._token is None:
             return None
@@ -86,10 +90,16 @@ class Guard:
                 return PlainTextResponse("This login is too long.", 413)
         given = parse_qs(body.decode(errors="replace")).get("token", [""])[0]
         if not hmac.compare_digest(given.strip().encode(), token.encode()):
+            self._note(request, "login", "")
             return HTMLResponse(_LOGIN.format(said="This is not the login token of this page."), 403)
         answer = RedirectResponse("/", 303)
         answer.set_cookie(COOKIE, _session_of(token), httponly=True, samesite="strict", secure=self._secure)
         return answer
+
+    def _note(self, request: Request, verb: str, name: str) -> None:
+        """Log a refusal, at most once a second for each address."""
+        client = request.client
+        self._audit.denied(None, f"{client.host}:{client.port}" if client else "", verb, name)
 
     def _is_logged_in(self, connection: HTTPConnection, token: str) -> bool:
         return hmac.compare_digest(connection.cookies.get(COOKIE, "").encode(), _session_of(token).encode())

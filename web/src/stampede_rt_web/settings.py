@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stampede_rt_runtime.service_settings import log_format_field, log_level_field
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address_text
 
@@ -49,6 +50,9 @@ class WebSettings:
     tls_key: Path | None = field(
         default=None, metadata=setting(metavar="FILE", shared=False, help="the private key (PEM) of the certificate")
     )
+
+    log_level: str = log_level_field()
+    log_format: str = log_format_field()
 
     def __post_init__(self) -> None:
         if (self.tls_certificate is None) != (self.tls_key is None):

@@ -99,6 +99,7 @@ def _page(
         yield None
         return
     words = ["--listen", settings.web_listen, "--url", cluster.address, "--secret-file", str(cluster.secret_file)]
+    words += ["--log-level", settings.log_level, "--log-format", settings.log_format]
     page = ServiceProcess("the page", PAGE_MODULE, words, on_line=on_line)
     try:
         page.start()

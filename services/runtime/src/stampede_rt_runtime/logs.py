@@ -10,7 +10,11 @@ import json
 import logging
 import math
 import sys
+import threading
 from datetime import UTC, datetime
+from types import TracebackType
+
+logger = logging.getLogger(__name__)
 
 LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("text", "json")
@@ -76,6 +80,21 @@ def set_up_logging(level: str, form: str = "text") -> None:
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would hide ours
     logging.getLogger(_GRPC_CALLS).addFilter(_is_no_lost_caller)
+
+
+def log_defects() -> None:
+    """Log each error that nobody handles as one line. Python would write the text of the error as it is.
+
+    The error may contain a text of another program. Ctrl-C is no defect.
+    """
+    sys.excepthook = _log_defect
+    threading.excepthook = lambda failed: _log_defect(failed.exc_type, failed.exc_value, failed.exc_traceback)
+
+
+def _log_defect(kind: type[BaseException], error: BaseException | None, traceback: TracebackType | None) -> None:
+    if not issubclass(kind, KeyboardInterrupt | SystemExit):
+        about = (kind, error or kind(), traceback)
+        logger.error("a defect: nobody handled an error", exc_info=about, extra={"event": "defect"})
 
 
 def _is_no_lost_caller(record: logging.LogRecord) -> bool:

@@ -17,7 +17,7 @@ from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt_runtime import allocator, open_files
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
-from stampede_rt_runtime.logs import set_up_logging
+from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 from stampede_rt_runtime.supervision.systemd import READY, tell_systemd
@@ -48,6 +48,7 @@ def run_service(
     except SettingsError as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)
     set_up_logging(settings.log_level, settings.log_format)
+    log_defects()
     open_files.raise_limit()
     allocator.give_back_memory()
     _tell_of_clients_certificates(settings, service)

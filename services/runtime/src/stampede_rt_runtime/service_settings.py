@@ -22,6 +22,27 @@ if TYPE_CHECKING:
     from stampede_rt_runtime.tls import ServiceTls
 
 
+def log_level_field() -> str:
+    """Return the field of a settings class for the least level of the log."""
+    level: str = field(
+        default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
+    )
+    return level
+
+
+def log_format_field() -> str:
+    """Return the field of a settings class for the form of the log."""
+    form: str = field(
+        default="text",
+        metadata=setting(
+            metavar="FORMAT",
+            choices=FORMATS,
+            help="the form of the log: lines of key=value, or one JSON object in each line",
+        ),
+    )
+    return form
+
+
 @dataclass(frozen=True, kw_only=True)
 class ServiceSettings:
     """The settings that all services share. Each service also has its own `listen`."""
@@ -65,24 +86,14 @@ class ServiceSettings:
             help="the private key (PEM) of the certificate; only this service's user may read it",
         ),
     )
-    log_level: str = field(
-        default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
-    )
-
+    log_level: str = log_level_field()
     reflection: bool = field(
         default=False,
         metadata=setting(
             help="describe the services of this port to every caller with a credential, for tools such as grpcurl"
         ),
     )
-    log_format: str = field(
-        default="text",
-        metadata=setting(
-            metavar="FORMAT",
-            choices=FORMATS,
-            help="the form of the log: lines of key=value, or one JSON object in each line",
-        ),
-    )
+    log_format: str = log_format_field()
     metrics: str = field(
         default="",
         metadata=setting(

@@ -706,6 +706,8 @@ complete -c stampede -n '_shtab_stampede_using web' -l channels -x -d 'the chann
 complete -c stampede -n '_shtab_stampede_using web' -l token-file -xka "(__fish_complete_path (commandline -ct))" -d 'the file of the login token, made if absent; needed on addresses beyond loopback [default: none]'
 complete -c stampede -n '_shtab_stampede_using web' -l tls-certificate -xka "(__fish_complete_path (commandline -ct))" -d 'the page'"'"'s certificate (PEM); needed on addresses beyond loopback [default: none]'
 complete -c stampede -n '_shtab_stampede_using web' -l tls-key -xka "(__fish_complete_path (commandline -ct))" -d 'the private key (PEM) of the certificate [default: none]'
+complete -c stampede -n '_shtab_stampede_using web' -l log-level -x -d 'log messages of this level and above (debug, info, warning, error) [default: info]'
+complete -c stampede -n '_shtab_stampede_using web' -l log-format -x -d 'the form of the log: lines of key=value, or one JSON object in each line (text, json) [default: text]'
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a certs -d 'make the authority of a cluster and the certificates of its parts, and show their contents'
 complete -c stampede -n '_shtab_stampede_using certs' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using certs; and test $_shtab_stampede_npos -eq 0' -a init -d 'make the cluster'"'"'s authority in a folder that only this user may open'

@@ -1524,6 +1524,8 @@ _shtab_stampede_web_options=(
   "--token-file[the file of the login token, made if absent\; needed on addresses beyond loopback \[default\: none\]]:FILE:_files"
   "--tls-certificate[the page\'s certificate (PEM)\; needed on addresses beyond loopback \[default\: none\]]:FILE:_files"
   "--tls-key[the private key (PEM) of the certificate \[default\: none\]]:FILE:_files"
+  "--log-level[log messages of this level and above (debug, info, warning, error) \[default\: info\]]:LEVEL:"
+  "--log-format[the form of the log\: lines of key\=value, or one JSON object in each line (text, json) \[default\: text\]]:FORMAT:"
 )
 
 # guard to ensure default positional specs are added only once per session

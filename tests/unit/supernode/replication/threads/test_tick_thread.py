@@ -82,6 +82,19 @@ def test_by_default_a_failure_ends_the_process_and_says_why() -> None:
     assert "the replicated log failed and the process ends: OSError('the disk is full')" in ended.stderr
 
 
+def test_a_failure_whose_text_another_program_wrote_forges_no_line() -> None:
+    script = (
+        "from stampede_rt_runtime.logs import set_up_logging\n"
+        "from stampede_rt_supernode.replication.threads.tick_thread import end_process\n"
+        "set_up_logging('info')\n"
+        "end_process(ValueError('a\\r\\nforged\\x1b[2J'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=30, check=False)
+    line, sentence, rest = ended.stderr.decode().split("\n")
+    assert (line.isprintable(), sentence.isprintable(), rest) == (True, True, "")
+    assert "event=replicated_log_failed" in line
+
+
 def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None:
     script = (
         "import sqlite3\n"

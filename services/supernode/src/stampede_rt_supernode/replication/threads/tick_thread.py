@@ -12,7 +12,6 @@ import sqlite3
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from typing import NoReturn, Protocol
 
@@ -45,7 +44,7 @@ def end_process(error: BaseException) -> NoReturn:
             "start it again with that folder: nothing that was acknowledged is lost"
         )
     else:
-        traceback.print_exception(error, file=sys.stderr)
+        logger.error("the replicated log failed", exc_info=error, extra={"event": "replicated_log_failed"})
         why = f"the replicated log failed and the process ends: {error!r}"
     print(f"stampede supernode: {escaped(why)}", file=sys.stderr)  # noqa: T201
     sys.stderr.flush()
