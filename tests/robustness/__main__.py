@@ -21,6 +21,7 @@ from typing import Any
 
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import (
+    COPY_FAULTS,
     HOST_FAULTS,
     HOSTILE_FAULTS,
     HOSTS,
@@ -36,8 +37,8 @@ from tests.robustness.directory.simulate import run_seeds
 from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
-SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, HOSTILE_SHARE, WEATHER_SHARE = 0.25, 0.2, 0.25, 0.2, 0.1
-NAMES = ("secured", "open", "hosts", "hostile", "weather")
+SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, COPIES_SHARE, HOSTILE_SHARE, WEATHER_SHARE = 0.2, 0.15, 0.2, 0.2, 0.15, 0.1
+NAMES = ("secured", "open", "hosts", "copies", "hostile", "weather")
 
 
 def arguments() -> argparse.Namespace:
@@ -79,6 +80,15 @@ def campaigns(folder: Path, seconds: float, seed: int) -> dict[str, Callable[[],
             seed=seed + 2,
             secured=True,
             hosts=HOSTS,
+        ),
+        "copies": lambda: run_campaign(
+            folder / "copies",
+            "Copies: channels with a replica",
+            in_rounds(COPY_FAULTS, seed + 5, seconds * COPIES_SHARE),
+            seed=seed + 5,
+            secured=False,
+            hosts=HOSTS,
+            replicated=True,
         ),
         "hostile": lambda: run_campaign(
             folder / "hostile",

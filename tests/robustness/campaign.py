@@ -16,6 +16,7 @@ import grpc
 
 from stampede_rt.errors import StampedeError
 from tests.robustness.faults import (
+    copy_faults,
     disks_and_clocks,
     host_faults,
     hostile_callers,
@@ -51,7 +52,16 @@ HOST_FAULTS: dict[str, Fault] = {
     **{name: fault for name, fault in OPEN_FAULTS.items() if name in OF_THE_DIRECTORY},
 }
 HOSTILE_FAULTS: dict[str, Fault] = hostile_callers.FAULTS
-EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS, **HOSTILE_FAULTS}
+COPY_FAULTS: dict[str, Fault] = {
+    **copy_faults.FAULTS,
+    **{
+        name: fault
+        for name, fault in OPEN_FAULTS.items()
+        if name in ("kill_leader", "freeze_leader", "split_off_leader")
+    },
+}
+EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS, **HOSTILE_FAULTS, **COPY_FAULTS}
+REPLICATED = {"replicas": 1, "ack": "replica"}
 CALLERS, HOST_ACTORS, WORKERS, HOSTS = 6, 3, 4, 3
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
 WEATHERS = {
@@ -112,10 +122,16 @@ async def run_campaign(
     hosts: int = 0,
     compacts_early: bool = True,
     quiet_s: float = 0.5,
+    replicated: bool = False,
 ) -> Findings:
-    """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again."""
-    async with running_cluster(folder, secured=secured, hosts=hosts, compacts_early=compacts_early) as cluster:
-        campaign = _Campaign(cluster, folder, seed)
+    """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again.
+
+    `replicated`: all channels with items have a replica, and no host may take an acknowledged item with it.
+    """
+    async with running_cluster(
+        folder, secured=secured, hosts=hosts, compacts_early=compacts_early, relayed_hosts=replicated
+    ) as cluster:
+        campaign = _Campaign(cluster, folder, seed, replicated=replicated)
 
         async def body() -> None:
             for name in names:
@@ -141,8 +157,9 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
     """Put one kind of bad network before every supernode. Raises FaultHadNoEffect if no relay applied it."""
     supernodes = scene.cluster.supernodes
     began = time.monotonic()
-    for one in supernodes:
-        await one.set_weather(*WEATHERS[kind])
+    relays = [one.relay for one in supernodes if one.relay is not None]
+    for relay in relays:
+        await relay.set_weather(*WEATHERS[kind])
     await asyncio.sleep(each_s / 2)
     victim = await scene.cluster.leader()
     killed = time.monotonic()
@@ -150,7 +167,7 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
     recovery = await scene.recovery(killed)
     await victim.start()
     await asyncio.sleep(each_s / 2)
-    counts = [await one.set_weather(0, 0, 0, 0) for one in supernodes]
+    counts = [await relay.set_weather(0, 0, 0, 0) for relay in relays]
     chunks, stalled, waited_millis, cuts = (sum(column) for column in zip(*counts, strict=True))
     _, _, stall_share, cut_share = WEATHERS[kind]
     if not waited_millis or (stall_share and not stalled) or (cut_share and not cuts):
@@ -164,15 +181,16 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
 class _Campaign:
     """The callers, hosts and probe around a cluster, and their findings."""
 
-    def __init__(self, cluster: Cluster, folder: Path, seed: int) -> None:
-        self._cluster = cluster
+    def __init__(self, cluster: Cluster, folder: Path, seed: int, *, replicated: bool = False) -> None:
+        self._cluster, self._replicated = cluster, replicated
         self._recorder = Recorder(time.monotonic)
         real = bool(cluster.hosts)
         self._actors = [] if real else [HostActor(number, cluster, seed) for number in range(HOST_ACTORS)]
         self._callers = [Caller(number, cluster, self._recorder, self._actors, seed) for number in range(CALLERS)]
         write: Write = ChannelWrites() if real else register_probe_host
         self._probe = Probe(cluster, write)
-        self._traffic = Traffic(cluster, Recorder(time.monotonic), seed) if real else None
+        policy = REPLICATED if replicated else {}
+        self._traffic = Traffic(cluster, Recorder(time.monotonic), seed, **policy) if real else None
         self._broken: list[str] = []
         self._scene = Scene(cluster, self._probe, random.Random(seed), folder, self._traffic)
 
@@ -221,6 +239,8 @@ class _Campaign:
         seconds = time.monotonic() - began
         names, wrong = violations(self._recorder.operations)
         items = None if self._traffic is None else judge_items(self._traffic.recorder.operations)
+        if self._replicated and items is not None and items.gone_with_host:
+            wrong = [*wrong, f"{items.gone_with_host} acknowledged or seen items with replicas went with a host"]
         gap_s, moment = longest_gap(self._probe.served, self._scene.outcomes)
         around = (one.kind for one in self._scene.outcomes if one.began - 1 <= moment <= one.ended + 1)
         return Findings(

@@ -69,6 +69,19 @@ def doubled_claim(history: list[Operation]) -> list[Operation]:
 
 
 @needs_namespaces
+async def test_replicated_channels_lose_nothing_when_their_owner_is_restarted_or_dies_in_a_move(tmp_path: Path) -> None:
+    faults = ["copies_restart_owner", "copies_kill_during_move"]
+    found = await run_campaign(
+        tmp_path, "short", faults, seed=7, secured=False, hosts=HOSTS, quiet_s=0.1, replicated=True
+    )
+    assert found.violations == ()
+    assert not [outcome for outcome in found.outcomes if outcome.failed]
+    assert found.items is not None
+    assert found.items.acknowledged > 0
+    assert found.items.gone_with_host == 0
+
+
+@needs_namespaces
 async def test_a_secured_cluster_whose_host_is_killed_has_one_owner_at_a_time(tmp_path: Path) -> None:
     faults = ["restart_host", "strangers"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=True, hosts=HOSTS, quiet_s=0.1)

@@ -48,7 +48,7 @@ async def kill_host(scene: Scene) -> None:
     await pinned.host.kill()
     recovery = await _put_again(scene, pinned, began)
     evidence = f"{KILLED}; {_reopened(pinned)}"
-    await _started(pinned.host)
+    await started(pinned.host)
     await _read(scene, pinned)
     scene.ended("host: kill -9, its channels go elsewhere", began, recovery, evidence=evidence)
 
@@ -61,7 +61,7 @@ async def restart_host(scene: Scene) -> None:
     pinned = await _pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
-    await _started(pinned.host)
+    await started(pinned.host)
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
     start = f"the host needed {pinned.host.start_seconds:.2f} s to start"
@@ -75,7 +75,7 @@ async def kill_all_hosts(scene: Scene) -> None:
     began = time.monotonic()
     for host in scene.cluster.hosts:
         await host.kill()
-    await asyncio.gather(*(_started(host) for host in scene.cluster.hosts))
+    await asyncio.gather(*(started(host) for host in scene.cluster.hosts))
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
     slowest = max(host.start_seconds for host in scene.cluster.hosts)
@@ -99,7 +99,7 @@ async def kill_frontend(scene: Scene) -> None:
     await frontend.kill()
     pinned = await _pin(scene)
     recovery = time.monotonic() - began
-    await _started(frontend)
+    await started(frontend)
     note = f"a channel was made and a put acknowledged at {pinned.host.name} without it"
     scene.ended("front-end: kill -9", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=KILLED, note=note)
 
@@ -221,7 +221,8 @@ async def _read(scene: Scene, pinned: Pinned) -> None:
     await _traffic(scene).read_all(pinned.channel)
 
 
-async def _started(one: PlacedProcess) -> None:
+async def started(one: PlacedProcess) -> None:
+    """Start the process. Raises TimeoutError."""
     if not await one.start():
         raise TimeoutError(f"{one.name} did not start again: {one.last_words()!r}")
 

@@ -90,9 +90,10 @@ def step(state: Owned, operation: Operation) -> Owned | None:
 class Judged:
     """The judgement of the histories.
 
-    `lost`: items that were acknowledged, but that a later reader of the same incarnation did not see. `doubled`: items
-    that a reader saw twice. `gone_with_host`: items that were acknowledged under an incarnation which has ended; the
-    promise allows this loss, and the new incarnation informs the readers. `violations` describes everything that the
+    `lost`: items that were acknowledged, or that a reader saw, but that a later reader of the same incarnation did not
+    see. `doubled`: items that a reader saw twice. `gone_with_host`: items that were acknowledged or seen under an
+    incarnation which has ended; without replicas the promise allows this loss, and the new incarnation informs the
+    readers. `violations` describes everything that the
     model does not allow: lost and doubled items, items that nobody put, two owners, and stale reads.
     """
 
@@ -112,31 +113,36 @@ def judge_items(operations: Iterable[Operation]) -> Judged:
     for name, history in histories.items():
         missing, twice, strange = _shown_wrong(history)
         lost, doubled = lost + len(missing), doubled + len(twice)
-        violations += [f"{name}: {payload!r} was acknowledged and is lost" for payload in sorted(missing)]
+        violations += [f"{name}: {payload!r} was acknowledged or seen, and is lost" for payload in sorted(missing)]
         violations += [f"{name}: {payload!r} was stored twice" for payload in sorted(twice)]
         violations += [f"{name}: {payload!r} was put by nobody" for payload in sorted(strange)]
         try:
             check_linearizable([one for one in history if not one.ambiguous], Owned(), step)
         except (NotLinearizable, Undecided) as error:
             violations.append(str(error))
-        by_incarnation = _acknowledged(history)
-        acknowledged += sum(map(len, by_incarnation.values()))
-        gone += sum(map(len, list(by_incarnation.values())[:-1]))
+        acknowledged += sum(isinstance(one.answer, Accepted) for one in history)
+        gone += sum(map(len, list(_known(history).values())[:-1]))
     return Judged(len(histories), acknowledged, lost, doubled, gone, tuple(violations))
 
 
-def _acknowledged(history: Sequence[Operation]) -> dict[int, list[Operation]]:
-    """The acknowledged puts of each incarnation; the incarnations in the order of their first acknowledgement."""
-    found: dict[int, list[Operation]] = defaultdict(list)
+def _known(history: Sequence[Operation]) -> dict[int, dict[tuple[int, bytes], float]]:
+    """When each (seq, payload) of each incarnation was first known: its put was acknowledged, or a reader got it.
+
+    The incarnations are in the order in which their first items became known.
+    """
+    found: dict[int, dict[tuple[int, bytes], float]] = defaultdict(dict)
     for one in sorted(history, key=lambda one: one.returned):
         if isinstance(one.answer, Accepted):
-            found[one.answer.incarnation].append(one)
+            found[one.answer.incarnation].setdefault((one.answer.seq, one.call.payload), one.returned)
+        elif isinstance(one.answer, Listed):
+            for item in one.answer.items:
+                found[one.answer.incarnation].setdefault(item, one.returned)
     return found
 
 
 def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], set[bytes]]:
     """The payloads that complete reads show as lost, as doubled, and as never put."""
-    acknowledged = _acknowledged(history)
+    known = _known(history)
     put = {one.call.payload for one in history if isinstance(one.call, Put)}
     lost: set[bytes] = set()
     doubled: set[bytes] = set()
@@ -145,9 +151,8 @@ def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], 
         if not isinstance(reading.answer, Listed):
             continue
         payloads = [payload for _, payload in reading.answer.items]
-        before = [one for one in acknowledged[reading.answer.incarnation] if one.returned < reading.invoked]
-        shown = set(reading.answer.items)
-        lost |= {one.call.payload for one in before if (one.answer.seq, one.call.payload) not in shown}
+        before = {item for item, since in known[reading.answer.incarnation].items() if since < reading.invoked}
+        lost |= {payload for _, payload in before - set(reading.answer.items)}
         doubled |= {payload for payload, times in Counter(payloads).items() if times > 1}
         strange |= set(payloads) - put
     return lost, doubled, strange

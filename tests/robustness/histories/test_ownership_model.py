@@ -65,7 +65,12 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
         # A reader gets an item as the newest one after a later item was acknowledged.
         ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
         # An acknowledged item is lost, though its owner is still there and has newer ones.
-        ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged and is lost"),
+        ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged or seen, and is lost"),
+        # An item that nobody has acknowledged, but that a reader has got, is lost.
+        (
+            [FIRST, op(Put(b"2"), 2, None), listed(4, A, (1, b"1"), (2, b"2")), listed(6, A, (1, b"1"), (3, b"3"))],
+            "b'2' was acknowledged or seen, and is lost",
+        ),
         # A put that was tried again was stored twice.
         ([FIRST, SECOND, listed(4, A, (1, b"1"), (2, b"2"), (3, b"2"))], "b'2' was stored twice"),
         # An item of the lost incarnation shows up in the new one.
@@ -79,3 +84,9 @@ def test_a_planted_violation_is_found(history: list[Operation], complaint: str) 
 def test_items_that_went_with_their_host_are_counted_apart_from_lost_ones() -> None:
     judged = judge_items([FIRST, SECOND, put(b"3", 4, B, 1)])
     assert (judged.channels, judged.acknowledged, judged.gone_with_host, judged.lost) == (1, 3, 2, 0)
+
+
+def test_an_item_that_was_seen_and_not_acknowledged_counts_as_gone_with_its_host() -> None:
+    unanswered = op(Put(b"2"), 2, None)
+    judged = judge_items([FIRST, unanswered, listed(4, A, (1, b"1"), (2, b"2")), put(b"3", 6, B, 1)])
+    assert (judged.acknowledged, judged.gone_with_host) == (2, 2)

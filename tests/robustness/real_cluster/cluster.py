@@ -20,11 +20,12 @@ from stampede_rt_runtime.identity import Role
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
 from tests.robustness.real_cluster.placed_process import READY_SECONDS, PlacedProcess
+from tests.robustness.real_cluster.relay_process import RelayProcess
 from tests.robustness.real_cluster.supernode import PORT, Supernode
 from tests.support.supernode.processes import clean_environment
 
 SUPERNODES, SPARE_NAMESPACES = 3, 1
-FRONTEND_PORT, HOST_PORT = 7580, 7570
+FRONTEND_PORT, HOST_PORT, INNER_HOST_PORT = 7580, 7570, 7571
 OPERATOR = "operator"
 COMMAND_SECONDS = 40.0
 
@@ -49,29 +50,49 @@ ARCHIVE, MEMORY = "64MiB", "64MiB"
 
 
 class Host(PlacedProcess):
-    """One channel host."""
+    """One channel host. With `relayed` all others reach it through a relay."""
 
     package = "stampede_rt_channel_host"
 
     def __init__(
-        self, name: str, namespace: NetworkNamespace, folder: Path, tls: TlsFiles | None, frontend: Frontend
-    ) -> None:
+        self, name: str, namespace: NetworkNamespace, folder: Path, tls: TlsFiles | None, frontend: Frontend,
+        *, relayed: bool = False,
+    ) -> None:  # fmt: skip
         super().__init__(name, namespace, folder, HOST_PORT, tls)
         self._frontend = frontend
+        self.relay = RelayProcess(namespace, self.address, INNER_HOST_PORT) if relayed else None
 
     def flags(self) -> Sequence[str]:
         """A name that stays over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
         archive = ["--archive", str(self.data_dir / "archive"), "--archive-bytes-max", ARCHIVE]
-        return [*words, *archive, "--memory-bytes-max", MEMORY, *self.listen_flags()]
+        return [*words, *archive, "--memory-bytes-max", MEMORY, *self._where()]
+
+    def _where(self) -> list[str]:
+        if self.relay is None:
+            return self.listen_flags()
+        return ["--listen", f"localhost:{INNER_HOST_PORT}", "--advertise", self.address, *self.tls_flags()]
+
+    async def start(self) -> bool:
+        """Start the host, and its relay if it has one."""
+        if self.relay is not None:
+            await self.relay.start()
+        return await super().start()
+
+    async def close(self) -> None:
+        """End the process and its relay."""
+        await super().close()
+        if self.relay is not None:
+            await self.relay.close()
 
 
 class Cluster:
     """All processes, on a network. `supernodes` are the members that the cluster should have at this moment."""
 
     def __init__(
-        self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int, compacts_early: bool
-    ) -> None:
+        self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int, compacts_early: bool,
+        relayed_hosts: bool = False,
+    ) -> None:  # fmt: skip
         self.network, self.folder, self._compacts_early = network, folder, compacts_early
         folder.mkdir(parents=True, exist_ok=True)
         self.certificates = Certificates(folder / "certificates") if secured else None
@@ -89,7 +110,9 @@ class Cluster:
         if hosts:
             front, *others = network.namespaces[SUPERNODES + SPARE_NAMESPACES :]
             self.frontend = Frontend(front, folder, self._files(Role.FRONTEND, "frontend", front), self.supernodes)
-            self.hosts = [self._host(f"h{number}", namespace) for number, namespace in enumerate(others, 1)]
+            self.hosts = [
+                self._host(f"h{number}", namespace, relayed_hosts) for number, namespace in enumerate(others, 1)
+            ]
 
     def _files(self, role: Role, name: str, namespace: NetworkNamespace | None = None) -> TlsFiles | None:
         if self.certificates is None:
@@ -115,9 +138,10 @@ class Cluster:
             compacts_early=early,
         )
 
-    def _host(self, name: str, namespace: NetworkNamespace) -> Host:
+    def _host(self, name: str, namespace: NetworkNamespace, relayed: bool) -> Host:
         assert self.frontend is not None
-        return Host(name, namespace, self.folder, self._files(Role.HOST, name, namespace), self.frontend)
+        tls = self._files(Role.HOST, name, namespace)
+        return Host(name, namespace, self.folder, tls, self.frontend, relayed=relayed)
 
     @property
     def outside(self) -> NetworkNamespace:
@@ -235,11 +259,15 @@ async def serves(one: Supernode, deadline: float) -> None:
 
 @asynccontextmanager
 async def running_cluster(
-    folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0, compacts_early: bool = True
-) -> AsyncIterator[Cluster]:
+    folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0, compacts_early: bool = True,
+    relayed_hosts: bool = False,
+) -> AsyncIterator[Cluster]:  # fmt: skip
     """Yield a cluster that serves, and remove it afterwards, except its folder."""
     with Network(SUPERNODES + SPARE_NAMESPACES + (hosts + 1 if hosts else 0)) as network:
-        cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts, compacts_early=compacts_early)
+        cluster = Cluster(
+            network, folder, relayed=relayed, secured=secured, hosts=hosts, compacts_early=compacts_early,
+            relayed_hosts=relayed_hosts,
+        )  # fmt: skip
         try:
             await cluster.start()
             yield cluster

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
 import sqlite3
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -23,6 +21,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
 from tests.robustness.real_cluster.placed_process import PlacedProcess
+from tests.robustness.real_cluster.relay_process import RelayProcess
 from tests.support.service_process import SNAPSHOT_EVERY
 
 PORT, INNER_PORT = 7590, 7591
@@ -54,9 +53,9 @@ class Supernode(PlacedProcess):
         compacts_early: bool = True,
     ) -> None:
         super().__init__(name, namespace, folder, PORT, tls)
-        self._members, self._callers, self._relayed = members, callers, relayed
+        self._members, self._callers = members, callers
         self._compacts_early = compacts_early
-        self._relay: asyncio.subprocess.Process | None = None
+        self.relay = RelayProcess(self.namespace, self.address, INNER_PORT) if relayed else None
         self._channels: dict[tuple[Role, str], grpc.aio.Channel] = {}
         self._stubs: dict[tuple[Role, str], Any] = {}
         self.has_small_disk = False
@@ -64,7 +63,11 @@ class Supernode(PlacedProcess):
     def flags(self) -> Sequence[str]:
         """The flags of a founder, or of a joined supernode, which finds the other settings in its folder."""
         founding = ["--id", self.name, "--members", self._members] if self._members else []
-        listen = ["--listen", f"localhost:{INNER_PORT}", *self.tls_flags()] if self._relayed else self.listen_flags()
+        listen = (
+            ["--listen", f"localhost:{INNER_PORT}", *self.tls_flags()]
+            if self.relay is not None
+            else self.listen_flags()
+        )
         return [*founding, "--data-dir", str(self.data_dir), "--lease-ttl", f"{LEASE_TTL_SECONDS}s", *listen]
 
     def environment(self) -> dict[str, str]:
@@ -74,8 +77,8 @@ class Supernode(PlacedProcess):
 
     async def start(self) -> bool:
         """Start the supernode, and its relay if it has one."""
-        if self._relayed and self._relay is None:
-            await self._start_relay()
+        if self.relay is not None:
+            await self.relay.start()
         return await super().start()
 
     def channel(self, role: Role = Role.CLIENT, name: str = "caller") -> grpc.aio.Channel:
@@ -124,22 +127,6 @@ class Supernode(PlacedProcess):
             with closing(sqlite3.connect(Path(copy, DATABASE_NAME))) as store:
                 return int(store.execute("SELECT min(log_index) FROM entry").fetchone()[0])
 
-    async def _start_relay(self) -> None:
-        command = [sys.executable, "-m", "tests.robustness.real_cluster.relay", self.address, f"localhost:{INNER_PORT}"]
-        self._relay = await asyncio.create_subprocess_exec(
-            *self.namespace.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        assert self._relay.stdout is not None
-        await self._relay.stdout.readline()
-
-    async def set_weather(self, *figures: float) -> list[int]:
-        """Set the weather of its relay. Returns the counts of the weather before (see `relay`)."""
-        assert self._relay is not None
-        assert self._relay.stdin is not None
-        assert self._relay.stdout is not None
-        self._relay.stdin.write((" ".join(map(str, figures)) + "\n").encode())
-        return [int(word) for word in (await self._relay.stdout.readline()).split()]
-
     async def hang_up(self) -> None:
         """Close the callers' connections. Calls under way are cancelled."""
         for channel in self._channels.values():
@@ -148,9 +135,8 @@ class Supernode(PlacedProcess):
     async def close(self) -> None:
         """End the process, and remove its disk."""
         await self.end()
-        if self._relay is not None and self._relay.returncode is None:
-            self._relay.kill()
-            await self._relay.wait()
+        if self.relay is not None:
+            await self.relay.close()
         self._unmount()
 
     def _unmount(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import time
+from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
@@ -23,8 +24,9 @@ ITEMS_MAX = 1_000_000
 class Traffic:
     """Several workers on one connection. Enter it as a context manager before `run`."""
 
-    def __init__(self, cluster: Cluster, recorder: Recorder, seed: int) -> None:
-        self._cluster, self.recorder = cluster, recorder
+    def __init__(self, cluster: Cluster, recorder: Recorder, seed: int, **policy: Any) -> None:
+        """`policy`: of all channels, beside their limits."""
+        self._cluster, self.recorder, self._policy = cluster, recorder, policy
         self._random_source = random.Random(f"traffic-{seed}")
         self._numbers = 0
         self._handles: dict[str, aio.Channel] = {}
@@ -71,9 +73,13 @@ class Traffic:
     async def open(self, name: str, host: str | None = None) -> aio.Channel:
         """Open the channel, and create it if it does not exist. Raises StampedeError."""
         if name not in self._handles:
-            kept = {"max_age": KEPT_SECONDS, "max_items": ITEMS_MAX}
-            self._handles[name] = await self.rt.channel(name, host=host, **kept)  # type: ignore[arg-type]
+            kept = {"max_age": KEPT_SECONDS, "max_items": ITEMS_MAX} | self._policy
+            self._handles[name] = await self.rt.channel(name, host=host, **kept)
         return self._handles[name]
+
+    def in_use(self) -> list[aio.Channel]:
+        """The channels that the workers and the faults have opened last."""
+        return [*self._handles.values()][-2 * NAMES_AT_ONCE :]
 
     async def put(self, channel: aio.Channel) -> st.Item:
         """Put an item that no other caller puts. Raises StampedeError."""
