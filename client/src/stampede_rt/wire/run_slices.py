@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import sys
+from array import array
 from collections.abc import Iterator
 from itertools import accumulate
 from typing import NamedTuple
@@ -12,6 +14,7 @@ from stampede_rt.wire.runs import decode_varint, encode_varint
 
 _TIMES, _DURATIONS, _LENGTHS, _PAYLOADS, _FIRST_SEQ = 1, 2, 3, 6, 7  # fields of ItemRun
 _COLUMN_WIDTHS = {_TIMES: 8, _DURATIONS: 8, _LENGTHS: 4}
+_COLUMN_CODES = {_TIMES: "q", _DURATIONS: "q", _LENGTHS: "I"}
 _LABELS = (4, 5)  # content_type, attributes
 _VARINT, _FIXED64, _BYTES = 0, 1, 2  # wire types
 _SEQ = struct.Struct("<BQ")
@@ -30,6 +33,34 @@ class _Field(NamedTuple):
     begin: int
     value: int
     end: int
+
+
+class SealedColumns(NamedTuple):
+    """The columns of a sealed run: times and durations in nanoseconds (-1: none), and the bytes of each payload."""
+
+    first_seq: int
+    times: array[int]
+    durations: array[int] | None
+    lengths: array[int]
+
+
+def sealed_columns(sealed: bytes) -> SealedColumns | None:
+    """The columns of a sealed run, without a look at its payloads. None: only a parser of messages can read the run."""
+    try:
+        fields = list(_fields(sealed))
+        if sys.byteorder != "little" or not _is_plain(fields) or fields[-1].end != len(sealed):
+            return None
+        found = {field.number: field for field in fields}
+        (first_seq,) = struct.unpack_from("<Q", sealed, found[_FIRST_SEQ].value)
+        times, durations, lengths = (_column(sealed, number, found.get(number)) for number in _COLUMN_WIDTHS)
+    except (IndexError, ValueError, struct.error):
+        return None
+    return SealedColumns(first_seq, times, durations or None, lengths)
+
+
+def _column(sealed: bytes, number: int, field: _Field | None) -> array[int]:
+    """A column; empty: the run does not have it."""
+    return array(_COLUMN_CODES[number], b"" if field is None else sealed[field.value : field.end])
 
 
 class RunSlicer:

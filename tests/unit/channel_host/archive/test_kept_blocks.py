@@ -9,9 +9,17 @@ import pytest
 
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
-from stampede_rt_channel_host.core.archive import ArchivedRun, PlacedBlock, Segment, SegmentBlocks, Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import (
+    ArchivedRun,
+    ArchiveWindow,
+    PlacedBlock,
+    Segment,
+    SegmentBlocks,
+    Wanted,
+    WantedWindow,
+)
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
-from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END
 
 ALL = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
 
@@ -65,5 +73,30 @@ def test_a_read_of_a_file_that_has_grown_looks_only_at_its_new_blocks(
 
 
 def seqs(files: SegmentFiles, segments: tuple[Segment, ...]) -> list[int]:
-    window = files.load(segments, ALL, decode, lambda: None)
+    return seqs_of(files.load(segments, ALL, decode, lambda: None))
+
+
+def seqs_of(window: ArchiveWindow) -> list[int]:
     return [part.first_seq for part in window.items.slices(FIRST_KEY, LAST_KEY)]
+
+
+def test_a_short_window_in_memory_is_read_without_a_thread_and_any_other_one_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = SegmentFiles(tmp_path, {})
+    files.open(1)
+    for number in range(1, 31):
+        segments = files.write([[ArchivedRun(number, run_at(number))]], ArchiveLimits(None, None))
+    one = WantedWindow(Wanted(5, (5, SEQ_END), 0, 2**18), FIRST_KEY, LAST_KEY)
+    assert files.load_at_hand(segments, one, decode) is None, "no read has found the blocks yet"
+    expected = files.load(segments, one, decode, lambda: None)
+    found = files.load_at_hand(segments, one, decode)
+    assert found is not None
+    assert seqs_of(found) == seqs_of(expected) == [4, 5]
+    assert files.load_at_hand(segments, ALL, decode) is None, "it has 30 blocks"
+
+    def away(*_: object) -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr("stampede_rt_channel_host.archive.segment_folder.os.preadv", away)
+    assert files.load_at_hand(segments, one, decode) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
+from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
@@ -13,7 +14,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.wire import runs
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
-from stampede_rt.wire.run_slices import slice_run
+from stampede_rt.wire.run_slices import sealed_columns, slice_run
 from stampede_rt.wire.runs import ITEM_BYTES_MAX, RUN_BYTES_MAX, encode_run, parse_run, seal_run, select_items
 
 items = some.lists(
@@ -39,6 +40,38 @@ def test_every_column_comes_back(columns: list[tuple[int, int, bytes]], first_se
     assert [item.seq for item in found] == list(range(first_seq, first_seq + len(columns)))
     assert {item.content_type for item in found} == {"text/plain"}
     assert found[0].attributes == {"k": "v"}
+
+
+@given(items, some.integers(1, 2**63), some.booleans(), some.data())
+def test_the_columns_of_a_sealed_run_are_those_that_a_parser_finds(
+    columns: list[tuple[int, int, bytes]], first_seq: int, stamped: bool, data: some.DataObject
+) -> None:
+    _, durations, payloads = zip(*columns, strict=True)
+    times = [7] * len(columns)
+    raw = encode_run(payloads, times=None if stamped else times, durations=durations, attributes={"k": "v"})
+    sealed = seal_run(raw, first_seq, times if stamped else None)
+    found = sealed_columns(sealed)
+    assert found is not None
+    parsed = item_pb2.ItemRun.FromString(sealed)
+    assert (found.first_seq, [*found.times]) == (parsed.first_seq, [*parsed.time_unix_nano])
+    assert [*(found.durations or ())] == [*parsed.duration_nanos]
+    assert [*found.lengths] == [*parsed.payload_length_bytes]
+    assert sealed_columns(sealed[: data.draw(some.integers(0, len(sealed) - 1))]) is None
+
+
+@given(some.binary(max_size=60))
+def test_bytes_that_are_no_run_have_no_columns_or_those_that_a_parser_finds(raw: bytes) -> None:
+    found = sealed_columns(raw)
+    if found is not None and item_parses(raw):
+        assert [*found.lengths] == [*item_pb2.ItemRun.FromString(raw).payload_length_bytes]
+
+
+def item_parses(raw: bytes) -> bool:
+    try:
+        item_pb2.ItemRun.FromString(raw)
+    except DecodeError:
+        return False
+    return True
 
 
 @given(items, some.data())

@@ -205,7 +205,13 @@ class HostArchive:
     async def load(
         self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: Past | None = None
     ) -> ArchiveWindow:
-        """Load a window in a thread. Raises OSError, for example if the archive's limits have removed a segment."""
+        """Load a window, in a thread unless it is short and in memory.
+
+        Raises OSError, for example if the archive's limits have removed a segment.
+        """
+        found = files.load_at_hand(segments, wanted, self._decode, past)
+        if found is not None:
+            return found
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest, past)
 

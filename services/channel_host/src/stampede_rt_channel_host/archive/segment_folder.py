@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -21,6 +23,10 @@ class SegmentPlace(Protocol):
 
     def opened(self, number: int) -> AbstractContextManager[ReadAt]:
         """Open a segment: within the context the function reads its bytes."""
+        ...
+
+    def at_hand(self, number: int) -> AbstractContextManager[ReadAt]:
+        """As `opened`, for bytes that are in memory. Raises BlockingIOError if it would have to wait for a disk."""
         ...
 
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
@@ -48,7 +54,21 @@ class SegmentFolder:
         with self.file_of(number).open("rb", buffering=0) as file:
             yield lambda offset, size: os.pread(file.fileno(), size, offset)
 
+    @contextmanager
+    def at_hand(self, number: int) -> Iterator[ReadAt]:
+        """As `opened`, for bytes that are in memory. Raises BlockingIOError if it would have to wait for a disk."""
+        with self.file_of(number).open("rb", buffering=0) as file:
+            yield lambda offset, size: _read_at_hand(file.fileno(), offset, size)
+
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
         """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
         with self.opened(segment.number) as read_at:
             return scan(read_at, segment.length, check_contents=False, begin=begin).blocks
+
+
+def _read_at_hand(file: int, offset: int, size: int) -> bytes:
+    """Bytes from the cache of the system. Raises BlockingIOError if it does not have all of them."""
+    found = bytearray(size)
+    if sys.platform != "linux" or os.preadv(file, [found], offset, os.RWF_NOWAIT) < size:
+        raise BlockingIOError(errno.EAGAIN, "the bytes are not in memory")
+    return bytes(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
@@ -13,9 +14,12 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRun,
     ArchiveWindow,
+    BlocksOf,
     Hole,
+    NotAtHand,
     Past,
     PlacedBlock,
+    ReadAt,
     Segment,
     SegmentBlocks,
     TimeRange,
@@ -32,6 +36,9 @@ from stampede_rt_channel_host.core.archive import (
     window_of,
 )
 from stampede_rt_channel_host.core.channel import Run
+
+Opened = Callable[[int], AbstractContextManager[ReadAt]]
+"""Opens a segment: within the context the function reads its bytes."""
 
 
 class SegmentReads:
@@ -53,7 +60,33 @@ class SegmentReads:
         past: Past | None = None,
     ) -> ArchiveWindow:
         """Load a window of `segments`, perhaps those of `past`. Calls `rest` between two blocks, for other threads."""
-        blocks_of = self._blocks_of if past is None else past.blocks_of(self._blocks_of)
+        return self._load(segments, wanted, decode, rest, past, self._blocks_of, self.place.opened)
+
+    def load_at_hand(
+        self,
+        segments: Sequence[Segment],
+        wanted: WantedWindow,
+        decode: Callable[[bytes], Run],
+        past: Past | None = None,
+    ) -> ArchiveWindow | None:
+        """The window if it is short and all its bytes are in memory, else None. Does not block."""
+        at_hand = wanted._replace(wanted=wanted.wanted._replace(at_hand=True))
+        try:
+            return self._load(segments, at_hand, decode, _go_on, past, self._known_blocks_of, self.place.at_hand)
+        except (NotAtHand, OSError):
+            return None
+
+    def _load(
+        self,
+        segments: Sequence[Segment],
+        wanted: WantedWindow,
+        decode: Callable[[bytes], Run],
+        rest: Callable[[], None],
+        past: Past | None,
+        all_blocks_of: BlocksOf,
+        opened: Opened,
+    ) -> ArchiveWindow:
+        blocks_of = all_blocks_of if past is None else past.blocks_of(all_blocks_of)
         chosen = choose(segments, blocks_of, wanted.wanted)
         runs: list[Run] = []
         missing: list[Hole] = []
@@ -61,7 +94,7 @@ class SegmentReads:
         for at, (segment, block) in enumerate(sorted(chosen.blocks, key=lambda one: one[1].head.first_seq)):
             if at:
                 rest()
-            found = self._archived_runs_of(decode, segment, block, wanted.wanted.times)
+            found = self._archived_runs_of(decode, segment, block, wanted.wanted.times, opened)
             runs += (one.run for one in found or ())
             taken.setdefault(segment, set()).add(block.offset)
             if found is None:
@@ -99,23 +132,35 @@ class SegmentReads:
         return self._archived_runs_of(decode, segment, block) or []
 
     def _advances_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedAdvance]:
-        return decode_advances(self._content_of(segment, block) or b"")
+        return decode_advances(self._content_of(segment, block, self.place.opened) or b"")
 
     def _archived_runs_of(
-        self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock, within: TimeRange | None = None
+        self,
+        decode: Callable[[bytes], Run],
+        segment: Segment,
+        block: PlacedBlock,
+        within: TimeRange | None = None,
+        opened: Opened | None = None,
     ) -> list[ArchivedRun] | None:
         """The runs of a block that a read of these times needs, or None if the block is damaged."""
-        content = self._content_of(segment, block)
+        content = self._content_of(segment, block, opened or self.place.opened)
         return None if content is None else decode_items(block.head, content, decode, within)
 
-    def _content_of(self, segment: Segment, block: PlacedBlock) -> bytes | None:
+    def _content_of(self, segment: Segment, block: PlacedBlock, opened: Opened) -> bytes | None:
         """The content of a block, or None if it is damaged."""
-        with self.place.opened(segment.number) as read_at:
+        with opened(segment.number) as read_at:
             content = read_at(block.offset + HEAD_BYTES, block.head.content_bytes)
         if is_whole(block.head, content):
             return content
         self.damaged_blocks += 1
         return None
+
+    def _known_blocks_of(self, segment: Segment) -> SegmentBlocks:
+        """As `_blocks_of`. Raises NotAtHand if no read has found the blocks yet."""
+        found = self._kept.get(self, segment.number)
+        if found.length < segment.length:
+            raise NotAtHand
+        return found.blocks.before(segment.length)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
         """The blocks of a segment, as far as it had grown when the read began."""
@@ -125,3 +170,7 @@ class SegmentReads:
             found = FoundBlocks(segment.length, found.blocks.followed_by(more))
             self._kept.keep(self, segment.number, found)
         return found.blocks.before(segment.length)
+
+
+def _go_on() -> None:
+    """A short read leaves no turn to others."""

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from array import array
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.wire.run_slices import SealedColumns, sealed_columns
 from stampede_rt_channel_host.copies.owner_messages import owner_to
-from stampede_rt_channel_host.core.channel import FIRST_KEY, Collection, FeedPart, FeedPlace, ItemKey, Run, make_run
+from stampede_rt_channel_host.core.channel import (
+    FIRST_KEY,
+    Collection,
+    ColumnRun,
+    FeedPart,
+    FeedPlace,
+    ItemKey,
+    Run,
+    make_run,
+)
 
 _CAUSES = {
     "age": pb.FEED_CAUSE_AGE,
@@ -81,11 +93,17 @@ def advance_of(state: pb.FeedState) -> int | None:
 
 def run_of(body: bytes) -> Run:
     """The run of a feed, as the copy stores it. Raises InvalidArgument if the source sends no valid run."""
-    run = item_pb2.ItemRun.FromString(body)
-    lengths, times = run.payload_length_bytes, run.time_unix_nano
-    if not lengths or len(times) != len(lengths) or len(run.duration_nanos) not in (0, len(lengths)):
+    found = sealed_columns(body) or _parsed(body)
+    items = len(found.lengths)
+    if not items or len(found.times) != items or (found.durations and len(found.durations) != items):
         raise InvalidArgument("the feed has a run whose columns disagree; install the same release on both hosts")
-    return make_run(run.first_seq, list(times), list(run.duration_nanos) or None, list(lengths), body)
+    return make_run(*found, body) if items == 1 else ColumnRun(*found, body)
+
+
+def _parsed(body: bytes) -> SealedColumns:
+    run = item_pb2.ItemRun.FromString(body)
+    times, durations = array("q", run.time_unix_nano), array("q", run.duration_nanos)
+    return SealedColumns(run.first_seq, times, durations or None, array("I", run.payload_length_bytes))
 
 
 def _collection_to(collection: Collection) -> pb.FeedCollection:

@@ -26,12 +26,21 @@ BlocksOf = Callable[[Segment], SegmentBlocks]
 """Returns the blocks of a segment. The shell keeps the blocks of the segments that reads used last."""
 
 
+AT_HAND_BYTES, AT_HAND_BLOCKS = 2**19, 8
+"""The most bytes and blocks of a window that is short enough to be read without a thread."""
+
+
+class NotAtHand(Exception):
+    """The next window is too long to be read at once, or its blocks are not known yet."""
+
+
 class Wanted(NamedTuple):
     """The items that a read wants from an archive: the items from `start` on, with the bucket before it, below `high`.
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
-    Beyond `bytes_limit`, which only very many items of one time reach, the read fails.
+    Beyond `bytes_limit`, which only very many items of one time reach, the read fails. `at_hand`: the read fails with
+    NotAtHand if the window is too long to be read at once.
     """
 
     start: int
@@ -41,6 +50,7 @@ class Wanted(NamedTuple):
     from_time: int | None = None
     down: bool = False
     bytes_limit: int = WINDOW_BYTES_MAX
+    at_hand: bool = False
 
     @property
     def times(self) -> TimeRange:
@@ -110,6 +120,8 @@ class _Growing:
         """Add a block. Raises Overloaded if the window becomes too large."""
         self.taken.append((segment, block))
         self.size += block.head.length
+        if self._wanted.at_hand and (self.size > AT_HAND_BYTES or len(self.taken) > AT_HAND_BLOCKS):
+            raise NotAtHand
         for key in (block.head.low, block.head.high):
             if key[0] >= self._first:
                 self._least = min(self._least, key[0])

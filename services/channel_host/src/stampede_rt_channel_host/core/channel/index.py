@@ -52,7 +52,10 @@ class ChannelIndex:
             self._open(run.first_time)
             self._add(run)
             return
-        times, lo, items = run.times, 0, len(run)
+        times, lo, items = [*run.times], 0, len(run)
+        if times == sorted(times):  # faster than the loop, and usual
+            self._insert_ascending(run, 0, items)
+            return
         while lo < items:
             hi = lo + 1
             while hi < items and times[hi - 1] <= times[hi]:
