@@ -9,3 +9,5 @@ from tests.robustness.fuzz.parsers.target import Target
 
 MODULES: tuple[Any, ...] = (requests, directory, texts, command_line, files, recordings, answers, access)
 BY_NAME: dict[str, Target] = {target.name: target for module in MODULES for target in module.TARGETS}
+MODULE_OF: dict[str, str] = {target.name: module.__name__ for module in MODULES for target in module.TARGETS}
+"""The module of each target."""

@@ -1,47 +1,76 @@
-"""One target under atheris, in a process of its own: libFuzzer ends the process with its first finding."""
+"""Each target under atheris in a process of its own, `guided_process`: libFuzzer ends it with its first finding."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
+
+from tests.robustness.fuzz.parsers.catalogue import MODULE_OF
 
 CORPUS = Path("out/fuzz")
 INPUT_SECONDS_MAX = 20
+START_SECONDS_MAX = 120  # on a busy machine; about two seconds of processor time
 MEMORY_MIB_MAX = 2048
 INPUT_BYTES_MAX = 1200
-INSTRUMENTED = ["stampede_rt", "stampede_rt_channel_host", "stampede_rt_supernode", "stampede_rt_runtime"]
+PROCESS = "tests.robustness.fuzz.parsers.guided_process"
+_COVERED = re.compile(r"^#\d+\s.*cov: (\d+)", re.MULTILINE)
+_STATISTIC = re.compile(r"^stat::(\w+):\s+(\d+)$", re.MULTILINE)
+
+
+class GuidedRun(NamedTuple):
+    """The report of libFuzzer about a run.
+
+    `covered_first`, `covered`: the branches that the first inputs, and all inputs, have reached.
+    """
+
+    inputs: int
+    per_second: int
+    covered_first: int
+    covered: int
+
+    @classmethod
+    def of(cls, output: str) -> GuidedRun:
+        """The run with this output. Counts that are missing are 0."""
+        covered = [int(one) for one in _COVERED.findall(output)] or [0]
+        statistics = {name: int(number) for name, number in _STATISTIC.findall(output)}
+        inputs, speed = statistics.get("number_of_executed_units", 0), statistics.get("average_exec_per_sec", 0)
+        return cls(inputs, speed, covered[0], covered[-1])
+
+    @property
+    def is_guided(self) -> bool:
+        """Whether the code of the target is instrumented: the inputs reach more branches than the first one did."""
+        return self.covered > self.covered_first
 
 
 def run_guided(name: str, *, inputs: int, seconds: int, seed: int) -> bool:
-    """Whether nothing was found; libFuzzer prints the rest. Raises ImportError without atheris."""
+    """Whether nothing was found. Prints a line, and after a finding all that libFuzzer says.
+
+    Raises ImportError without atheris.
+    """
     import atheris  # noqa: F401 - here, so that its absence is said before a process is started
 
     corpus = CORPUS / name
     corpus.mkdir(parents=True, exist_ok=True)
-    words = [
-        name,
-        str(corpus),
-        f"-runs={inputs}",
-        f"-max_total_time={seconds}",
-        f"-seed={seed}",
-        "-print_final_stats=1",
-    ]
+    is_new = not any(corpus.iterdir())
+    done = subprocess.run(
+        [sys.executable, "-m", PROCESS, MODULE_OF[name], name, *_options(name, corpus, inputs, seconds, seed)],
+        check=False, capture_output=True, text=True, errors="replace",
+        timeout=seconds + INPUT_SECONDS_MAX + START_SECONDS_MAX,
+    )  # fmt: skip
+    run = GuidedRun.of(done.stderr)
+    grows = f"{run.covered_first:,} to {run.covered:,} branches"
+    print(f"{name}: {run.inputs:,} inputs, {run.per_second:,}/s, {grows}", flush=True)
+    is_blind = is_new and not run.is_guided
+    if done.returncode or is_blind:
+        print("\n".join(one for one in done.stderr.splitlines() if not one.startswith("INFO: Instrumenting")))
+        print(f"FOUND by {name}: {'no input reached new code' if is_blind else f'exit code {done.returncode}'}")
+    return not done.returncode and not is_blind
+
+
+def _options(name: str, corpus: Path, inputs: int, seconds: int, seed: int) -> list[str]:
+    words = [str(corpus), f"-runs={inputs}", f"-max_total_time={seconds}", f"-seed={seed}", "-print_final_stats=1"]
     bounds = [f"-timeout={INPUT_SECONDS_MAX}", f"-rss_limit_mb={MEMORY_MIB_MAX}", f"-max_len={INPUT_BYTES_MAX}"]
-    artifacts = f"-artifact_prefix={CORPUS}/found-{name}-"
-    return subprocess.run([sys.executable, "-m", __name__, *words, *bounds, artifacts], check=False).returncode == 0
-
-
-def fuzz(words: list[str]) -> None:
-    """Run the fuzzer in a separate process. Never returns."""
-    import atheris
-
-    with atheris.instrument_imports(include=INSTRUMENTED):
-        from tests.robustness.fuzz.parsers.catalogue import BY_NAME
-    target = BY_NAME[words[0]]
-    atheris.Setup([sys.argv[0], *words[1:]], target)
-    atheris.Fuzz()
-
-
-if __name__ == "__main__":
-    fuzz(sys.argv[1:])
+    return [*words, *bounds, f"-artifact_prefix={CORPUS}/found-{name}-"]
