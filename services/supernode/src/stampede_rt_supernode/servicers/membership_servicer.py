@@ -18,7 +18,9 @@ from stampede_rt.errors import (
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.access.control import audit_change
+from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode import replication
@@ -80,6 +82,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
 
     @errors_as_status
     async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Context) -> pb.AddSupernodeResponse:
+        _check_speaks_for(context, request.supernode_id)
         member, ticket = self._newcomer(request)
         index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
         audit_change("add supernode", f"{member.member_id} at {member.address}")
@@ -139,6 +142,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
     async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Context) -> pb.RemoveSupernodeResponse:
         if not request.supernode_id:
             raise InvalidArgument("supernode_id is empty; name the supernode to remove")
+        _check_speaks_for(context, request.supernode_id)
         index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
         audit_change("remove supernode", request.supernode_id)
         records, _ = self._members.records()
@@ -193,6 +197,19 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         if not cluster_id:
             raise Unavailable("the cluster is just being founded; try again in a moment", reason="NO_QUORUM")
         return cluster_id
+
+
+def _check_speaks_for(context: Context, member_id: str) -> None:
+    """Raises PermissionDenied for the certificate of another supernode.
+
+    One supernode could else remove all others, and then decide alone about the directory. Operators may name any.
+    """
+    caller = caller_identity(context)
+    if caller is not None and caller.role is Role.SUPERNODE and caller.name != member_id:
+        raise PermissionDenied(
+            f"{caller} may not add or remove supernode {member_id}: a supernode does so for itself alone; use the "
+            "certificate of an operator"
+        )
 
 
 def _member(id_field: str, supernode_id: str, target_field: str, target: str) -> Member:
