@@ -27,8 +27,19 @@ class Pair(NamedTuple):
 
     def moves(self) -> Any:
         """Have the other host take the queue over."""
+        return asyncio.ensure_future(self._move())
+
+    async def allow(self) -> None:
+        """Tell the source that the other host may ask for the queue."""
+        source = migration_service_pb2_grpc.MigrationServiceStub(self.source.connection)
+        await source.AllowMove(pb.AllowMoveRequest(queue_id=self.queue.queue_id, to_host_id=OTHER_ID))
+
+    async def _move(self) -> pb.MoveHereResponse:
+        queue_id = self.queue.queue_id
+        await self.allow()
         stub = migration_service_pb2_grpc.MigrationServiceStub(self.other.connection)
-        return asyncio.ensure_future(stub.MoveHere(pb.MoveHereRequest(queue_id=self.queue.queue_id)))
+        answer: pb.MoveHereResponse = await stub.MoveHere(pb.MoveHereRequest(queue_id=queue_id))
+        return answer
 
     def at_source(self) -> OpenedQueue:
         """The queue, for calls to the host that had it first."""
@@ -95,8 +106,8 @@ async def test_a_host_that_hears_nothing_of_the_commit_asks_the_directory(
     """It may not take the queue back, because the other host serves it."""
     served = queue_handover.QueueHandovers._hand_over
 
-    async def hears_nothing(self: Any, hosted: Any, context: Any) -> bool:
-        await served(self, hosted, context)
+    async def hears_nothing(self: Any, hosted: Any, host_id: bytes, context: Any) -> bool:
+        await served(self, hosted, host_id, context)
         return False
 
     monkeypatch.setattr(queue_handover.QueueHandovers, "_hand_over", hears_nothing)
@@ -113,10 +124,10 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     reached, goes_on = asyncio.Event(), asyncio.Event()
     taken_over = queue_arrivals.QueueArrivals._take_over
 
-    async def waits(self: Any, record: Any, core: Any) -> Any:
+    async def waits(self: Any, record: Any, core: Any, permit: bytes) -> Any:
         reached.set()
         await goes_on.wait()
-        return await taken_over(self, record, core)
+        return await taken_over(self, record, core, permit)
 
     monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", waits)
     move = pair.moves()
@@ -130,6 +141,7 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
 
 async def test_a_second_host_gets_nothing_of_a_queue_that_is_on_its_way(pair: Pair) -> None:
     stub = migration_service_pb2_grpc.MigrationServiceStub(pair.source.connection)
+    await pair.allow()
     first, second = stub.HandOverQueue(), stub.HandOverQueue()
     opening = pb.HandOverQueueOpen(queue_id=pair.queue.queue_id, epoch=1, host_id=OTHER_ID)
     await first.write(pb.HandOverQueueRequest(open=opening))
@@ -139,3 +151,14 @@ async def test_a_second_host_gets_nothing_of_a_queue_that_is_on_its_way(pair: Pa
     with pytest.raises(grpc.aio.AioRpcError, match="epoch 2"):  # it waited until the first move had failed
         await second.read()
     assert (await pair.queue.status()).counters.held == 3
+
+
+async def test_a_host_that_nobody_named_gets_no_message_and_no_pause(pair: Pair) -> None:
+    stub = migration_service_pb2_grpc.MigrationServiceStub(pair.source.connection)
+    call = stub.HandOverQueue()
+    opening = pb.HandOverQueueOpen(queue_id=pair.queue.queue_id, epoch=1, host_id=OTHER_ID)
+    await call.write(pb.HandOverQueueRequest(open=opening))
+    with pytest.raises(grpc.aio.AioRpcError, match="nobody has asked this host"):
+        await call.read()
+    assert pair.at_source().record.epoch == 1
+    assert await payloads(pair.at_source()) == [b"a", b"b", b"c"]

@@ -28,10 +28,14 @@ from stampede_rt.v1 import (
     directory_service_pb2,
     directory_service_pb2_grpc,
     item_pb2,
+    membership_service_pb2,
+    membership_service_pb2_grpc,
+    migration_directory_service_pb2_grpc,
     migration_service_pb2_grpc,
     raft_service_pb2_grpc,
     replica_service_pb2_grpc,
 )
+from stampede_rt.v1 import migration_directory_service_pb2 as moves_pb
 from stampede_rt.v1 import migration_service_pb2 as migration_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -179,6 +183,57 @@ def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(clus
         assert ask(address, cluster.tls_files("h9", Role.HOST), take_over).startswith("NOT_FOUND: ")
         queue.put(b"kept")
         assert queue.get().payload == b"kept"
+
+
+def test_a_host_gets_no_channel_of_another_host_by_its_own_word(cluster: LocalCluster) -> None:
+    supernode, own = cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST)
+    assert ask(supernode, own, registering("h9")) == ""
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        info = rt.channel("moved/by/nobody", host="h1").info
+        (h9,) = [one for one in rt.hosts() if one.name == "h9"]
+        allow = migration_pb.AllowMoveRequest(channel_id=info.channel_id, to_host_id=h9.host_id)
+        commit = moves_pb.CommitMoveRequest(
+            request_id=os.urandom(16), channel_id=info.channel_id, epoch=info.epoch, to_host_id=h9.host_id,
+            to_boot_incarnation=1, permit=bytes(32),
+        )  # fmt: skip
+        opening = replica_pb.FeedOpen(
+            channel_id=info.channel_id, epoch=info.epoch, host_id=h9.host_id, target="localhost:1", owner_facts=True,
+            move_id=b"m" * 16,
+        )  # fmt: skip
+
+        async def feed(channel: grpc.aio.Channel) -> None:
+            call: Any = replica_service_pb2_grpc.ReplicaServiceStub(channel).Feed(timeout=5)
+            await call.write(replica_pb.FeedRequest(open=opening, hold=True, credit_bytes=1000))
+            await call.read()
+            raise AssertionError(f"the feed was not refused: {await call.code()}")
+
+        def moves(channel: grpc.aio.Channel) -> Any:
+            return migration_service_pb2_grpc.MigrationServiceStub(channel).AllowMove(allow, timeout=5)
+
+        def commits(channel: grpc.aio.Channel) -> Any:
+            stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub(channel)
+            return stub.CommitMove(commit, timeout=5)
+
+        owner = cluster.hosts[0].address
+        assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move what host h1 owns")
+        assert ask(owner, own, feed).startswith("PERMISSION_DENIED: nobody has asked this host to hand channel")
+        assert ask(supernode, own, commits).startswith("PERMISSION_DENIED: host h9 cannot own channel moved/by/nobody")
+        assert rt.channel("moved/by/nobody").info.host == "h1"
+    assert ask(supernode, own, leaving("h9")) == ""
+
+
+def test_a_supernode_neither_adds_nor_removes_another(cluster: LocalCluster) -> None:
+    """It could else remove the others one by one, and then decide alone about the directory."""
+    own = cluster.tls_files("s9", Role.SUPERNODE)
+    remove = membership_service_pb2.RemoveSupernodeRequest(supernode_id="s1")
+    add = membership_service_pb2.AddSupernodeRequest(supernode_id="s8", protocol_version=1)
+    for name, request in (("RemoveSupernode", remove), ("AddSupernode", add)):
+
+        def call(channel: grpc.aio.Channel, name: str = name, request: Any = request) -> Any:
+            return getattr(membership_service_pb2_grpc.MembershipServiceStub(channel), name)(request, timeout=5)
+
+        told = ask(cluster.supernodes[0].address, own, call)
+        assert told.startswith("PERMISSION_DENIED: supernode s9 of cluster local may not add or remove supernode"), told
 
 
 def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.channel import run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
 from stampede_rt_supernode.core.moves.commands import CommitMove
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, Link, World
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, Host, Link, World
 from tests.support.supernode.operations import id_of
 
 ITEMS = 20
@@ -45,9 +45,10 @@ class Story:
     """A channel with acknowledged items at the source, a move, and puts that go on."""
 
     def __init__(
-        self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None, replica_at: int = 0
-    ) -> None:
-        self.world = World(crash_at, happens, replica_at)
+        self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None, replica_at: int = 0, *,
+        third: bool = False,
+    ) -> None:  # fmt: skip
+        self.world = World(crash_at, happens, replica_at, third=third)
         self.source, self.destination = self.world.hosts[SOURCE], self.world.hosts[DESTINATION]
         self.acknowledged: list[int] = []
         self.waiting: list[tuple[int, IncomingRun, Host]] = []
@@ -80,6 +81,7 @@ class Story:
         for _ in range(ITEMS):
             self.put()
         assert len(self.acknowledged) == ITEMS
+        self.world.allow(DESTINATION)
         move = asyncio.create_task(self.destination.incoming.move_here(self.world.record))
         while not move.done():
             self.put()
@@ -193,6 +195,7 @@ async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.02)
     story = Story(step, lambda world: setattr(world, "is_cut_off", True))
     await story.source.store.bind(story.world.channel_id, 1)
+    story.world.allow(DESTINATION)
     move = asyncio.create_task(story.destination.incoming.move_here(story.world.record))
     await story.until(lambda: step in story.world.reached)
     for _ in range(3):
@@ -250,11 +253,12 @@ async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_m
     monkeypatch.setattr(feed_stream, "SILENT_SECONDS_MAX", 0.05)
     story = Story("feeding", lambda world: setattr(world.links[0], "is_frozen", True))
     hosted = await story.source.store.bind(story.world.channel_id, 1)
+    story.world.allow(DESTINATION)
     move = asyncio.create_task(story.destination.incoming.move_here(story.world.record))
     await story.until(lambda: hosted.moving is not None)
     await story.until(lambda: hosted.moving is None)
     assert not move.done()
-    story.source.outgoing.check(hosted)
+    story.source.outgoing.check(hosted, id_of(DESTINATION))
     story.world.kill(DESTINATION)
     await asyncio.gather(move, return_exceptions=True)
 
@@ -295,26 +299,30 @@ async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_prox
 async def test_a_second_move_is_refused_while_one_is_under_way() -> None:
     story = Story()
     hosted = await story.source.store.bind(story.world.channel_id, 1)
-    story.source.outgoing.begin(hosted, b"other", "other:1")
+    for number in (DESTINATION, THIRD):
+        story.world.allow(number)
+    story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
     with pytest.raises(StampedeError) as refused:
-        story.source.outgoing.begin(hosted, b"third", "third:1")
+        story.source.outgoing.begin(hosted, id_of(THIRD), "third:1")
     assert refused.value.reason == "MOVE_CONFLICT"
 
 
 async def test_a_host_gives_at_most_eight_channels_away_at_once() -> None:
     story = Story()
     hosted = await story.source.store.bind(story.world.channel_id, 1)
+    story.world.allow(DESTINATION)
     for _ in range(move_slots.MOVES_MAX):
-        story.source.outgoing.begin(hosted, b"other", "other:1")
+        story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
         hosted.moving = None
     with pytest.raises(StampedeError, match="8 channels move away"):
-        story.source.outgoing.begin(hosted, b"other", "other:1")
+        story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
 
 
 async def test_a_host_that_stops_takes_no_channels() -> None:
     story = Story()
     await story.source.store.bind(story.world.channel_id, 1)
     story.destination.incoming.close()
+    story.world.allow(DESTINATION)
     with pytest.raises(StampedeError, match="shutting down"):
         await story.destination.incoming.move_here(story.world.record)
 
@@ -327,8 +335,9 @@ async def test_a_client_that_asks_the_former_owner_before_it_knows_of_the_commit
     hosted = await story.source.store.bind_for_feed(story.world.channel_id, 1)
     story.put()
     hosted.begin_move().hold()
+    permit = story.source.outgoing.allowed.permit(story.world.channel_id, 1, id_of(DESTINATION))
     story.world.apply(CommitMove(channel_id=story.world.channel_id, epoch=1, to_host_id=id_of(DESTINATION),
-                                 to_boot_incarnation=1))  # fmt: skip
+                                 to_boot_incarnation=1, permit=permit))  # fmt: skip
     with pytest.raises(StampedeError):
         await story.source.store.bind(story.world.channel_id, 2)
     assert story.source.store.known(story.world.channel_id) is hosted

@@ -101,6 +101,7 @@ class ReplicatedStory(Story):
 
     async def move(self) -> StampedeError | None:
         await self.begin()
+        self.world.allow(DESTINATION)
         move = asyncio.create_task(self.destination.incoming.move_here(self.world.record))
         while not move.done():
             self.put()

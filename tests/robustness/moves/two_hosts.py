@@ -34,8 +34,10 @@ from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
+from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
+from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
 from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
@@ -49,17 +51,24 @@ STEPS = (
 SOURCE, DESTINATION, THIRD = 1, 2, 3
 
 
+def key_of(number: int) -> bytes:
+    """The key of a host's permits."""
+    return bytes([number]) * KEY_BYTES
+
+
 class World:
     """The directory, the hosts, and the step at which `happens` is called."""
 
-    def __init__(self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0) -> None:
-        """`replica_at`: the host with the replica; 0: the channel has none."""
+    def __init__(
+        self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0, *, third: bool = False
+    ) -> None:
+        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is a third host anyway."""
         self.crash_at, self.happens = crash_at, happens
         self.reached: list[str] = []
-        self.log = Log()
-        numbers = (SOURCE, DESTINATION, THIRD) if replica_at else (SOURCE, DESTINATION)
+        self.log = Log(level=MOVES_LEVEL)
+        numbers = (SOURCE, DESTINATION, THIRD) if replica_at or third else (SOURCE, DESTINATION)
         for number in numbers:
-            self.log.apply(register(number))
+            self.log.apply(register(number, move_key=key_of(number)))
         replicas: dict[str, Any] = {"replicas": 1, "ack": "replica"} if replica_at else {}
         self.log.apply(open_channel("cam", host="host-1", max_items=100_000, **replicas))
         self.channel_id = next(iter(self.log.directory.tables.channels))
@@ -90,6 +99,11 @@ class World:
                 link.cut()
         for task in host.tasks():
             task.cancel()
+
+    def allow(self, to: int, epoch: int | None = None) -> None:
+        """Tell the owner that a host may ask for the channel, as a client with the right does before a move."""
+        record = self.record
+        self.owner.outgoing.allowed.allow(record.channel_id, epoch or record.epoch, id_of(to))
 
     def cut_links(self) -> None:
         """Break the streams between the hosts of the move."""
@@ -127,7 +141,9 @@ class Host:
         self.world = world
         self.alive = True
         self.has_lease = True
-        self.identity = HostIdentity(host_id=id_of(number), name=f"host-{number}", boot_incarnation=1)
+        self.identity = HostIdentity(
+            host_id=id_of(number), name=f"host-{number}", boot_incarnation=1, move_key=key_of(number)
+        )
         self.store = ChannelStore(
             self.identity,
             SimulatedDirectory(self),  # type: ignore[arg-type]  # `resolve` is all that the store needs here
@@ -176,6 +192,7 @@ class SimulatedDirectory:
 
     def __init__(self, host: Host) -> None:
         self.host, self.world = host, host.world
+        self.permits: list[bytes] = []  # those that this host has got
 
     async def _reach(self) -> None:
         await asyncio.sleep(0)
@@ -243,14 +260,17 @@ class SimulatedDirectory:
         kinds = [one.kind for one in self._copies() if one.host_id == host_id]
         return {ReplicaKind.MOVE: Kept.HEIR, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
 
-    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
+        if permit:
+            self.permits.append(permit)
         moves_here = self.host.identity.host_id == id_of(DESTINATION)
         if moves_here:
             self.world.at("commit is asked for")
         await self._reach()
         operation = CommitMove(
-            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id, to_boot_incarnation=1
-        )
+            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id, to_boot_incarnation=1,
+            permit=permit,
+        )  # fmt: skip
         done = self.world.apply(operation)
         assert isinstance(done, MoveCommitted)
         if moves_here:

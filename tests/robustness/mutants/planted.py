@@ -211,4 +211,22 @@ MUTANTS = (
         ),
         noticed_by="upgrading",
     ),
+    Mutant(
+        name="no_permit_is_checked",
+        file=f"{SUPERNODE}/core/moves/transitions.py",
+        edits=(("or not owner.move_key:", "or owner.move_key:"),),
+        noticed_by="tests/robustness/moves/test_hostile_hosts.py",
+    ),
+    Mutant(
+        name="a_permit_for_all_epochs",
+        file="services/runtime/src/stampede_rt_runtime/access/move_permits.py",
+        edits=(('subject_id + epoch.to_bytes(8, "big") + to_host_id', "subject_id + to_host_id"),),
+        noticed_by="tests/robustness/moves/test_hostile_hosts.py",
+    ),
+    Mutant(
+        name="nobody_allows_a_move",
+        file=f"{HOST}/copies/allowed_moves.py",
+        edits=(("if until_s is None or until_s < self._clock_s():", "if until_s is not None and until_s < 0:"),),
+        noticed_by="tests/robustness/moves/test_hostile_hosts.py",
+    ),
 )

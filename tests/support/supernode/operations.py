@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.channels.commands import DeleteChannel, OpenChannel, UpdateChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime
+from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.commands import Command, Operation, Result
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
@@ -27,13 +29,14 @@ def id_of(number: int) -> bytes:
 class Log:
     """Applies commands to a directory at growing positions, with a new operation id each unless one is given."""
 
-    def __init__(self, *, founded: bool = True) -> None:
+    def __init__(self, *, founded: bool = True, level: int = FIRST_LEVEL) -> None:
+        """`level`: the feature level from the start."""
         self.directory = Directory()
         self._index = 0
         self._op_ids = count(1)
         self.time_unix_nano = 0
         if founded:
-            self.apply(begin_tenure(1))
+            self.apply(replace(begin_tenure(1), new_feature_level=level))
 
     def apply(self, operation: Operation, op_id: bytes | None = None, as_of_index: int = 0, caller: str = "") -> Result:
         self._index += 1
@@ -57,7 +60,13 @@ def begin_tenure(tenure: int = 1) -> BeginTenure:
 
 
 def register(
-    number: int, *, name: str = "", boot: int = 1, epoch: int | None = None, incarnation: int = 900
+    number: int,
+    *,
+    name: str = "",
+    boot: int = 1,
+    epoch: int | None = None,
+    incarnation: int = 900,
+    move_key: bytes = b"",
 ) -> RegisterHost:
     """`epoch` None: that of a process which has heard of those with lower boots."""
     return RegisterHost(
@@ -68,6 +77,7 @@ def register(
         version="0.1.0",
         new_incarnation=incarnation,
         registration_epoch=boot - 1 if epoch is None else epoch,
+        move_key=move_key,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -35,6 +36,24 @@ def rpcs_of_the_contract() -> list[str]:
 @pytest.mark.parametrize("rpc", rpcs_of_the_contract())
 def test_every_rpc_of_the_contract_is_for_somebody(rpc: str) -> None:
     assert roles_for(rpc), f"{rpc} has no row in roles.py: decide who may call it"
+
+
+def test_the_page_on_security_has_the_check_of_each_rpc_for_members() -> None:
+    """Hosts, supernodes and front-ends have no rules of access, so each of these RPCs has a check of its own."""
+    services = {Role.HOST, Role.SUPERNODE, Role.FRONTEND}
+    page = (Path(__file__).parents[3] / "docs/security.md").read_text().partition("## What a member is believed")[2]
+    rows = dict(re.findall(r"^\| `(\w+/\w+)` \| ([a-z, -]+) \|", page, re.MULTILINE))
+    wanted = {}
+    for rpc in rpcs_of_the_contract():
+        roles = roles_for(rpc)
+        if Role.CLIENT not in roles and roles & services:
+            wanted[rpc.rpartition(".")[2]] = ", ".join(_SHOWN[role] for role in sorted(roles, key=_SHOWN.__getitem__))
+    assert rows == wanted
+
+
+_SHOWN = {
+    Role.HOST: "hosts", Role.SUPERNODE: "supernodes", Role.FRONTEND: "front-ends", Role.OPERATOR: "operators"
+}  # fmt: skip
 
 
 def test_only_supernodes_speak_raft() -> None:

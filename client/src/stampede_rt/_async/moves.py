@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Awaitable, Callable, Collection
+from typing import NamedTuple
 
 from stampede_rt._async.proxies import Proxies
 from stampede_rt._async.reader import Reader
-from stampede_rt.errors import HostNotFound, QueueNotFound
+from stampede_rt.errors import HostNotFound, QueueNotFound, StaleBinding
 from stampede_rt.transports.concurrency_async import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
@@ -16,7 +17,15 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
 ITEM_WORK_BYTES = 4096  # an item costs a host about as much as so many bytes
+RETRY_S = 0.05
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
+
+
+class _Movable(NamedTuple):
+    """A channel or queue: the host that owns it, and the request to another host to take it over."""
+
+    owner: str
+    request: pb.MoveHereRequest
 
 
 class Moves(Proxies):
@@ -33,9 +42,13 @@ class Moves(Proxies):
         if the copy cannot catch up with the producers, and DeadlineExceeded (the move goes on then).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
-        state = await self._state(channel)
-        answer = await self._move_here(pb.MoveHereRequest(channel_id=state.info.channel_id), host, deadline_s)
-        return _info(state.info.name, host, answer)
+        name = channel.name if isinstance(channel, Reader) else channel
+
+        async def find() -> _Movable:
+            info = (await self._state(channel)).info
+            return _Movable(info.host, pb.MoveHereRequest(channel_id=info.channel_id))
+
+        return _info(name, host, await self._move_here(find, host, deadline_s))
 
     async def move_queue(self, queue: str, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> MoveInfo:
         """Move the queue of that name to another host, while it is in use. Its messages, leases and retries go with it.
@@ -47,20 +60,42 @@ class Moves(Proxies):
         queue does not arrive within 5 s, and DeadlineExceeded (the move goes on then).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
-        found = next((one for one in await self.queues(queue) if one.name == queue), None)
-        if found is None:
-            raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists them")
-        answer = await self._move_here(pb.MoveHereRequest(queue_id=found.queue_id), host, deadline_s)
-        return _info(queue, host, answer)
 
-    async def _move_here(self, request: pb.MoveHereRequest, host: str, deadline_s: float) -> pb.MoveHereResponse:
-        hosts = {one.name: one for one in await self.hosts()}
-        if host not in hosts or not hosts[host].endpoints:
+        async def find() -> _Movable:
+            found = next((one for one in await self.queues(queue) if one.name == queue), None)
+            if found is None:
+                raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists them")
+            return _Movable(found.host, pb.MoveHereRequest(queue_id=found.queue_id))
+
+        return _info(queue, host, await self._move_here(find, host, deadline_s))
+
+    async def _move_here(
+        self, find: Callable[[], Awaitable[_Movable]], host: str, deadline_s: float
+    ) -> pb.MoveHereResponse:
+        """Have the owner let this host ask for the thing, and then have the host do so."""
+        hosts = {one.name: one for one in await self.hosts() if one.endpoints}
+        if host not in hosts:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
+        while True:  # once more if the thing has just moved; ends with the deadline
+            found = await find()
+            try:
+                if found.owner != host and found.owner in hosts:
+                    await self._allow(found.request, hosts[found.owner].endpoints[0], hosts[host].host_id, deadline_s)
+                break
+            except StaleBinding:
+                if monotonic_s() >= deadline_s:
+                    raise
+            await sleep(RETRY_S)
         endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
         left_s = max(deadline_s - monotonic_s(), 0.1)
-        answer: pb.MoveHereResponse = await endpoint.call(endpoint.moves.MoveHere, request, left_s)
+        answer: pb.MoveHereResponse = await endpoint.call(endpoint.moves.MoveHere, found.request, left_s)
         return answer
+
+    async def _allow(self, request: pb.MoveHereRequest, owner: str, host_id: bytes, deadline_s: float) -> None:
+        """Tell the owner, at that address, which host may ask for the thing. Raises StaleBinding if it is elsewhere."""
+        allow = pb.AllowMoveRequest(channel_id=request.channel_id, queue_id=request.queue_id, to_host_id=host_id)
+        endpoint = self._session.endpoints.to(owner)
+        await endpoint.call(endpoint.moves.AllowMove, allow, max(deadline_s - monotonic_s(), 0.1))
 
     async def rebalance(self, *, apply: bool = False, over: DurationLike = "2s") -> list[PlannedMove]:
         """Plan moves that even out the loads of the hosts. With `apply` also perform them, one after the other.

@@ -180,7 +180,7 @@ class DeleteChannelCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterHostCommand(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -190,6 +190,7 @@ class RegisterHostCommand(_message.Message):
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     HAS_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
     CONTINUES_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
@@ -199,7 +200,8 @@ class RegisterHostCommand(_message.Message):
     registration_epoch: int
     has_archive: bool
     continues_boot_incarnation: int
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ...) -> None: ...
+    move_key: bytes
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ...) -> None: ...
 
 class DeregisterHostCommand(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")
@@ -322,28 +324,32 @@ class RemoveReplicaCommand(_message.Message):
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ...) -> None: ...
 
 class CommitMoveCommand(_message.Message):
-    __slots__ = ("channel_id", "epoch", "to_host_id", "to_boot_incarnation")
+    __slots__ = ("channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+    permit: bytes
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class CommitQueueMoveCommand(_message.Message):
-    __slots__ = ("queue_id", "epoch", "to_host_id", "to_boot_incarnation")
+    __slots__ = ("queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+    permit: bytes
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class SetReplicaInSyncCommand(_message.Message):
     __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
@@ -788,12 +794,14 @@ class GroupEntry(_message.Message):
     def __init__(self, record: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., witness_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class HostEntry(_message.Message):
-    __slots__ = ("record", "registered_index")
+    __slots__ = ("record", "registered_index", "move_key")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
     record: _directory_pb2.HostRecord
     registered_index: int
-    def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ...) -> None: ...
+    move_key: bytes
+    def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ..., move_key: _Optional[bytes] = ...) -> None: ...
 
 class RememberedOperation(_message.Message):
     __slots__ = ("op_id", "log_index", "subject", "result", "caller")

@@ -26,21 +26,21 @@ from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/queue.proto\"{\n\x11\x43ommitMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\"~\n\x16\x43ommitQueueMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\"E\n\x17\x43ommitQueueMoveResponse\x12*\n\x05queue\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\"D\n\x12\x43ommitMoveResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord2\xd4\x01\n\x19MigrationDirectoryService\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponse\x12\x62\n\x0f\x43ommitQueueMove\x12&.stampede_rt.v1.CommitQueueMoveRequest\x1a\'.stampede_rt.v1.CommitQueueMoveResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/queue.proto\"\x8b\x01\n\x11\x43ommitMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\"\x8e\x01\n\x16\x43ommitQueueMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\"E\n\x17\x43ommitQueueMoveResponse\x12*\n\x05queue\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\"D\n\x12\x43ommitMoveResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord2\xd4\x01\n\x19MigrationDirectoryService\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponse\x12\x62\n\x0f\x43ommitQueueMove\x12&.stampede_rt.v1.CommitQueueMoveRequest\x1a\'.stampede_rt.v1.CommitQueueMoveResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_directory_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_COMMITMOVEREQUEST']._serialized_start=126
-  _globals['_COMMITMOVEREQUEST']._serialized_end=249
-  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_start=251
-  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_end=377
-  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_start=379
-  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_end=448
-  _globals['_COMMITMOVERESPONSE']._serialized_start=450
-  _globals['_COMMITMOVERESPONSE']._serialized_end=518
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=521
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=733
+  _globals['_COMMITMOVEREQUEST']._serialized_start=127
+  _globals['_COMMITMOVEREQUEST']._serialized_end=266
+  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_start=269
+  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_end=411
+  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_start=413
+  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_end=482
+  _globals['_COMMITMOVERESPONSE']._serialized_start=484
+  _globals['_COMMITMOVERESPONSE']._serialized_end=552
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=555
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=767
 # @@protoc_insertion_point(module_scope)

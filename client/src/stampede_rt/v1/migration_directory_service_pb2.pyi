@@ -8,32 +8,36 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CommitMoveRequest(_message.Message):
-    __slots__ = ("request_id", "channel_id", "epoch", "to_host_id", "to_boot_incarnation")
+    __slots__ = ("request_id", "channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
-    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+    permit: bytes
+    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class CommitQueueMoveRequest(_message.Message):
-    __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation")
+    __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     queue_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
-    def __init__(self, request_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ...) -> None: ...
+    permit: bytes
+    def __init__(self, request_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class CommitQueueMoveResponse(_message.Message):
     __slots__ = ("queue",)

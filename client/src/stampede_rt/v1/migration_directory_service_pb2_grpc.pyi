@@ -36,17 +36,20 @@ class MigrationDirectoryServiceStub:
     CommitMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
     same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+    owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
+    (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
     owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
     (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
     becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-    and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
+    WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
+    without the owner's permit).
     """
     CommitQueueMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
     the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+    owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
+    CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
     heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
     HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
@@ -59,17 +62,20 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     CommitMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
     same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+    owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
+    (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
     owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
     (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
     becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-    and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
-    CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
+    WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
+    without the owner's permit).
     """
     CommitQueueMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
     the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+    owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
+    CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
     heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
     HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
@@ -85,12 +91,14 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_migration_directory_service_pb2.CommitMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitMoveResponse]]:
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
         same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner accepts no puts meanwhile. The former owner then keeps its items as a copy of kind MOVE, which becomes the
+        owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
+        (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
         owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
         (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
         becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-        and its new epoch makes any other CommitMove of the former epoch fail. Idempotent. Errors: WRONG_EPOCH,
-        CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
+        WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
+        without the owner's permit).
         """
 
     @_abc_1.abstractmethod
@@ -101,7 +109,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_migration_directory_service_pb2.CommitQueueMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitQueueMoveResponse]]:
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
         the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner changes nothing meanwhile. The present owner itself may call this to end a move, as with CommitMove. There is no
+        owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
+        CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
         heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
         HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """

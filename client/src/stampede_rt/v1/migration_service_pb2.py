@@ -28,7 +28,7 @@ from stampede_rt.v1 import replica_service_pb2 as stampede__rt_dot_v1_dot_replic
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/queue.proto\x1a$stampede_rt/v1/replica_service.proto\x1a\x1cstampede_rt/v1/subject.proto\")\n\x10\x44rainHostRequest\x12\x15\n\rtimeout_nanos\x18\x01 \x01(\x03\"e\n\x11\x44rainHostResponse\x12\r\n\x05moved\x18\x01 \x01(\r\x12-\n\x04left\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.ChannelNotMoved\x12\x12\n\nleft_count\x18\x03 \x01(\r\"/\n\x0f\x43hannelNotMoved\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"7\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\"\xa8\x01\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12*\n\x05queue\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\"`\n\x14HandOverQueueRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.HandOverQueueOpen\x12\x17\n\x0f\x63ommitted_epoch\x18\x02 \x01(\x04\"E\n\x11HandOverQueueOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\"\x8e\x03\n\x15HandOverQueueResponse\x12/\n\x05\x66\x61\x63ts\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.HandedQueueFacts\x12\'\n\x04runs\x18\x02 \x03(\x0b\x32\x19.stampede_rt.v1.HandedRun\x12\x11\n\tmore_body\x18\x03 \x01(\x0c\x12&\n\x04held\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12/\n\x08messages\x18\x05 \x03(\x0b\x32\x1d.stampede_rt.v1.HandedMessage\x12;\n\x0c\x61\x63knowledged\x18\x06 \x03(\x0b\x32%.stampede_rt.v1.HandedAcknowledgement\x12.\n\tproducers\x18\x07 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12\x34\n\x0bmessage_ids\x18\x08 \x03(\x0b\x32\x1f.stampede_rt.v1.HandedMessageId\x12\x0c\n\x04\x65nds\x18\t \x01(\x08\"o\n\x10HandedQueueFacts\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x18\n\x10next_delivery_id\x18\x02 \x01(\x04\x12/\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\"^\n\tHandedRun\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x14\n\x0clength_bytes\x18\x02 \x03(\r\x12\x1a\n\x12\x61\x63\x63\x65pted_ago_nanos\x18\x03 \x01(\x03\x12\x0c\n\x04\x62ody\x18\x04 \x01(\x0c\"\xc9\x01\n\rHandedMessage\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x14\n\x0c\x61\x63knowledged\x18\x03 \x03(\x06\x12+\n\x06leases\x18\x04 \x03(\x0b\x32\x1b.stampede_rt.v1.HandedLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\x12\x12\n\nis_leaving\x18\x06 \x01(\x08\x12+\n\x04last\x18\x07 \x01(\x0b\x32\x1d.stampede_rt.v1.HandedFailure\"w\n\x0bHandedLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\x13\n\x0blease_nanos\x18\x04 \x01(\x03\x12\x18\n\x10leased_ago_nanos\x18\x05 \x01(\x03\"d\n\rHandedFailure\x12\x0e\n\x06number\x18\x01 \x01(\r\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\r\n\x05\x65nded\x18\x04 \x01(\t\x12\x0e\n\x06reason\x18\x05 \x01(\t\"Q\n\x15HandedAcknowledgement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\"T\n\x0fHandedMessageId\x12\x12\n\nmessage_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\x12\r\n\x05owner\x18\x04 \x01(\t2\x95\x02\n\x10MigrationService\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12`\n\rHandOverQueue\x12$.stampede_rt.v1.HandOverQueueRequest\x1a%.stampede_rt.v1.HandOverQueueResponse(\x01\x30\x01\x12P\n\tDrainHost\x12 .stampede_rt.v1.DrainHostRequest\x1a!.stampede_rt.v1.DrainHostResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/queue.proto\x1a$stampede_rt/v1/replica_service.proto\x1a\x1cstampede_rt/v1/subject.proto\")\n\x10\x44rainHostRequest\x12\x15\n\rtimeout_nanos\x18\x01 \x01(\x03\"e\n\x11\x44rainHostResponse\x12\r\n\x05moved\x18\x01 \x01(\r\x12-\n\x04left\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.ChannelNotMoved\x12\x12\n\nleft_count\x18\x03 \x01(\r\"/\n\x0f\x43hannelNotMoved\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"L\n\x10\x41llowMoveRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\x12\n\nto_host_id\x18\x03 \x01(\x0c\"\x13\n\x11\x41llowMoveResponse\"7\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\"\xa8\x01\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12*\n\x05queue\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\"`\n\x14HandOverQueueRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.HandOverQueueOpen\x12\x17\n\x0f\x63ommitted_epoch\x18\x02 \x01(\x04\"E\n\x11HandOverQueueOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\"\x9e\x03\n\x15HandOverQueueResponse\x12/\n\x05\x66\x61\x63ts\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.HandedQueueFacts\x12\'\n\x04runs\x18\x02 \x03(\x0b\x32\x19.stampede_rt.v1.HandedRun\x12\x11\n\tmore_body\x18\x03 \x01(\x0c\x12&\n\x04held\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12/\n\x08messages\x18\x05 \x03(\x0b\x32\x1d.stampede_rt.v1.HandedMessage\x12;\n\x0c\x61\x63knowledged\x18\x06 \x03(\x0b\x32%.stampede_rt.v1.HandedAcknowledgement\x12.\n\tproducers\x18\x07 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12\x34\n\x0bmessage_ids\x18\x08 \x03(\x0b\x32\x1f.stampede_rt.v1.HandedMessageId\x12\x0c\n\x04\x65nds\x18\t \x01(\x08\x12\x0e\n\x06permit\x18\n \x01(\x0c\"o\n\x10HandedQueueFacts\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x18\n\x10next_delivery_id\x18\x02 \x01(\x04\x12/\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\"^\n\tHandedRun\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x14\n\x0clength_bytes\x18\x02 \x03(\r\x12\x1a\n\x12\x61\x63\x63\x65pted_ago_nanos\x18\x03 \x01(\x03\x12\x0c\n\x04\x62ody\x18\x04 \x01(\x0c\"\xc9\x01\n\rHandedMessage\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x14\n\x0c\x61\x63knowledged\x18\x03 \x03(\x06\x12+\n\x06leases\x18\x04 \x03(\x0b\x32\x1b.stampede_rt.v1.HandedLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\x12\x12\n\nis_leaving\x18\x06 \x01(\x08\x12+\n\x04last\x18\x07 \x01(\x0b\x32\x1d.stampede_rt.v1.HandedFailure\"w\n\x0bHandedLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\x13\n\x0blease_nanos\x18\x04 \x01(\x03\x12\x18\n\x10leased_ago_nanos\x18\x05 \x01(\x03\"d\n\rHandedFailure\x12\x0e\n\x06number\x18\x01 \x01(\r\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\r\n\x05\x65nded\x18\x04 \x01(\t\x12\x0e\n\x06reason\x18\x05 \x01(\t\"Q\n\x15HandedAcknowledgement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\"T\n\x0fHandedMessageId\x12\x12\n\nmessage_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\x12\r\n\x05owner\x18\x04 \x01(\t2\xe7\x02\n\x10MigrationService\x12P\n\tAllowMove\x12 .stampede_rt.v1.AllowMoveRequest\x1a!.stampede_rt.v1.AllowMoveResponse\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12`\n\rHandOverQueue\x12$.stampede_rt.v1.HandOverQueueRequest\x1a%.stampede_rt.v1.HandOverQueueResponse(\x01\x30\x01\x12P\n\tDrainHost\x12 .stampede_rt.v1.DrainHostRequest\x1a!.stampede_rt.v1.DrainHostResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -41,30 +41,34 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_DRAINHOSTRESPONSE']._serialized_end=328
   _globals['_CHANNELNOTMOVED']._serialized_start=330
   _globals['_CHANNELNOTMOVED']._serialized_end=377
-  _globals['_MOVEHEREREQUEST']._serialized_start=379
-  _globals['_MOVEHEREREQUEST']._serialized_end=434
-  _globals['_MOVEHERERESPONSE']._serialized_start=437
-  _globals['_MOVEHERERESPONSE']._serialized_end=605
-  _globals['_HANDOVERQUEUEREQUEST']._serialized_start=607
-  _globals['_HANDOVERQUEUEREQUEST']._serialized_end=703
-  _globals['_HANDOVERQUEUEOPEN']._serialized_start=705
-  _globals['_HANDOVERQUEUEOPEN']._serialized_end=774
-  _globals['_HANDOVERQUEUERESPONSE']._serialized_start=777
-  _globals['_HANDOVERQUEUERESPONSE']._serialized_end=1175
-  _globals['_HANDEDQUEUEFACTS']._serialized_start=1177
-  _globals['_HANDEDQUEUEFACTS']._serialized_end=1288
-  _globals['_HANDEDRUN']._serialized_start=1290
-  _globals['_HANDEDRUN']._serialized_end=1384
-  _globals['_HANDEDMESSAGE']._serialized_start=1387
-  _globals['_HANDEDMESSAGE']._serialized_end=1588
-  _globals['_HANDEDLEASE']._serialized_start=1590
-  _globals['_HANDEDLEASE']._serialized_end=1709
-  _globals['_HANDEDFAILURE']._serialized_start=1711
-  _globals['_HANDEDFAILURE']._serialized_end=1811
-  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_start=1813
-  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_end=1894
-  _globals['_HANDEDMESSAGEID']._serialized_start=1896
-  _globals['_HANDEDMESSAGEID']._serialized_end=1980
-  _globals['_MIGRATIONSERVICE']._serialized_start=1983
-  _globals['_MIGRATIONSERVICE']._serialized_end=2260
+  _globals['_ALLOWMOVEREQUEST']._serialized_start=379
+  _globals['_ALLOWMOVEREQUEST']._serialized_end=455
+  _globals['_ALLOWMOVERESPONSE']._serialized_start=457
+  _globals['_ALLOWMOVERESPONSE']._serialized_end=476
+  _globals['_MOVEHEREREQUEST']._serialized_start=478
+  _globals['_MOVEHEREREQUEST']._serialized_end=533
+  _globals['_MOVEHERERESPONSE']._serialized_start=536
+  _globals['_MOVEHERERESPONSE']._serialized_end=704
+  _globals['_HANDOVERQUEUEREQUEST']._serialized_start=706
+  _globals['_HANDOVERQUEUEREQUEST']._serialized_end=802
+  _globals['_HANDOVERQUEUEOPEN']._serialized_start=804
+  _globals['_HANDOVERQUEUEOPEN']._serialized_end=873
+  _globals['_HANDOVERQUEUERESPONSE']._serialized_start=876
+  _globals['_HANDOVERQUEUERESPONSE']._serialized_end=1290
+  _globals['_HANDEDQUEUEFACTS']._serialized_start=1292
+  _globals['_HANDEDQUEUEFACTS']._serialized_end=1403
+  _globals['_HANDEDRUN']._serialized_start=1405
+  _globals['_HANDEDRUN']._serialized_end=1499
+  _globals['_HANDEDMESSAGE']._serialized_start=1502
+  _globals['_HANDEDMESSAGE']._serialized_end=1703
+  _globals['_HANDEDLEASE']._serialized_start=1705
+  _globals['_HANDEDLEASE']._serialized_end=1824
+  _globals['_HANDEDFAILURE']._serialized_start=1826
+  _globals['_HANDEDFAILURE']._serialized_end=1926
+  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_start=1928
+  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_end=2009
+  _globals['_HANDEDMESSAGEID']._serialized_start=2011
+  _globals['_HANDEDMESSAGEID']._serialized_end=2095
+  _globals['_MIGRATIONSERVICE']._serialized_start=2098
+  _globals['_MIGRATIONSERVICE']._serialized_end=2457
 # @@protoc_insertion_point(module_scope)

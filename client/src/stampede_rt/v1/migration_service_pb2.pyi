@@ -34,6 +34,20 @@ class ChannelNotMoved(_message.Message):
     reason: str
     def __init__(self, name: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
 
+class AllowMoveRequest(_message.Message):
+    __slots__ = ("channel_id", "queue_id", "to_host_id")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    queue_id: bytes
+    to_host_id: bytes
+    def __init__(self, channel_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., to_host_id: _Optional[bytes] = ...) -> None: ...
+
+class AllowMoveResponse(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
 class MoveHereRequest(_message.Message):
     __slots__ = ("channel_id", "queue_id")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -75,7 +89,7 @@ class HandOverQueueOpen(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ...) -> None: ...
 
 class HandOverQueueResponse(_message.Message):
-    __slots__ = ("facts", "runs", "more_body", "held", "messages", "acknowledged", "producers", "message_ids", "ends")
+    __slots__ = ("facts", "runs", "more_body", "held", "messages", "acknowledged", "producers", "message_ids", "ends", "permit")
     FACTS_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     MORE_BODY_FIELD_NUMBER: _ClassVar[int]
@@ -85,6 +99,7 @@ class HandOverQueueResponse(_message.Message):
     PRODUCERS_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_IDS_FIELD_NUMBER: _ClassVar[int]
     ENDS_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     facts: HandedQueueFacts
     runs: _containers.RepeatedCompositeFieldContainer[HandedRun]
     more_body: bytes
@@ -94,7 +109,8 @@ class HandOverQueueResponse(_message.Message):
     producers: _containers.RepeatedCompositeFieldContainer[_replica_service_pb2.FedProducer]
     message_ids: _containers.RepeatedCompositeFieldContainer[HandedMessageId]
     ends: bool
-    def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ...) -> None: ...
+    permit: bytes
+    def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class HandedQueueFacts(_message.Message):
     __slots__ = ("next_seq", "next_delivery_id", "counters")

@@ -37,6 +37,11 @@ class MigrationServiceStub(object):
         Args:
             channel: A grpc.Channel.
         """
+        self.AllowMove = channel.unary_unary(
+                '/stampede_rt.v1.MigrationService/AllowMove',
+                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveResponse.FromString,
+                _registered_method=True)
         self.MoveHere = channel.unary_unary(
                 '/stampede_rt.v1.MigrationService/MoveHere',
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
@@ -60,8 +65,20 @@ class MigrationServiceServicer(object):
     the rest, and commits the move in the directory.
     """
 
+    def AllowMove(self, request, context):
+        """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
+        a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
+        host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
+        do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
+        PERMISSION_DENIED.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def MoveHere(self, request, context):
-        """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+        """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
+        (AllowMove). The host answers when it is the owner and acknowledges
         puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
@@ -93,6 +110,11 @@ class MigrationServiceServicer(object):
 
 def add_MigrationServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
+            'AllowMove': grpc.unary_unary_rpc_method_handler(
+                    servicer.AllowMove,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveResponse.SerializeToString,
+            ),
             'MoveHere': grpc.unary_unary_rpc_method_handler(
                     servicer.MoveHere,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.FromString,
@@ -121,6 +143,33 @@ class MigrationService(object):
     owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
     the rest, and commits the move in the directory.
     """
+
+    @staticmethod
+    def AllowMove(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationService/AllowMove',
+            stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__service__pb2.AllowMoveResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
 
     @staticmethod
     def MoveHere(request,

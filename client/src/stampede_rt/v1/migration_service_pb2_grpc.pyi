@@ -36,8 +36,16 @@ class MigrationServiceStub:
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationServiceAsyncStub: ...
+    AllowMove: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.AllowMoveRequest, _migration_service_pb2.AllowMoveResponse]
+    """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
+    a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
+    host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
+    do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
+    PERMISSION_DENIED.
+    """
     MoveHere: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]
-    """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+    """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
+    (AllowMove). The host answers when it is the owner and acknowledges
     puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
     Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
@@ -63,8 +71,16 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
+    AllowMove: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.AllowMoveRequest, _migration_service_pb2.AllowMoveResponse]  # type: ignore[assignment]
+    """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
+    a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
+    host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
+    do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
+    PERMISSION_DENIED.
+    """
     MoveHere: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]  # type: ignore[assignment]
-    """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+    """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
+    (AllowMove). The host answers when it is the owner and acknowledges
     puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
     Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
@@ -89,12 +105,26 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
     """
 
     @_abc_1.abstractmethod
+    def AllowMove(
+        self,
+        request: _migration_service_pb2.AllowMoveRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_service_pb2.AllowMoveResponse, _abc.Awaitable[_migration_service_pb2.AllowMoveResponse]]:
+        """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
+        a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
+        host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
+        do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
+        PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
     def MoveHere(
         self,
         request: _migration_service_pb2.MoveHereRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.MoveHereResponse, _abc.Awaitable[_migration_service_pb2.MoveHereResponse]]:
-        """Make this host the owner of a channel, a queue or a mailbox. The host answers when it is the owner and acknowledges
+        """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
+        (AllowMove). The host answers when it is the owner and acknowledges
         puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has

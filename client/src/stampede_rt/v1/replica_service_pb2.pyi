@@ -134,10 +134,12 @@ class FeedState(_message.Message):
     def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ...) -> None: ...
 
 class FeedHandoff(_message.Message):
-    __slots__ = ("host_time_unix_nano",)
+    __slots__ = ("host_time_unix_nano", "permit")
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    PERMIT_FIELD_NUMBER: _ClassVar[int]
     host_time_unix_nano: int
-    def __init__(self, host_time_unix_nano: _Optional[int] = ...) -> None: ...
+    permit: bytes
+    def __init__(self, host_time_unix_nano: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class OwnerFacts(_message.Message):
     __slots__ = ("producers", "consumers", "counters", "late", "until_unix_nano")

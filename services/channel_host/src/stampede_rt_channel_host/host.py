@@ -180,7 +180,9 @@ class ChannelHost:
         )
         self._queues_here = QueueArrivals(self.identity, self.queues, self._move_directory, self._dial)
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
-        self.draining = Draining(self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial)
+        self.draining = Draining(
+            self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial, self.moves_away.allowed.allow
+        )
 
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
@@ -220,6 +222,8 @@ class ChannelHost:
                 QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, callers),
                 self._move_directory,
                 self.draining,
+                self.identity,
+                self.moves_away.allowed.allow,
             ),
             server,
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 import socket
 from collections.abc import Callable, Sequence
 
@@ -22,6 +23,7 @@ from stampede_rt_channel_host.cluster.identity import (
 )
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
@@ -97,6 +99,7 @@ class ServedHost:
             zone=settings.zone,
             has_archive=archive is not None,
             continues=0 if archive is None else archive.continued(),
+            move_key=secrets.token_bytes(KEY_BYTES),
         )
         return ChannelHost(
             identity,

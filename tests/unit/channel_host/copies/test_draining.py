@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from types import SimpleNamespace
 from typing import Any
@@ -39,6 +40,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
     ) -> None:  # fmt: skip
         self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []
+        self.is_allowed: Callable[[bytes], bool] = lambda channel_id: False
 
     def add_to(self, server: grpc.aio.Server) -> None:
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(self, server)
@@ -53,6 +55,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
             await asyncio.get_running_loop().create_future()
         if self.always is not None or self.errors:
             raise self.always or self.errors.pop(0)
+        assert self.is_allowed(request.channel_id), "the drain has allowed its own move first"
         self.taken.append(request.channel_id)
         return pb.MoveHereResponse()
 
@@ -73,10 +76,17 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Draine
             SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}", policy=policy) for one in range(channels)
         ]
         own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
+        allowed: set[tuple[bytes, bytes]] = set()
+        for number, host in enumerate(hosts):
+            host.is_allowed = lambda channel_id, at=b"%d" % number: (channel_id, at) in allowed
+
+        def allow(channel_id: bytes, epoch: int, host_id: bytes) -> None:
+            allowed.add((channel_id, host_id))
+
         store: Any = SimpleNamespace(all=lambda: own, serves=lambda hosted: True)
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
         queues: Any = SimpleNamespace(all=list)
-        drain = Draining(store, queues, directory, lambda channel_id: [], grpc.aio.insecure_channel)
+        drain = Draining(store, queues, directory, lambda channel_id: [], grpc.aio.insecure_channel, allow)
         return await drain.run(SECONDS_MAX)
 
 

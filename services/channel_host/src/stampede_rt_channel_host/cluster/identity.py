@@ -6,7 +6,7 @@ import os
 import secrets
 import socket
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.cluster.cluster_ids import may_change_to, wrong_cluster
@@ -25,7 +25,8 @@ class HostIdentity:
 
     `boot_incarnation` is new at each start of the process, because a start loses the host's earlier items.
     `has_archive`: the host can record channels. `continues`: the boot incarnation of the former process that left all
-    items of its recorded channels in that archive, or 0.
+    items of its recorded channels in that archive, or 0. `move_key`: the secret key of its permits for moves, new at
+    each start, too; empty: it gives none.
     """
 
     host_id: bytes
@@ -34,6 +35,7 @@ class HostIdentity:
     zone: str = ""
     has_archive: bool = False
     continues: int = 0
+    move_key: bytes = field(default=b"", repr=False)
 
 
 def load_host_id(folder: Path | None) -> bytes:

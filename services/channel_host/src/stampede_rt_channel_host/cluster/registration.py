@@ -257,6 +257,7 @@ class Registration:
             registration_epoch=self._epoch.value,
             has_archive=one.has_archive,
             continues_boot_incarnation=one.continues,
+            move_key=one.move_key,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)

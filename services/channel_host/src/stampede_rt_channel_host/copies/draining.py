@@ -53,6 +53,10 @@ class _Own(Protocol):
     needs_archive: bool
 
     @property
+    def epoch(self) -> int:
+        """Its present epoch."""
+
+    @property
     def is_here(self) -> bool:
         """Whether this host still owns it. A move may come to its end although its caller got no answer."""
 
@@ -69,6 +73,10 @@ class _OwnChannel:
         self.needs_archive = hosted.record.policy.is_recorded
 
     @property
+    def epoch(self) -> int:
+        return self._hosted.epoch
+
+    @property
     def is_here(self) -> bool:
         return self._store.serves(self._hosted) and not self._hosted.is_heir
 
@@ -83,6 +91,10 @@ class _OwnQueue:
         self.id, self.name = hosted.record.queue_id, f"queue {display_name(hosted.record)}"
         self.request = pb.MoveHereRequest(queue_id=self.id)
         self.needs_archive = False
+
+    @property
+    def epoch(self) -> int:
+        return self._hosted.epoch
 
     @property
     def is_here(self) -> bool:
@@ -102,12 +114,15 @@ class Draining:
     def __init__(
         self, store: ChannelStore, queues: QueueStore, directory: MoveDirectory,
         groups_of: Callable[[bytes], Collection[bytes]], dial: Callable[[str], grpc.aio.Channel],
+        allow: Callable[[bytes, int, bytes], None],
     ) -> None:  # fmt: skip
+        """`allow` notes that another host may ask for a channel or queue, see `AllowedMoves.allow`."""
         self._store = store
         self._queues = queues
         self._directory = directory
         self._groups_of = groups_of
         self._dial = dial
+        self._allow = allow
 
     async def run(self, seconds: float) -> Drained:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing."""
@@ -149,7 +164,7 @@ class Draining:
             left.update(dict.fromkeys(left, "there is no other live host"))
             return
         places = spread(together({one: self._groups_of(one) for one in own}), hosts)
-        others = _Others(hosts, self._dial)
+        others = _Others(hosts, self._dial, self._allow)
         limit = asyncio.Semaphore(MOVES_AT_ONCE)
         try:
             async with asyncio.TaskGroup() as moves:
@@ -162,8 +177,12 @@ class Draining:
 class _Others:
     """The other hosts during one drain, and the connections to them."""
 
-    def __init__(self, hosts: Sequence[OtherHost], dial: Callable[[str], grpc.aio.Channel]) -> None:
+    def __init__(
+        self, hosts: Sequence[OtherHost], dial: Callable[[str], grpc.aio.Channel],
+        allow: Callable[[bytes, int, bytes], None],
+    ) -> None:  # fmt: skip
         self._hosts = [*hosts]
+        self._allow = allow
         self._dial = dial
         self._silent: set[bytes] = set()  # the hosts that have not begun the latest move
         self._connections: dict[str, grpc.aio.Channel] = {}
@@ -178,6 +197,7 @@ class _Others:
             self._connections[host.target] = self._dial(host.target)
         stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
         while True:  # the source ends a move whose destination is silent; each call joins the move
+            self._allow(own.id, own.epoch, host.host_id)
             try:
                 await stub.MoveHere(own.request, timeout=BEGIN_SECONDS_MAX)
                 self._silent.discard(host.host_id)

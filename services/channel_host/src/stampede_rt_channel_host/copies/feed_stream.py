@@ -97,7 +97,9 @@ class FeedStream:
         if opening.owner_facts and hosted.copy is not None:
             raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
         if opening.move_id:
-            self._moves.check(hosted)  # first, because the feed of a replica that begins anew clears its flag
+            self._moves.check(
+                hosted, opening.host_id
+            )  # first, because the feed of a replica that begins anew clears its flag
         feed = await self._begin(hosted, opening)
         copy = FedCopy(
             opening.host_id,
@@ -233,8 +235,10 @@ class FeedStream:
         return feed.next_seq == self._source.next_seq and feed.owner.is_complete(self._store.now())
 
     async def _hand_off(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+        assert self._move is not None, "only a move is handed over"
         self._has_handed_off = True
-        await self._write(self._response(hosted, self._bare(feed), handoff=self._store.now()))
+        handoff = pb.FeedHandoff(host_time_unix_nano=self._store.now(), permit=self._move.permit)
+        await self._write(self._response(hosted, self._bare(feed), handoff=handoff))
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         """End a feed that a host waits for, if it would never be level. A proxy shows its readers its age instead."""
@@ -262,8 +266,9 @@ class FeedStream:
         return self._heard_nanos != self._sent_heard_nanos or hosted.record.message != self._sent_record
 
     def _response(
-        self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None, handoff: int | None = None
-    ) -> bytes:
+        self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None,
+        handoff: pb.FeedHandoff | None = None,
+    ) -> bytes:  # fmt: skip
         """The encoded message, without the part's items."""
         state = state_to(part, self._store.now())
         state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
@@ -277,7 +282,7 @@ class FeedStream:
             self._sent_record = hosted.record.message
             state.channel.CopyFrom(channel_message(hosted.record))
         if handoff is not None:
-            state.handoff.host_time_unix_nano = handoff
+            state.handoff.CopyFrom(handoff)
         return pb.FeedResponse(opened=opened, state=state).SerializeToString()
 
     def _new_floors(self, hosted: HostedChannel) -> list[CutFloor]:

@@ -123,7 +123,7 @@ class IncomingMoves:
         await self._prepare_archive(record, state)  # the policy may have changed before the changes were held
         state.may_inherit = inheritance
         request_id = secrets.token_bytes(16)
-        commit = partial(self._directory.commit, record.channel_id, source.epoch, request_id)
+        commit = partial(self._directory.commit, record.channel_id, source.epoch, request_id, feed.permit)
         committed = await until_known(commit)
         hosted = await self._store.recordings.adopt(committed, self._store.known(record.channel_id), self._store.adopt)
         feed.committed(hosted.epoch)

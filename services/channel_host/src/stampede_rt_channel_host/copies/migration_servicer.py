@@ -3,22 +3,26 @@
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
-from stampede_rt_channel_host.cluster.identity import ID_BYTES
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, queue_message
 from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
 from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
+from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
+from stampede_rt_channel_host.queues import refusals as queue_refusals
 from stampede_rt_channel_host.queues.access import check_queue_access, check_queue_known
 from stampede_rt_channel_host.queues.requests import check_queue_id
-from stampede_rt_runtime.access.control import check_access, check_known, current_account
+from stampede_rt_runtime.access.control import check_access, check_known, current_account, current_caller
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.rpc import Context, errors_as_status
 
 DRAIN_NANOS_MAX = 60 * 10**9
@@ -30,8 +34,11 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
 
     def __init__(
         self, moves: IncomingMoves, queues: QueueArrivals, handovers: QueueHandovers, directory: MoveDirectory,
-        draining: Draining,
+        draining: Draining, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
     ) -> None:  # fmt: skip
+        """`allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`."""
+        self._identity = identity
+        self._allow = allow
         self._moves = moves
         self._queues = queues
         self._handovers = handovers
@@ -39,12 +46,50 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         self._draining = draining
 
     @errors_as_status
+    async def AllowMove(self, request: pb.AllowMoveRequest, context: Context) -> pb.AllowMoveResponse:
+        """Let another host ask for a channel or queue of this host."""
+        if len(request.to_host_id) != ID_BYTES:
+            raise InvalidArgument(f"to_host_id has {len(request.to_host_id)} bytes; give the {ID_BYTES} of the host")
+        record = await self._configurable(request.queue_id, request.channel_id)
+        self._check_own(record)
+        current_account().change()
+        subject_id = record.channel_id if isinstance(record, RecordedChannel) else record.queue_id
+        self._allow(subject_id, record.epoch, request.to_host_id)
+        return pb.AllowMoveResponse()
+
+    async def _configurable(self, queue_id: bytes, channel_id: bytes) -> RecordedChannel | RecordedQueue:
+        """The record of the queue or channel. Raises PermissionDenied without the right to configure it."""
+        if queue_id:
+            check_queue_id(queue_id)
+            queue, _ = await self._directory.queue(queue_id)
+            check_queue_known(queue)
+            check_queue_access(AccessVerb.CONFIGURE, queue)
+            return queue
+        _check_channel_id(channel_id)
+        channel = await self._directory.resolve(channel_id)
+        check_known(AccessKind.CHANNEL, channel.name, by_id=True)
+        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel.name)
+        return channel
+
+    def _check_own(self, record: RecordedChannel | RecordedQueue) -> None:
+        """Check that this host owns the thing, and that the caller is not another host.
+
+        Rules of access do not limit hosts. So a host's certificate alone must not move things of other hosts.
+        """
+        if record.host_id != self._identity.host_id:
+            raise _elsewhere(record)
+        caller = current_caller()
+        if caller is not None and caller.roles == {Role.HOST} and caller.name != self._identity.name:
+            raise PermissionDenied(
+                f"{caller} may not move what host {self._identity.name} owns; leave it to a client or an operator"
+            )
+
+    @errors_as_status
     async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:
         """Make this host the owner of a channel or queue."""
         if request.queue_id:
             return await self._move_queue_here(request.queue_id)
-        if len(request.channel_id) != ID_BYTES:
-            raise InvalidArgument(f"channel_id has {len(request.channel_id)} bytes; give the {ID_BYTES} of the channel")
+        _check_channel_id(request.channel_id)
         record = await self._directory.resolve(request.channel_id)
         check_known(AccessKind.CHANNEL, record.name, by_id=True)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
@@ -88,3 +133,15 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         moved, left = await self._draining.run(timeout_nanos / 1e9)
         named = [pb.ChannelNotMoved(name=name, reason=left[name]) for name in [*left][:NAMES_MAX]]
         return pb.DrainHostResponse(moved=moved, left=named, left_count=len(left))
+
+
+def _check_channel_id(channel_id: bytes) -> None:
+    if len(channel_id) != ID_BYTES:
+        raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} of the channel")
+
+
+def _elsewhere(record: RecordedChannel | RecordedQueue) -> StampedeError:
+    """The error for a channel or queue of another host."""
+    if isinstance(record, RecordedChannel):
+        return refusals.moved(record.name, record.host_id)
+    return queue_refusals.moved(record)

@@ -99,14 +99,18 @@ class MoveDirectory:
         is_heir = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
         return Kept.HEIR if is_heir else Kept.NO
 
-    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes) -> RecordedChannel:
-        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding."""
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
+        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
+
+        `permit` is that of the present owner; empty if this host is the owner.
+        """
         request = pb.CommitMoveRequest(
             request_id=request_id,
             channel_id=channel_id,
             epoch=epoch,
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
+            permit=permit,
         )
         stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
         return recorded_channel((await self._call("CommitMove", request, stub)).channel)
@@ -118,14 +122,15 @@ class MoveDirectory:
         found = await self._queues.resolve(queue_id)
         return found.queue, found.target
 
-    async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes) -> RecordedQueue:
-        """Make this host the owner of a queue, if the epoch is still this one. Safe to repeat. Raises StaleBinding."""
+    async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedQueue:
+        """As `commit`, for a queue."""
         request = pb.CommitQueueMoveRequest(
             request_id=request_id,
             queue_id=queue_id,
             epoch=epoch,
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
+            permit=permit,
         )
         stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
         return recorded_queue((await self._call("CommitQueueMove", request, stub)).queue)

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 class MoveFeed(CopyFeed):
     """One stream from the owner of a channel to its next owner.
 
-    `handoff` is done once this host has all items and facts.
+    `handoff` is done once this host has all items and facts. Then `permit` is the owner's permit for the directory.
     """
 
     def __init__(
@@ -28,6 +28,7 @@ class MoveFeed(CopyFeed):
         """See `CopyFeed`."""
         super().__init__(store, record, state, host_id, target, bytes_per_second, owner_facts=True)
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
+        self.permit = b""
         self._step: dict[str, Any] = {}
 
     def hold(self) -> None:
@@ -62,4 +63,6 @@ class MoveFeed(CopyFeed):
             return
         await super()._take(response)
         if response.state.HasField("handoff"):
-            self.handoff.set_result(Inheritance(response.state.handoff.host_time_unix_nano))
+            handoff = response.state.handoff
+            self.permit = handoff.permit
+            self.handoff.set_result(Inheritance(handoff.host_time_unix_nano))

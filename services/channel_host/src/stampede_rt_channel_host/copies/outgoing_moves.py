@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import Kept, MoveDirectory
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
@@ -35,19 +36,22 @@ class OutgoingMoves:
         self.identity = identity
         self.store = store
         self.directory = directory
+        self.allowed = AllowedMoves(identity.move_key)
         self._slots = MoveSlots(f"away from host {identity.name}")
         self._tasks: set[asyncio.Task[None]] = set()
 
     def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
         """Begin a move to the host with that gatekeeper. Raises the errors of `check`."""
-        self.check(hosted)
+        self.check(hosted, host_id)
         self._slots.take(hosted.record)
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
-    def check(self, hosted: HostedChannel) -> None:
-        """Raises MOVE_CONFLICT if the channel cannot move now, Overloaded if too many move, and Unavailable if too few
-        of its replicas are in sync.
+    def check(self, hosted: HostedChannel, host_id: bytes) -> None:
+        """Raises PermissionDenied if nobody has allowed the move to that host, MOVE_CONFLICT if the channel cannot move
+        now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync.
         """
+        record = hosted.record
+        self.allowed.check(f"channel {record.name}", record.channel_id, hosted.epoch, host_id)
         if hosted.moving is not None:
             raise refusals.move_conflict(hosted.record.name)
         if hosted.replication is not None:
@@ -99,6 +103,12 @@ class OutgoingMove:
     def is_committed(self) -> bool:
         """Whether this host knows that the destination is the owner."""
         return self._moving.elsewhere is not None
+
+    @property
+    def permit(self) -> bytes:
+        """The permit with which the destination may become the owner. It is for the present epoch."""
+        hosted = self._hosted
+        return self._moves.allowed.permit(hosted.record.channel_id, hosted.epoch, self._host_id)
 
     def hold(self) -> None:
         """Let all changes wait. Idempotent.

@@ -109,7 +109,7 @@ class QueueArrivals:
                 arriving = await self._received(call, room)
                 core = await asyncio.to_thread(self._restored, record, arriving)
             room.set(0)
-            adopted = await self._take_over(record, core)
+            adopted = await self._take_over(record, core, arriving.permit)
             await call.write(pb.HandOverQueueRequest(committed_epoch=adopted.epoch))
             await call.done_writing()
         except grpc.RpcError as error:
@@ -148,11 +148,12 @@ class QueueArrivals:
             may_serve=self._queues.may_serve,
         )
 
-    async def _take_over(self, record: RecordedQueue, core: QueueCore) -> RecordedQueue:
+    async def _take_over(self, record: RecordedQueue, core: QueueCore, permit: bytes) -> RecordedQueue:
         """Become the owner. A caller that asks for the queue right after the commit gets it with its messages."""
         self._queues.check_room(record)
         self._queues.expect(record, core)
-        commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, secrets.token_bytes(16))
+        request_id = secrets.token_bytes(16)
+        commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, request_id, permit)
         adopted = await until_known(commit)
         self._queues.adopt(adopted)
         return adopted

@@ -56,10 +56,12 @@ class QueueHandovers:
             )
         await self._callers.check(context, opening.host_id)
         hosted = await self._queues.use(opening.queue_id, opening.epoch)
+        name = f"queue {display_name(hosted.record)}"
+        self._moves.allowed.check(name, opening.queue_id, hosted.epoch, opening.host_id)
         self._slots.take(hosted.record)
         is_committed = False
         try:
-            is_committed = await self._hand_over(hosted, context)
+            is_committed = await self._hand_over(hosted, opening.host_id, context)
         except TimeoutError:
             raise Overloaded(f"the move of queue {display_name(hosted.record)} took too long; move it again") from None
         except InternalError:
@@ -69,11 +71,12 @@ class QueueHandovers:
             end = self._end(hosted, opening.host_id, is_committed=is_committed)
             self._moves.start(end, "end of a move of a queue")
 
-    async def _hand_over(self, hosted: HostedQueue, context: Context) -> bool:
+    async def _hand_over(self, hosted: HostedQueue, host_id: bytes, context: Context) -> bool:
         """Send the queue. Returns whether the new owner says that it is the owner."""
         async with asyncio.timeout(HELD_SECONDS_MAX):
             await hosted.hold(refusals.is_moving(hosted.record))
-            parts = parts_of(await hosted.exported())
+            permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, host_id)
+            parts = parts_of(await hosted.exported(), permit)
             while (part := await asyncio.to_thread(next, parts, None)) is not None:
                 await context.write(part)
             answer = await context.read()

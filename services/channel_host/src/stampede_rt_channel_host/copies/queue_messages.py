@@ -33,8 +33,8 @@ PRODUCERS_PER_PART = 256
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
-def parts_of(state: QueueHandoff) -> Iterator[pb.HandOverQueueResponse]:
-    """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends`."""
+def parts_of(state: QueueHandoff, permit: bytes = b"") -> Iterator[pb.HandOverQueueResponse]:
+    """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends` with the permit."""
     counters = queue_pb2.QueueCounters(**{name: getattr(state.tally, name) for name in _COUNTS})
     facts = pb.HandedQueueFacts(next_seq=state.next_seq, next_delivery_id=state.next_delivery_id, counters=counters)
     yield pb.HandOverQueueResponse(facts=facts)
@@ -59,7 +59,7 @@ def parts_of(state: QueueHandoff) -> Iterator[pb.HandOverQueueResponse]:
             for one in ids
         ]
         yield pb.HandOverQueueResponse(message_ids=named)
-    yield pb.HandOverQueueResponse(ends=True)
+    yield pb.HandOverQueueResponse(ends=True, permit=permit)
 
 
 class ArrivingQueue:
@@ -89,6 +89,11 @@ class ArrivingQueue:
     def is_whole(self) -> bool:
         """Whether the last part has come."""
         return self._rest.ends
+
+    @property
+    def permit(self) -> bytes:
+        """The former owner's permit for the directory. It came with the last part."""
+        return self._rest.permit
 
     def state(self) -> QueueHandoff:
         """The whole queue, after the last part. Raises InvalidArgument if it contradicts itself."""

@@ -58,7 +58,9 @@ def load_from(message: directory_pb2.HostLoad) -> HostLoad:
 
 def host_entry(host: HostRecord) -> directory_command_pb2.HostEntry:
     """The entry that supernodes keep for a host."""
-    return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
+    return directory_command_pb2.HostEntry(
+        record=host_record(host), registered_index=host.registered_index, move_key=host.move_key
+    )
 
 
 def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
@@ -76,4 +78,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
         lease_ended_unix_nano=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
         registration_epoch=record.registration_epoch,
         load=load_from(record.load) if record.HasField("load") else None,
+        move_key=entry.move_key,
     )

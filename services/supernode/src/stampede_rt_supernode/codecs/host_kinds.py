@@ -38,6 +38,7 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         registration_epoch=operation.registration_epoch,
         has_archive=operation.has_archive,
         continues_boot_incarnation=operation.continues_boot_incarnation,
+        move_key=operation.move_key,
     )
 
 
@@ -52,6 +53,7 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         registration_epoch=message.registration_epoch,
         has_archive=message.has_archive,
         continues_boot_incarnation=message.continues_boot_incarnation,
+        move_key=message.move_key,
     )
 
 

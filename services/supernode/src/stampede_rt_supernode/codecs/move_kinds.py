@@ -17,6 +17,7 @@ def _commit_message(operation: CommitMove) -> pb.CommitMoveCommand:
         epoch=operation.epoch,
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        permit=operation.permit,
     )
 
 
@@ -26,6 +27,7 @@ def _read_commit(message: pb.CommitMoveCommand) -> CommitMove:
         epoch=message.epoch,
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
+        permit=message.permit,
     )
 
 
@@ -35,6 +37,7 @@ def _queue_message(operation: CommitQueueMove) -> pb.CommitQueueMoveCommand:
         epoch=operation.epoch,
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        permit=operation.permit,
     )
 
 
@@ -44,6 +47,7 @@ def _read_queue(message: pb.CommitQueueMoveCommand) -> CommitQueueMove:
         epoch=message.epoch,
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
+        permit=message.permit,
     )
 
 

@@ -6,7 +6,7 @@ and 4.3 (hosts, channels). Ids are 16 opaque bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from stampede_rt.values.model import Policy
@@ -46,7 +46,8 @@ class HostRecord:
     of its last registration. A lease, and the entry that ends a lease, belong to one registration.
     `lease_ended_unix_nano`: for a lost host, when its lease ended, by the leader's clock; None for other hosts.
     `registration_epoch` grows with each process that replaces another, see `registration_epochs`. `load`: its load as
-    the leader last noted it; None if the host registered, and has since been, below LOADS_LEVEL.
+    the leader last noted it; None if the host registered, and has since been, below LOADS_LEVEL. `move_key`: the key of
+    its permits, see `move_permits`; empty if it registered below MOVES_LEVEL.
     """
 
     host_id: bytes
@@ -60,6 +61,7 @@ class HostRecord:
     lease_ended_unix_nano: int | None = None
     registration_epoch: int = 0
     load: HostLoad | None = None
+    move_key: bytes = field(default=b"", repr=False)
 
     @property
     def is_lost(self) -> bool:

@@ -22,26 +22,28 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
 
     @errors_as_status
     async def CommitMove(self, request: pb.CommitMoveRequest, context: Context) -> pb.CommitMoveResponse:
-        """In a cluster with certificates only the new owner may call this."""
+        """In a cluster with certificates only the new owner may call this, and the present owner must permit it."""
         self._calls.check_host(context, request.to_host_id)
         operation = CommitMove(
             channel_id=request.channel_id,
             epoch=request.epoch,
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
+            permit=request.permit,
         )
         committed = await self._calls.submit(context, operation, MoveCommitted, request.request_id)
         return pb.CommitMoveResponse(channel=channel_record(committed.channel))
 
     @errors_as_status
     async def CommitQueueMove(self, request: pb.CommitQueueMoveRequest, context: Context) -> pb.CommitQueueMoveResponse:
-        """In a cluster with certificates only the new owner may call this."""
+        """In a cluster with certificates only the new owner may call this, and the present owner must permit it."""
         self._calls.check_host(context, request.to_host_id)
         operation = CommitQueueMove(
             queue_id=request.queue_id,
             epoch=request.epoch,
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
+            permit=request.permit,
         )
         committed = await self._calls.submit(context, operation, QueueMoveCommitted, request.request_id)
         return pb.CommitQueueMoveResponse(queue=queue_record(committed.queue))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Endpoint, HostLoad, HostRecord
@@ -13,7 +13,8 @@ class RegisterHost(Operation):
     """A host registers. If its boot incarnation is new, its channels and queues get `new_incarnation`.
 
     `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
-    former process, if its archive has all items of its recorded channels; else 0.
+    former process, if its archive has all items of its recorded channels; else 0. `move_key`: see `move_permits`;
+    empty: it has none.
     """
 
     host_id: bytes
@@ -25,6 +26,7 @@ class RegisterHost(Operation):
     registration_epoch: int = 0
     has_archive: bool = False
     continues_boot_incarnation: int = 0
+    move_key: bytes = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
+from stampede_rt.errors import HostExists, InvalidArgument, LeaseExpired, Overloaded
+from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_supernode.core.channels.transitions import fresh_incarnation
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, NoteHostLoads, RegisterHost
@@ -28,13 +29,14 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, operation: RegisterHost, *, knows_loads_and_archives: bool = False) -> HostRecord:
+def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: bool = False) -> HostRecord:
     """Register a host, perhaps again.
 
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
     channels and all queues stay at the host. Recorded channels keep their incarnation if the host's archive has all of
-    their items. `knows_loads_and_archives`: the feature level allows these; the load begins idle.
+    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; the load begins
+    idle.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)
@@ -54,13 +56,14 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_loads_and_ar
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
             registration_epoch=epoch,
-            load=_idle_load(tables, before, operation) if knows_loads_and_archives else None,
+            load=_idle_load(tables, before, operation) if knows_level_4 else None,
+            move_key=operation.move_key if knows_level_4 else b"",
         )
     )
     tables.forget_lost_hosts(operation.name)
     if before is not None and before.boot_incarnation != operation.boot_incarnation:
         end_registration(tables, operation.host_id)
-        continues = knows_loads_and_archives and before.boot_incarnation == operation.continues_boot_incarnation
+        continues = knows_level_4 and before.boot_incarnation == operation.continues_boot_incarnation
         _reset_channels(tables, operation, continues=continues)
         reset_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
     if len(tables.host_ids) == 1:
@@ -83,6 +86,9 @@ def check_register(operation: RegisterHost) -> None:
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_incarnation(operation.new_incarnation, "new_incarnation")
     check_registration_epoch(operation)
+    if operation.move_key and len(operation.move_key) != KEY_BYTES:
+        text = f"host {operation.name}: move_key has {len(operation.move_key)} bytes; give {KEY_BYTES} random ones"
+        raise InvalidArgument(text, metadata={"host": operation.name, "field": "move_key"})
 
 
 def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:

@@ -12,14 +12,16 @@ from stampede_rt_supernode.core.records import ChannelRecord, QueueRecord
 class CommitMove(Operation):
     """Make a host the owner of a channel, which keeps its incarnation. `epoch`: the epoch that the move began with.
 
-    The owner writes this command with its own id as `to_host_id` to end a move to another host: the epoch rises, so the
-    directory refuses the commit of that host.
+    `permit`: the owner's permit for that host, see `move_permits`; only the owner itself needs none. The owner writes
+    this command with its own id as `to_host_id` to end a move to another host: the epoch rises, so the directory
+    refuses the commit of that host.
     """
 
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
+    permit: bytes = b""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,6 +39,7 @@ class CommitQueueMove(Operation):
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
+    permit: bytes = b""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

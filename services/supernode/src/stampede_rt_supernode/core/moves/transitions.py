@@ -5,18 +5,21 @@ entry decides: the first CommitMove of an epoch counts, and each later one of th
 keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
 If the new owner held a replica, the former owner takes its place: it holds everything, so it stays in sync.
 A queue has no copies, so its former owner is no heir.
+
+The directory believes no host that it holds everything: the owner's permit must say so, see `move_permits`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.errors import HostNotFound, LeaseExpired
+from stampede_rt.errors import HostNotFound, LeaseExpired, PermissionDenied
+from stampede_rt_runtime.access.move_permits import is_permit
 from stampede_rt_supernode.core.groups.transitions import move_witness
 from stampede_rt_supernode.core.lookups import channel_by_id, queue_by_id
 from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from stampede_rt_supernode.core.queues.transitions import check_queue_epoch
-from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.transitions import check_epoch, copies_after_owner_change, store
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
@@ -37,6 +40,7 @@ def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
     if (channel.host_id, channel.epoch) == (host.host_id, operation.epoch + 1):
         return MoveCommitted(channel=channel)
     check_epoch(channel, operation.epoch)
+    _check_permit(tables.hosts[channel.host_id], host, f"channel {channel.name}", channel.channel_id, operation)
     moved = replace(channel, host_id=host.host_id, epoch=channel.epoch + 1)
     store(tables, moved, (*copies_after_owner_change(tables, channel, moved), *_former_owner(tables, channel, moved)))
     move_witness(tables, channel.channel_id, channel.host_id)
@@ -54,13 +58,32 @@ def commit_queue_move(tables: Tables, operation: CommitQueueMove) -> QueueMoveCo
     """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
     check_commit_queue_move(operation)
     queue = queue_by_id(tables, operation.queue_id)
-    host = _destination(tables, f"queue {queue.name or queue.queue_id.hex()}", operation)
+    host = _destination(tables, f"queue {_name_of(queue)}", operation)
     if (queue.host_id, queue.epoch) == (host.host_id, operation.epoch + 1):
         return QueueMoveCommitted(queue=queue)
     check_queue_epoch(queue, operation.epoch)
+    _check_permit(tables.hosts[queue.host_id], host, f"queue {_name_of(queue)}", queue.queue_id, operation)
     moved = replace(queue, host_id=host.host_id, epoch=queue.epoch + 1)
     tables.put_queue(moved)
     return QueueMoveCommitted(queue=moved)
+
+
+def _name_of(queue: QueueRecord) -> str:
+    return queue.name or queue.queue_id.hex()
+
+
+def _check_permit(
+    owner: HostRecord, host: HostRecord, subject: str, subject_id: bytes, operation: CommitMove | CommitQueueMove
+) -> None:
+    """Raises PermissionDenied if the owner has a key and gave no permit. The owner itself needs none."""
+    if host.host_id == owner.host_id or not owner.move_key:
+        return
+    if not is_permit(operation.permit, owner.move_key, subject_id, operation.epoch, host.host_id):
+        raise PermissionDenied(
+            f"host {host.name} cannot own {subject}: it has no permit of host {owner.name}, the owner; move it with "
+            "`stampede move`",
+            metadata={"subject": subject, "host": host.name},
+        )
 
 
 def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQueueMove) -> HostRecord:

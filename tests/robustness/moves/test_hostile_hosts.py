@@ -1,0 +1,91 @@
+"""A host with a valid certificate of its own takes no channel that nobody has given it, at no step of a move."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from stampede_rt.errors import PermissionDenied, StaleBinding, StampedeError
+from stampede_rt_runtime.access.move_permits import move_permit
+from stampede_rt_supernode.core.moves.commands import CommitMove
+from tests.robustness.moves.test_crashes_at_each_step import Story, quick
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World, key_of
+from tests.support.supernode.operations import id_of
+
+BEFORE_THE_HANDOFF = STEPS[: STEPS.index("handed over")]
+assert quick  # the fixture of the other module, which pytest finds by this name
+
+
+def steal(world: World, thief: int, permits: list[bytes], epoch: int | None = None) -> None:
+    """Have a host ask the directory for the channel, with each permit that it knows or can make."""
+    epoch = epoch or world.record.epoch
+    own = move_permit(key_of(thief), world.channel_id, epoch, id_of(thief))
+    for permit in (b"", bytes(32), own, *permits):
+        with pytest.raises((PermissionDenied, StaleBinding)):
+            world.apply(CommitMove(
+                channel_id=world.channel_id, epoch=epoch, to_host_id=id_of(thief), to_boot_incarnation=1, permit=permit
+            ))  # fmt: skip
+
+
+def known_permits(world: World) -> list[bytes]:
+    """All permits that the source has given."""
+    return [feed for host in world.hosts.values() for feed in host.directory.permits]
+
+
+@pytest.mark.parametrize("thief", [DESTINATION, THIRD])
+async def test_a_host_that_nobody_named_gets_neither_the_channel_nor_a_pause(thief: int) -> None:
+    story = Story(third=True)
+    hosted = await story.source.store.bind(story.world.channel_id, 1)
+    story.put()
+    with pytest.raises(StampedeError, match="nobody has asked"):
+        await story.world.hosts[thief].incoming.move_here(story.world.record)
+    steal(story.world, thief, [])
+    story.put()
+    assert (hosted.moving, story.acknowledged, story.world.record.epoch) == (None, [1, 2], 1)
+    story.check(await story.settle())
+    await story.world.aclose()
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_a_third_host_steals_nothing_at_any_step_of_a_move(step: str) -> None:
+    story = Story(step, lambda world: steal(world, THIRD, known_permits(world)), third=True)
+    assert await story.move() is None
+    assert step in story.world.reached
+    steal(story.world, THIRD, known_permits(story.world))
+    story.check(await story.settle())
+    assert story.world.owner is story.destination
+    await story.world.aclose()
+
+
+@pytest.mark.parametrize("step", BEFORE_THE_HANDOFF)
+async def test_the_destination_does_not_get_the_channel_before_it_has_everything(step: str) -> None:
+    story = Story(step, lambda world: steal(world, DESTINATION, known_permits(world)))
+    assert await story.move() is None
+    assert step in story.world.reached
+    story.check(await story.settle())
+    await story.world.aclose()
+
+
+async def test_the_permit_of_a_failed_move_is_worth_nothing() -> None:
+    """The directory cannot be reached at the commit, and the link breaks: the source takes a new epoch."""
+
+    def lose(world: World) -> None:
+        world.is_cut_off = True
+        world.cut_links()
+
+    story = Story("commit is asked for", lose)
+    world = story.world
+    move = asyncio.create_task(story.move())
+    await story.until(lambda: world.is_cut_off)
+    world.hosts[DESTINATION].incoming._moves[world.channel_id].cancel()
+    world.is_cut_off = False
+    await story.until(lambda: world.record.epoch == 2)
+    await asyncio.gather(move, return_exceptions=True)
+    permits = known_permits(world)
+    assert permits, "the source has handed over"
+    for epoch in (1, 2):
+        steal(world, DESTINATION, permits, epoch)
+    assert world.owner is world.hosts[SOURCE]
+    story.check(await story.settle())
+    await world.aclose()
