@@ -217,7 +217,7 @@ class SimMember:
         again = replica.step()
         self._hangs_since, self._busy_until, self._waited = self.world.now, self.now, 0.0
         self._judge(replica, roster, before)
-        self._plan(0.0 if again else self.world.timing.tick_seconds)
+        self._plan(0.0 if again else replica.pause_seconds())
 
     def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
         """Check the entries that it committed in this step against the rules of Raft."""

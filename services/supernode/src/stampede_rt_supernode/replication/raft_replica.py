@@ -219,6 +219,14 @@ class RaftReplica:
         self._release()
         return bool(self._arrivals.events) or self._commits_alone()
 
+    def pause_seconds(self) -> float:
+        """The longest time until the next step, unless something arrives. It is longer if nothing waits."""
+        node = self._node
+        alone = node.is_leader and not node.peers and node.last_applied == self._log.last_index
+        parts = (self._proposals, node.reads, self._changes, self._snapshots)
+        idle = alone and not node.keeper.is_busy and all(part.is_idle for part in parts)
+        return self._settings.timing.idle_seconds if idle else self._settings.timing.tick_seconds
+
     def _receive_events(self) -> None:
         for event in self._arrivals.take_events():
             self._drop_if_at_fault(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]

@@ -239,7 +239,7 @@ async def open_replicated_log(
     """
     bridge = LoopBridge(asyncio.get_running_loop())
     links = PeerLinks(settings, dial, bridge, on_fatal)
-    thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
+    thread = TickThread(on_fatal=on_fatal)
     worker = WorkerThread()
     had_store = settings.data_dir is not None and holds_store(settings.data_dir)
     replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, worker.run)

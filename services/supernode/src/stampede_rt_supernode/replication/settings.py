@@ -33,6 +33,8 @@ class RaftTiming:
 
     # The longest time between two steps of the log's thread.
     tick_seconds: float = 0.03
+    # The same for a leader without other members, while nothing waits.
+    idle_seconds: float = 0.5
     heartbeat_seconds: float = 0.1
     election_timeout_min_seconds: float = 1.0
     election_timeout_max_seconds: float = 2.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
 from stampede_rt_supernode.replication.rules.member_change import MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
-from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import (
@@ -132,6 +133,27 @@ def test_only_so_many_requests_may_wait() -> None:
         alone.ask()
     with pytest.raises(LogUnavailable, match="try again"):
         alone.ask()
+
+
+def test_a_replica_alone_pauses_for_long_only_while_nobody_waits_for_it() -> None:
+    alone = Alone(MemoryStore())
+    timing = RaftTiming()
+    assert alone.replica.pause_seconds() == timing.tick_seconds  # it does not lead yet
+    alone.propose(b"a")
+
+    def propose(text: bytes) -> None:
+        alone.replica.propose(Proposal(text, alone.now + 60, alone.outcomes.append))
+
+    for ask in (partial(propose, b"b"), alone.ask, partial(propose, b"c")):
+        alone.step_until(lambda: alone.replica.pause_seconds() == timing.idle_seconds)
+        answers = len(alone.outcomes)
+        ask()
+        while True:
+            again = alone.replica.step()
+            if len(alone.outcomes) > answers:
+                break
+            assert again or alone.replica.pause_seconds() == timing.tick_seconds
+            alone.now += timing.tick_seconds
 
 
 class Killed(BaseException):

@@ -22,12 +22,16 @@ class Stepping:
         self.stepped = threading.Semaphore(0)
         self.closed = threading.Event()
         self.fail = fail
+        self.pause = 60.0
 
     def step(self) -> bool:
         if self.fail is not None:
             raise self.fail
         self.stepped.release()
         return False
+
+    def pause_seconds(self) -> float:
+        return self.pause
 
     def close(self) -> None:
         self.closed.set()
@@ -41,7 +45,8 @@ def start(replica: Any, *, tick_seconds: float) -> tuple[TickThread, list[BaseEx
         failures.append(error)
         failed.set()
 
-    thread = TickThread(tick_seconds=tick_seconds, on_fatal=on_fatal)
+    replica.pause = tick_seconds
+    thread = TickThread(on_fatal=on_fatal)
     thread.start(replica)
     return thread, failures, failed
 
@@ -154,7 +159,7 @@ def test_a_process_that_was_stopped_for_long_does_not_blame_its_disk(
             looks.release()
             return super().wait(0.001)
 
-    thread = TickThread(tick_seconds=0.01, on_fatal=lambda error: None)
+    thread = TickThread(on_fatal=lambda error: None)
     monkeypatch.setattr(thread, "_ended", Ended())
     # So far off that no number of looks comes near. By the clock, the step has lasted for two days at the first look.
     monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 1e-9)

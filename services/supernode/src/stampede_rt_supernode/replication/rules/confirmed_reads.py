@@ -108,6 +108,11 @@ class ConfirmedReads:
         # (log position, reads): the reads that wait until this replica has applied the position.
         self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no read of this node waits."""
+        return not (self._new or self._rounds or self._asked or self._confirmed)
+
     def add(self, read: ConfirmedRead) -> None:
         """Begin a read."""
         self._new.append(read)

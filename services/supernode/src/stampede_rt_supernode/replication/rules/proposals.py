@@ -61,6 +61,11 @@ class Proposals:
         self._deadlines: list[tuple[float, int, Proposal]] = []
         self._sequence = 0
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no proposal waits for a leader or for its answer."""
+        return not self._waiting and not self._submitted
+
     def add(self, proposal: Proposal) -> None:
         """Accept a proposal."""
         self._waiting.append(proposal)

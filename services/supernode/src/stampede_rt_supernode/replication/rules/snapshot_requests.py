@@ -29,6 +29,11 @@ class SnapshotRequests:
         # (applied index at the request, request)
         self._waiting: list[tuple[int, SnapshotRequest]] = []
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no request waits."""
+        return not self._waiting
+
     def add(self, request: SnapshotRequest) -> None:
         """Accept a request."""
         self._waiting.append((self._node.last_applied, request))

@@ -1,4 +1,4 @@
-"""The one thread on which the log runs. It takes a step when something arrives, and at least every `tick_seconds`.
+"""The one thread on which the log runs. It takes a step when something arrives, and after the pause of the replica.
 
 A second thread watches whether each step ends. A disk that hangs gives no error, and would hold the log's thread for
 ever.
@@ -57,6 +57,9 @@ class Ticked(Protocol):
     def step(self) -> bool:
         """Do everything that is due. Returns True if another step is due at once. An exception ends the thread."""
 
+    def pause_seconds(self) -> float:
+        """Return the longest time until the next step, if nothing wakes the thread."""
+
     def close(self) -> None:
         """Free all resources."""
 
@@ -64,8 +67,7 @@ class Ticked(Protocol):
 class TickThread:
     """Drives a replica. Any thread may call `wake`. Only the owner's thread may call `start` and `stop`."""
 
-    def __init__(self, *, tick_seconds: float, on_fatal: Callable[[BaseException], None]) -> None:
-        self._tick_seconds = tick_seconds
+    def __init__(self, *, on_fatal: Callable[[BaseException], None]) -> None:
         self._on_fatal = on_fatal
         self._work = threading.Event()
         self._stopping = False
@@ -106,7 +108,7 @@ class TickThread:
                 again = replica.step()
                 self._step_began = None
                 if not again:
-                    self._work.wait(self._tick_seconds)
+                    self._work.wait(replica.pause_seconds())
             replica.close()
         except BaseException as error:  # noqa: BLE001 - whatever it is, going on would be worse
             self._on_fatal(error)
