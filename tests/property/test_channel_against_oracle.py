@@ -173,9 +173,9 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
 
 
 def test_a_consumer_on_a_lost_place_starts_at_the_newest_item_of_a_half_consumed_bucket() -> None:
-    """Earlier, a late item reversed the rest of the bucket, so that an older item counted as the newest one.
+    """A fixed fault: a late item reversed the rest of the bucket, so that an older item counted as the newest one.
 
-    The next consumer of the place then owed this item, too. 3 of 49,549 scenarios found it.
+    The next consumer of the place then owed the older item, too. 3 of 49,549 scenarios found the fault.
     """
     pair = ChannelPair(Policy(consumers=2, max_future_nanos=8), FIRST_CLOCK)
     pair.put(Offer(times=None, durations=[0, 0, -1], lengths=[0, 40, 0]))
@@ -253,7 +253,9 @@ def test_an_item_that_the_byte_limit_made_first_goes_by_age_if_it_is_old_though_
 
 
 def test_the_rest_of_a_bucket_goes_by_age_at_once_if_it_ends_before_the_consumed_part() -> None:
-    """Earlier, the next read returned it, and the read after that collected it. 1 of 20,000 scenarios found it."""
+    """A fixed fault: the next read returned the rest, and the read after that collected it. 1 of 20,000 scenarios found
+    the fault.
+    """
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=[100, 100], durations=[HUGE, 7], lengths=[0, 64]))
@@ -267,7 +269,9 @@ def test_the_rest_of_a_bucket_goes_by_age_at_once_if_it_ends_before_the_consumed
 
 
 def test_a_put_that_waits_is_offered_again_when_age_makes_room_though_its_own_item_would_not_go_then() -> None:
-    """Earlier, the put was told to try again at the end of the last lease. 1 of 4,000 scenarios found it."""
+    """A fixed fault: the core told the put to try again at the end of the last lease. 1 of 4,000 scenarios found the
+    fault.
+    """
     policy = Policy(max_age_nanos=8, max_age_unconsumed_nanos=25, max_items=2, max_future_nanos=8, on_full="block")
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(_timed(95, 98))

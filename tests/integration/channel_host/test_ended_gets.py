@@ -11,7 +11,9 @@ from tests.support.channel_host.rig import FOREVER, running_host
 
 
 async def test_a_get_that_ends_with_an_error_is_not_under_way_any_more() -> None:
-    """Earlier, the host counted such gets for ever. So after 1024 of them it refused each further get on the stream."""
+    """A fixed fault: the host counted failed gets as open for ever. After 1024 of them it refused every get on the
+    stream.
+    """
     async with running_host() as rig:
         opened = await rig.open()
         call = rig.channels.Get()

@@ -256,7 +256,7 @@ async def test_a_put_that_may_not_wait_gives_up_at_once_and_one_behind_it_waits(
 
 
 async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) -> None:
-    """Earlier, the answer was CHANNEL_FULL, as if the first put had not been accepted."""
+    """A fixed fault: the retry failed with CHANNEL_FULL, as if the host had not accepted the first put."""
     channel = await rig.open(spec=blocking(600 * S))
     (first,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
     waiting = rig.channels.Put()
@@ -271,7 +271,9 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
 
 
 async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_stream_broke(rig: Rig) -> None:
-    """Earlier, the rest was remembered as refused: a retry was refused, too, though there was room by then."""
+    """A fixed fault: the host kept the refusal of the rest, and refused the retry, too, though the channel had room by
+    then.
+    """
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -289,7 +291,7 @@ async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_str
 
 
 async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_meanwhile(rig: Rig) -> None:
-    """Earlier, the rest was refused for good, with "resolve the channel again", and so was the retry after that."""
+    """A fixed fault: the host answered "resolve the channel again" for the rest, and gave the same answer to the retry."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -315,7 +317,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
 
 
 async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:
-    """Earlier, the ack said that none of its items was accepted."""
+    """A fixed fault: the ack said that the host had accepted none of the items."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))

@@ -184,7 +184,9 @@ def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
 
 
 async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: LocalCluster) -> None:
-    """Earlier, its ack came after the ack of the other put, and it failed as if the host were overloaded."""
+    """A fixed fault: the ack of the short put came after the ack of the long one. The short put failed as if the host
+    were overloaded.
+    """
     async with await aio.connect(cluster.address) as rt:
         full = await rt.channel("dropped/longer", max_items=1, max_age="60s", on_full="block")
         await full.put(b"first")

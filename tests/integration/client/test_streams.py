@@ -68,7 +68,7 @@ async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_n
 
 
 async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: LocalCluster) -> None:
-    """Earlier, gets beyond 1024 were refused and tried again and again, and some failed in the end."""
+    """A fixed fault: the host refused gets beyond 1024, the client repeated them, and some failed in the end."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/crowd", max_age="60s")
         await channel.newest()
@@ -165,7 +165,7 @@ async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: Local
 
 
 async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_waiting(cluster: LocalCluster) -> None:
-    """Earlier, the second one waited for ever for a stream that the first one had given up."""
+    """A fixed fault: the second put waited for ever for the stream that the cancelled put had been opening."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/opening", max_age="60s")
         await channel.stats()

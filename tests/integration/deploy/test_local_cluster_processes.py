@@ -158,7 +158,9 @@ def test_free_ports_are_different_and_can_be_listened_at() -> None:
 
 
 def test_two_processes_get_no_port_of_each_other(tmp_path: Path) -> None:
-    """Earlier, they took random free ports. One of two test runs got the port of a restarting service of the other."""
+    """A fixed fault: each process took random free ports. One test run then got the port of a restarting service of
+    another.
+    """
     path = tmp_path / "ports"
     script = (
         "import sys; from pathlib import Path; from itertools import islice\n"

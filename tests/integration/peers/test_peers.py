@@ -90,9 +90,9 @@ def test_a_killed_peer_comes_back_with_its_proof_and_its_mailbox(cluster: LocalC
 def test_the_later_of_two_live_processes_with_one_proof_gets_the_name_and_the_other_an_error(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Earlier, the two took the name and the messages from each other again and again.
+    """A fixed fault: the two processes took the name and the messages from each other again and again.
 
-    When one of them ended, the name was free although the other still lived.
+    When one of them ended, the name was free although the other process still lived.
     """
     proof = "0123456789abcdef"
     former = st.connect(cluster.address, name="twice", proof=proof)

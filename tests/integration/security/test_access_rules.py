@@ -108,8 +108,8 @@ def test_nobody_finds_the_host_of_a_hidden_channel_by_opening_beside_it(
 def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """Earlier, errors told the name of a channel, queue, group or peer, and the owner of a peer, to every caller with
-    its id.
+    """A fixed fault: errors told the name of a channel, queue, group or peer, and the owner of a peer, to every caller
+    with its id.
     """
     with st.connect(cluster.address, name="unseen/peer") as rt:
         things(cluster)
@@ -214,7 +214,9 @@ def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, o
 def test_no_listing_and_no_watch_tells_of_things_that_its_caller_may_not_list(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """Earlier, a page token held the last name that was looked at, and a hidden change made an empty response."""
+    """A fixed fault: a page token held the name of a hidden thing, and the change of a hidden thing made an empty
+    response.
+    """
     with (
         st.connect(cluster.address, name="hidden/peer") as rt,
         grpc.insecure_channel(cluster.supernodes[0].address) as supernode,
@@ -319,7 +321,7 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Earlier, it said "0, none lost" and "Everything is well", whatever was lost."""
+    """A fixed fault: doctor printed "0, none lost" and "Everything is well" although hidden channels were lost."""
     things(cluster)
     operator.add("cam", "put", "video/*")
     secret = tmp_path / "token"
@@ -334,7 +336,7 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
 
 
 def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(cluster: LocalCluster) -> None:
-    """Earlier, the supernode kept it as it was written, so that it matched no certificate."""
+    """A fixed fault: the supernode kept the serial number with its zeros, so the number matched no certificate."""
     metadata = call_metadata(cluster.secret.text)
     with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
         stub: Any = access_grpc.AccessServiceStub(connection)

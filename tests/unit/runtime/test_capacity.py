@@ -67,7 +67,7 @@ async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_cal
 
 
 async def test_single_requests_that_come_together_go_on_a_few_in_each_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, 32 requests of one caller took 4 ms of one turn."""
+    """A fixed fault: one turn of the event loop took all requests. 32 requests of one caller took 4 ms."""
     came, calls, turns = asyncio.Event(), 40, list[int]()
     gate, done = TurnGate(), 0
 

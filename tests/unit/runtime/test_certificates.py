@@ -250,7 +250,7 @@ def test_a_reader_gives_new_files_and_waits_out_broken_ones(
 def test_a_reader_takes_files_whose_replacement_ends_while_it_refuses_half_of_it(
     made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Earlier, the reader took note of the second file as refused, too, and never read the whole pair."""
+    """A fixed fault: the reader noted the second file as refused, too, and never read the whole pair."""
     monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
     files = made.issue(Role.CLIENT, "cam")
     reader = TlsReader(files)

@@ -206,8 +206,8 @@ async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monk
 
 
 async def test_streams_that_are_cancelled_again_while_they_wait_for_their_turn_to_end_also_end() -> None:
-    """Earlier, if a caller left at the moment of its revocation, the stream went on without a caller and without a
-    quota.
+    """A fixed fault: if a caller left at the moment of its revocation, the stream went on without a caller and without
+    a quota.
     """
     ended = 0
 

@@ -73,7 +73,9 @@ async def test_calls_after_a_renewal_go_over_a_new_connection_and_those_before_i
 
 
 async def test_a_former_connection_is_closed_when_its_last_call_has_ended() -> None:
-    """Earlier, no code closed it, and it connected again and again with certificates that no server accepts."""
+    """A fixed fault: no code closed it. The connection was opened again and again with certificates that no server
+    accepts.
+    """
     renewals = Renewals()
     call = renewals.channel().unary_unary("/test.Probe/Echo")
     first, second = call(), call()

@@ -136,7 +136,9 @@ async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> N
 
 
 async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() -> None:
-    """Its stream is open, and it has credit. Earlier, every message went to it again and again."""
+    """The frozen taker has an open stream and credit. A fixed fault: the host leased every message to the frozen taker
+    again and again.
+    """
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)

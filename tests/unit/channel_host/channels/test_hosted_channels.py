@@ -59,7 +59,9 @@ def test_a_consumer_that_consumes_in_order_goes_on_although_the_memory_is_used_u
 
 
 def test_the_consumption_of_one_caller_leaves_memory_for_the_consumption_of_others() -> None:
-    """Earlier, one caller that consumed every second item could use up the host's spare memory for all channels."""
+    """A fixed fault: one caller that consumed every second item could use up the spare memory of the host for all
+    channels.
+    """
     channel, memory, clock = full_channel(4096, bytes_max=2**22, consumers=2)
     memory.bytes_max = 2**40  # only shares refuse
     share = 2**22 // (2 * CONSUMPTION_SHARE)

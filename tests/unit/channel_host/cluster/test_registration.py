@@ -263,7 +263,7 @@ async def test_a_host_that_is_started_again_takes_its_own_place_with_the_next_nu
 
 
 async def test_a_host_whose_newer_process_lives_does_not_take_its_place_back_until_that_one_is_gone() -> None:
-    """Earlier, the two of them took the channels from each other again and again."""
+    """A fixed fault: the two processes took the channels from each other again and again."""
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         former, newer = Host(fake.target), Host(fake.target, boot=8)
         await former.registration.enter("localhost:1")

@@ -165,7 +165,7 @@ async def _streams(place: Place, count: int) -> None:
 async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over_and_harms_no_other(
     unacked: int,
 ) -> None:
-    """Earlier, the host rejected everything after it, since the stream had lost its beginning."""
+    """A fixed fault: the host rejected all later puts on the stream, because it had not received the first message."""
     place = Place()
     producer = producer_at(place)
     for _ in range(unacked):
@@ -187,7 +187,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over
 
 
 async def test_the_next_call_sends_the_runs_that_a_final_failure_left() -> None:
-    """Earlier, a failure was reported for ever, and runs without an ack were never sent again."""
+    """A fixed fault: every later call reported the failure, and the client never sent runs without an ack again."""
     place = Place()
     producer = await three_in_flight(place)
     await place.streams[0].on_end(st.StampedeError("the host failed with a defect"))

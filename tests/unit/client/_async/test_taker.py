@@ -177,8 +177,8 @@ async def test_as_much_is_asked_for_as_is_waited_for() -> None:
 
 
 async def test_callers_beyond_the_credit_limit_are_served_after_the_others() -> None:
-    """Earlier, the client asked for no message for the 1025th waiting caller, which waited for ever beside available
-    messages.
+    """A fixed fault: the client asked for no message for the 1025th waiting caller, which waited for ever beside
+    available messages.
     """
     host = Host()
     taker = taker_at(host)
@@ -249,7 +249,9 @@ async def test_a_message_that_its_cancelled_getter_never_saw_goes_to_the_next_on
 
 
 async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> None:
-    """Earlier, it stayed in line, and the next message was leased to no caller until its lease ended."""
+    """A fixed fault: the getter stayed in line. The next message was leased to it, and no caller got the message before
+    that lease ended.
+    """
     host = Host()
     taker = taker_at(host)
     held = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -265,7 +267,7 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
 
 
 async def test_a_poll_that_gets_what_another_had_asked_for_is_answered_at_once() -> None:
-    """Earlier, it waited for 12 s beside its message, for a stream on which to ask."""
+    """A fixed fault: the poll already had its message, but waited 12 s for a stream on which to ask for another one."""
     host = Host()
     taker = taker_at(host)
     cancelled = asyncio.ensure_future(taker.get(FOR_EVER))

@@ -126,7 +126,9 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
 
 
 async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_does_not(waits: asyncio.Event) -> None:
-    """Earlier, a client that connected just after the start of a front-end was told that the front-end cannot serve."""
+    """A fixed fault: a client that connected just after the start of a front-end was told that the front-end cannot
+    serve.
+    """
     async with port() as (server, begin):
         assert await said(begin(CLUSTER), "x") == b"1"
         assert not waits.is_set()
@@ -227,7 +229,7 @@ async def open_calls(control: AccessControl, count: int, reads: int, **caller: A
 async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
     monkeypatch: pytest.MonkeyPatch, calls: int, reads: int
 ) -> None:
-    """Earlier, a call that had used 1000 rights was judged again in one step: 120 ms with a thousand rules."""
+    """A fixed fault: one step checked all rights of a call again. 1000 rights and 1000 rules took 120 ms."""
     control, judged, judge = AccessControl(), 0, AccessRules.judge
     allow = AccessRule("@clients", (AccessVerb.READ,), None, "*")
     control.set_state(state(1, allow))
@@ -250,7 +252,7 @@ async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
 
 
 async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
-    """Earlier, 4096 calls that ended together took 40 ms in two turns."""
+    """A fixed fault: 4096 calls ended together within two turns of the event loop, which took 40 ms."""
     now = 1
     control = AccessControl(time_unix_nano=lambda: now)
     control.set_state(state(1))
@@ -266,7 +268,7 @@ async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
 
 
 async def test_open_calls_are_looked_at_for_their_end_a_few_in_each_turn_and_then_again() -> None:
-    """Earlier, 3000 open calls took 1.8 ms of one turn, each second."""
+    """A fixed fault: each second, one turn looked at all open calls. 3000 calls took 1.8 ms."""
     control, turns = AccessControl(time_unix_nano=lambda: 2), 1
     control.set_state(state(1))
     async with open_calls(control, 4 * CALLS_LOOKED_AT_PER_TURN - 1, 0, ends_unix_nano=5):
@@ -278,7 +280,7 @@ async def test_open_calls_are_looked_at_for_their_end_a_few_in_each_turn_and_the
 
 
 async def test_the_requests_of_a_stream_end_one_by_one_and_a_few_at_a_time() -> None:
-    """Earlier, a lost right ended the whole stream, with the requests that needed other rights."""
+    """A fixed fault: a lost right ended the whole stream, with the requests that needed other rights."""
     control, lost = AccessControl(), []
     keep, take = (AccessRule("@clients", (AccessVerb.READ,), None, name) for name in ("kept", "lost"))
     control.set_state(state(1, keep, take))

@@ -172,7 +172,7 @@ def test_a_few_messages_at_once_are_no_reason_to_wait() -> None:
 
 
 def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
-    """A look at the clock takes a quarter of a microsecond. Earlier, a put needed five looks."""
+    """Reading the clock takes a quarter of a microsecond. A fixed fault: a put read the clock five times."""
     loop, looks = Loop(), [0]
     busy, light = loop.caller(), loop.caller()
     loop.works(busy, MS)

@@ -248,7 +248,9 @@ async def test_a_stop_waits_for_streams_and_then_ends_them(port: Open) -> None:
 
 
 async def test_a_stream_counts_with_the_costs_of_its_transport(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, streams over sockets counted with gRPC's costs, 250 us for a message, and got too small a share."""
+    """A fixed fault: streams over sockets counted with the costs of gRPC, 250 us for a message, and got too small a
+    share.
+    """
     found: list[object] = []
 
     async def tell(_self: Streams, _requests: Any, context: Any) -> None:

@@ -2,8 +2,8 @@
 
 The scenario: a caller opens `cam`, gets no answer, and tries again at another supernode. `cam` exists by then, so the
 supernode answers the second attempt at once, without an entry in the log. Another caller deletes `cam`. Then the
-directory applies the first attempt, which was under way all the time. Earlier, the directory kept no record of the
-request, so the first attempt created the channel again.
+directory applies the first attempt, which was under way all the time. A fixed fault: the directory kept no record of
+the request, so the first attempt created the channel again.
 """
 
 from __future__ import annotations
@@ -95,9 +95,7 @@ async def test_a_request_that_a_supernode_held_up_does_not_bring_a_deleted_chann
 async def test_a_request_that_the_network_held_opens_nothing_once_its_repetition_was_answered(
     node: Node, kind: str
 ) -> None:
-    """Earlier, the repetition was answered without an entry, and the held request created the thing again after its
-    deletion.
-    """
+    """A fixed fault: the log had no entry for the repetition. The held request then opened the deleted thing again."""
     member = (await node.open("member")).channel.channel_id
     spec = group_pb2.GroupSpec(channel_ids=[member])
     held: dict[str, tuple[Any, Any]] = {
@@ -176,7 +174,9 @@ def test_an_open_is_late_if_its_thing_was_deleted_after_the_request(log: Log, ki
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
 def test_a_deletion_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
-    """Earlier, a client that made and deleted groups without a pause prevented all other clients from making groups."""
+    """A fixed fault: a client that made and deleted groups without a pause prevented all other clients from making
+    groups.
+    """
     log.directory.feature_level = FREED_GROUPS_LEVEL
     members = {name: log.apply(open_channel(name)) for name in ("kept", "gone")}
     kept, gone = (one.channel.channel_id for one in members.values() if isinstance(one, ChannelOpened))

@@ -174,7 +174,9 @@ def test_marks_survive_a_snapshot() -> None:
 
 
 def test_one_caller_leaves_room_for_the_answers_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, one caller with very many changes in a minute made the directory refuse the updates of all callers."""
+    """A fixed fault: one caller with very many changes in a minute made the directory refuse the updates of all
+    callers.
+    """
     monkeypatch.setattr(kept_answers, "CALLER_BYTES_MAX", 3 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(RaiseFeatureLevel(feature_level=GROUPS_AND_PEERS_LEVEL))

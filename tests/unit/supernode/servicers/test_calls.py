@@ -75,7 +75,7 @@ def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCall
 
 
 async def test_a_supernode_that_lags_behind_checks_the_rights_to_what_it_has_not_heard_of(log: Log) -> None:
-    """Earlier, it took the thing for missing, checked nothing, and the log then deleted the thing."""
+    """A fixed fault: the supernode took the thing for missing and checked no right. The log then deleted the thing."""
     calls, behind = calls_of(log, known=Log().directory)
     channel_id = log.directory.tables.channel_ids["secret/plan"]
     async with called_by("thief", AccessRule("*", (AccessVerb.READ,), None, "*")):
@@ -101,7 +101,9 @@ async def test_a_known_thing_is_checked_without_a_confirmed_read_and_an_unknown_
 
 
 async def test_only_its_owner_changes_a_mailbox_whatever_the_rules(log: Log) -> None:
-    """A mailbox has no name of its own. Earlier, every rule for "*" gave it away, and no rule could deny it."""
+    """A mailbox has no name. A fixed fault: every rule for "*" granted rights to all mailboxes, and no rule could deny
+    them.
+    """
     calls, _ = calls_of(log)
     mailbox_id = log.directory.tables.peers.by_id[id_of(7)].mailbox_queue_id
     assert mailbox_id is not None
@@ -123,7 +125,9 @@ async def test_the_rights_to_several_unknown_things_take_one_confirmed_read(log:
 
 
 async def test_a_change_of_a_group_that_names_too_many_channels_is_refused_without_a_confirmed_read(log: Log) -> None:
-    """Earlier, one request needed a confirmed read for each unknown channel. It kept a supernode busy for long."""
+    """A fixed fault: one request needed a confirmed read for each unknown channel, and kept the supernode busy for
+    long.
+    """
     calls, behind = calls_of(log)
     codes: list[grpc.StatusCode] = []
 

@@ -40,7 +40,9 @@ async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0)
 
 @pytest.mark.parametrize("size", [1, 99, 250, 499, 500, 0])
 async def test_pages_of_every_size_hold_all_shown_things_once_and_their_tokens_name_shown_things(size: int) -> None:
-    """Earlier, the token held the last name that was looked at, so that pages of one told all hidden names."""
+    """A fixed fault: the token held the last name that the listing had read, so that pages of one thing told all hidden
+    names.
+    """
     got: list[str] = []
     after: str | None = ""
     while after is not None:

@@ -30,7 +30,7 @@ class SlowLog(MemoryLog):
 
 
 async def test_one_caller_leaves_room_in_the_log_for_the_commands_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, one caller with very many parallel calls filled the line of commands that wait for the log."""
+    """A fixed fault: one caller with very many parallel calls filled the line of commands that wait for the log."""
     monkeypatch.setattr(module, "UNDER_WAY_OF_ONE_MAX", 3)
     replica = DirectoryReplica()
     log = SlowLog(replica)

@@ -23,7 +23,7 @@ class Get:
 
 
 async def test_the_blocked_gets_of_a_caller_that_has_gone_are_cancelled_a_few_at_a_time() -> None:
-    """Earlier, the callers of 10,000 blocked gets went together: 57 ms in one turn of the event loop."""
+    """A fixed fault: one turn of the event loop cancelled all of them. 10,000 blocked gets took 57 ms."""
     cancelled: list[int] = []
     nothing: Any = None
     store: Any = SimpleNamespace(scheduler=PieceScheduler())

@@ -158,7 +158,7 @@ async def test_gets_that_end_together_are_freed_a_few_at_a_time() -> None:
 
 @pytest.mark.parametrize("match", [Match.START, Match.SPAN])
 async def test_gets_between_the_newest_item_and_the_clock_cost_a_put_nothing(match: Match) -> None:
-    """Earlier, 2000 of them took 59 ms for each put."""
+    """A fixed fault: 2000 such gets cost each put 59 ms."""
     blocked = Blocked()
     blocked.now += 10_000 * S
     for number in range(2000):

@@ -77,7 +77,9 @@ def test_all_numbers_together_have_a_bound(caller: list[str], monkeypatch: pytes
 
 
 def test_a_caller_that_may_not_act_owns_no_number(caller: list[str]) -> None:
-    """Earlier, a caller that had lost its right kept the number, and so did a caller whose first call was refused."""
+    """A fixed fault: a caller that had lost its right kept its number. A caller whose first call was refused kept one,
+    too.
+    """
     owners = IdOwners()
     use(owners, QUEUE, 7, "consumer")
     with pytest.raises(PermissionDenied, match="no rule"):

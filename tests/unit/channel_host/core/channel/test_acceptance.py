@@ -28,7 +28,9 @@ def test_a_run_without_times_is_stamped_with_the_later_of_clock_and_newest_item(
 
 
 def test_a_run_without_times_is_stamped_with_no_time_that_is_too_old() -> None:
-    """Earlier, the advance of a machine whose clock was 20 ms ahead made the puts of the next 20 ms too old."""
+    """A fixed fault: after an advance by a machine whose clock was 20 ms ahead, the puts of the next 20 ms were too
+    old.
+    """
     channel = a_channel(max_bytes=100)
     unstamped = Offer(times=None, durations=None, lengths=[1])
     channel.advance(CLOCK + 20, CLOCK)
@@ -136,7 +138,9 @@ def wait_untimed(channel: ChannelCore, since: int, now: int) -> PutOutcome:
 
 
 def test_a_put_without_a_time_waits_behind_an_item_whose_producer_is_ahead() -> None:
-    """Earlier, such a put counted into the newest bucket, which never becomes too old, and waited for ever."""
+    """A fixed fault: such a put counted into the newest bucket, which never becomes too old, so the put waited for
+    ever.
+    """
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK + 50)
     waiting = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal)
@@ -183,8 +187,8 @@ def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_t
 
 
 def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_at_once_if_nothing_can_make_room() -> None:
-    """Earlier, it waited until its timeout, and every later put with it, because the newest bucket never becomes too
-    old.
+    """A fixed fault: the put waited until its timeout and blocked all later puts, because the newest bucket never
+    becomes too old.
     """
     channel = a_channel(max_items=2, max_age_nanos=100, on_full="block")
     put(channel, CLOCK, CLOCK)

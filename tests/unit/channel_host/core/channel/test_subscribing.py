@@ -63,7 +63,9 @@ def test_items_that_were_collected_before_they_were_sent_are_a_gap_with_its_coun
 
 
 def test_a_reader_that_is_far_behind_gets_gaps_that_adjoin() -> None:
-    """Earlier, one call looked at all collected items, half a second for a million, and delayed all callers."""
+    """A fixed fault: one call looked at all collected items. A million items took half a second and delayed all
+    callers.
+    """
     channel = a_channel(max_items=9999)
     for time in range(2500):
         put(channel, time)

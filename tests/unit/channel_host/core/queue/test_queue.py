@@ -214,7 +214,7 @@ def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
 
 
 def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
-    """Earlier, the rest was remembered as refused, so that a retry was refused, too, though there was room by then."""
+    """A fixed fault: the queue kept the refusal of the rest, and refused the retry, too, though it had room by then."""
     core = Core(max_items=1)
     run = core.put(1, 1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)
@@ -399,7 +399,9 @@ def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: 
 
 
 def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, a few large runs of one caller made the queue refuse all others, which could have waited."""
+    """A fixed fault: a few large runs of one caller made the queue refuse the runs of all others, which could have
+    waited.
+    """
     monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 4000)
     monkeypatch.setattr(enqueuing, "WAITING_BYTES_OF_ONE_MAX", 3000)
     core = Core(max_items=1)

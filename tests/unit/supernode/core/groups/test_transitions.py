@@ -220,7 +220,9 @@ def test_a_snapshot_without_groups_and_copies_has_the_form_of_before(log: Log) -
 
 
 def test_groups_share_the_ids_of_their_channels_with_the_channels(log: Log) -> None:
-    """Earlier, each group kept copies: a caller that made and deleted groups filled the supernode with them."""
+    """A fixed fault: each group kept copies. A caller that made and deleted groups filled the memory of the supernode
+    with copies.
+    """
     left, right = channel(log, "left"), channel(log, "right")
     made = group(log, "pair", bytes(bytearray(left)))
     changed = log.apply(update_group(made.group_id, add=(bytes(bytearray(right)),)))
