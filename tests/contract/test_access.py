@@ -340,7 +340,7 @@ async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_ri
 # -- list ----------------------------------------------------------------------------------------------------------
 
 
-async def test_listings_tell_what_one_may_list_and_nothing_else(scene: Scene) -> None:
+async def test_listings_hold_only_things_that_the_caller_may_list(scene: Scene) -> None:
     await scene.forbid("list", "channel", "*")
     await scene.other_peer()
     everything = {
@@ -356,7 +356,7 @@ async def test_listings_tell_what_one_may_list_and_nothing_else(scene: Scene) ->
         assert [one.name for one in await listed(scene.name("*"))] == [scene.name(shown[kind])]
 
 
-async def test_a_watch_tells_of_what_one_may_list_by_the_rules_of_each_moment(scene: Scene) -> None:
+async def test_a_watch_reports_only_things_that_the_present_rules_let_the_caller_list(scene: Scene) -> None:
     await scene.forbid("list", "channel", "*")
     await scene.allow("list", "channel", "shown-*")
     opening = scene.rt.watch(scene.name("*"))

@@ -118,7 +118,7 @@ async def test_after_cancel_no_call_begins(surface: Surface) -> None:
     assert (len(called.values), handle.active) == (1, False)
 
 
-async def test_a_slow_function_learns_what_retention_took_meanwhile(surface: Surface) -> None:
+async def test_a_slow_function_learns_how_many_items_retention_removed_meanwhile(surface: Surface) -> None:
     channel = await surface.channel(max_items=2)
     first = await channel.put(b"0")
     for number in range(1, 8):
@@ -172,7 +172,7 @@ async def test_a_callback_that_is_no_function_is_refused(surface: Surface) -> No
         await channel.sample(None)
 
 
-async def test_sampling_puts_what_the_function_returns(surface: Surface) -> None:
+async def test_sampling_puts_the_results_of_the_function(surface: Surface) -> None:
     channel = await surface.channel(codec="json")
     values = iter([{"n": 1}, None, {"n": 2}])
     handle = await channel.sample(lambda: next(values, None), every="1ms")

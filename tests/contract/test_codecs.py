@@ -71,7 +71,9 @@ async def test_numpy_keeps_shape_and_dtype(surface: Surface, array: Any) -> None
     assert np.array_equal(value, array)
 
 
-async def test_another_process_learns_what_the_items_are(surface: Surface, request: pytest.FixtureRequest) -> None:
+async def test_another_process_learns_the_content_type_of_the_items(
+    surface: Surface, request: pytest.FixtureRequest
+) -> None:
     channel = await surface.channel(codec="numpy")
     await channel.put(np.arange(6, dtype=np.float32).reshape(2, 3))
     address = request.getfixturevalue("cluster").address
@@ -118,7 +120,7 @@ async def test_an_item_of_another_content_type_is_not_decoded(surface: Surface) 
         _ = item.value
 
 
-async def test_a_stated_content_type_labels_what_the_codec_makes(surface: Surface) -> None:
+async def test_a_stated_content_type_labels_the_payloads_of_the_codec(surface: Surface) -> None:
     channel = await surface.channel(codec="json", content_type="application/geo+json")
     await channel.put({"type": "Point"})
     item = await channel.newest()

@@ -104,7 +104,7 @@ async def test_a_channel_is_in_a_group_once(surface: Surface) -> None:
         await surface.group(group_name(), [left, left])
 
 
-async def test_a_cross_section_gives_what_holds_at_the_references_item(surface: Surface) -> None:
+async def test_a_cross_section_holds_the_items_that_are_valid_at_the_references_item(surface: Surface) -> None:
     left, right = await two_channels(surface)
     base = st.now() - 10 * SECOND
     for number in range(3):
@@ -156,7 +156,7 @@ async def in_step(surface: Surface, **settings: Any) -> tuple[Any, Any, Any, int
     return await surface.group(group_name(), [left, right], **settings), left, right, st.now() - 10 * SECOND
 
 
-async def test_a_group_shows_only_what_lies_before_its_cut(surface: Surface) -> None:
+async def test_a_group_shows_only_items_before_its_cut(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     for number in range(4):
         await left.put(b"l%d" % number, time=base + number * SECOND)
@@ -244,7 +244,7 @@ async def event_at(cuts: Any, time: int) -> dict[str, list[bytes]]:
             return brought
 
 
-async def test_a_match_pairs_the_nearest_and_names_who_has_none(surface: Surface) -> None:
+async def test_a_match_pairs_the_nearest_items_and_names_members_without_one(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     async with group.match(left, "10ms", partial=True) as matches:
         await left.put(b"l0", time=base)
@@ -326,7 +326,7 @@ async def test_a_cut_event_waits_for_items_that_are_no_later_than_its_lateness(s
         assert brought["late"] == []
 
 
-async def test_the_status_says_who_holds_the_cut(surface: Surface) -> None:
+async def test_the_status_names_the_member_that_holds_the_cut(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     await left.put(b"l", time=base)
     waiting = await group.status()

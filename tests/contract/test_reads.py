@@ -23,7 +23,7 @@ def shown(items: object) -> list[str]:
     return [item.payload.decode() for item in items]
 
 
-async def test_an_item_keeps_what_its_producer_said_of_it(surface: Surface) -> None:
+async def test_an_item_keeps_the_time_and_attributes_of_its_producer(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", content_type="text/plain")
     time = st.now() - 5 * MS
     put = await channel.put(b"hello", time=time, duration="33ms", attributes={"enc": "none"})
@@ -41,7 +41,7 @@ async def test_a_put_without_a_time_is_stamped_when_accepted(surface: Surface) -
     assert before - 50 * MS <= item.time <= st.now() + 50 * MS
 
 
-async def test_items_come_in_the_order_of_time_whatever_the_order_of_arrival(surface: Surface) -> None:
+async def test_items_come_in_the_order_of_time_and_not_of_arrival(surface: Surface) -> None:
     channel, _ = await filled(surface, 30, 10, 20, 40, 0)
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["0", "10", "20", "30", "40"]
 
@@ -144,7 +144,7 @@ async def test_partly_contained_items_are_returned_whole(surface: Surface) -> No
     assert shown(await channel.get(base + 50 * MS, base + 150 * MS)) == ["0", "100"]
 
 
-async def test_match_whole_returns_only_what_lies_inside(surface: Surface) -> None:
+async def test_match_whole_returns_only_items_inside_the_interval(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 100, 200, 300)
     assert shown(await channel.get(base + 50 * MS, base + 300 * MS, match="whole")) == ["100", "200"]
 

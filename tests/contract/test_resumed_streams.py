@@ -59,7 +59,7 @@ async def test_skipped_items_are_counted_once_however_often_the_stream_breaks(su
         assert (items.skipped, items.dropped) == (10, 0)
 
 
-async def test_a_start_holds_when_a_subscription_is_resumed_amid_what_was_held(surface: Surface) -> None:
+async def test_a_resumed_subscription_keeps_its_start(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 10_000 * MS
     for offset in (30, 5, 10, 7, 20, 9):

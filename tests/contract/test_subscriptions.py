@@ -30,7 +30,7 @@ async def test_from_a_start_held_items_come_first_in_seq_order(surface: Surface)
         assert [item.payload for item in await take(items, 4)] == [b"30", b"10", b"20", b"late"]
 
 
-async def test_every_item_comes_once_whatever_its_time(surface: Surface) -> None:
+async def test_every_item_comes_once_at_any_time(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     async with channel.subscribe() as items:
@@ -42,7 +42,7 @@ async def test_every_item_comes_once_whatever_its_time(surface: Surface) -> None
     assert [item.seq for item in found] == list(range(found[0].seq, found[0].seq + 1_000))
 
 
-async def test_newest_never_goes_back_and_counts_what_it_skips(surface: Surface) -> None:
+async def test_newest_never_goes_back_and_counts_skipped_items(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     async with channel.subscribe(mode="newest") as items:

@@ -103,7 +103,7 @@ async def test_a_read_after_the_last_item_never_returns_that_item_again(surface:
     assert shown(await channel.get(last.time, st.NOW, bounds="(]", match="start")) == ["new"]
 
 
-async def test_an_open_newest_item_lies_whole_in_what_reaches_up_to_now(surface: Surface) -> None:
+async def test_an_open_newest_item_lies_whole_in_an_interval_up_to_now(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     assert shown(await channel.get(base, st.NOW, match="whole")) == ["0", "10"]
     assert shown(await channel.get(base, base + 20 * MS, match="whole")) == ["0"]
@@ -144,7 +144,7 @@ async def test_a_future_lower_bound_is_looked_at_again_when_it_comes(surface: Su
     assert shown(items) == ["holds"]
 
 
-async def test_only_what_lies_in_the_interval_releases_a_get(surface: Surface) -> None:
+async def test_only_an_item_in_the_interval_releases_a_get(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     interval = base + 100 * MS, base + 200 * MS
     get = asyncio.ensure_future(channel.get(*interval, match="start", timeout=SOON_S))
@@ -259,7 +259,7 @@ async def test_a_stated_limit_takes_the_place_of_the_ten_seconds(surface: Surfac
     assert (await channel.stats()).held == 2
 
 
-async def test_a_put_older_than_what_was_collected_is_too_old(surface: Surface) -> None:
+async def test_a_put_older_than_collected_items_is_too_old(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20, max_items=2, max_age=None)
     await channel.configure(max_items=5)
     with pytest.raises(st.TooOld, match="collected"):

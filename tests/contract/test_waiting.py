@@ -36,7 +36,7 @@ async def test_a_blocking_newest_after_waits_for_a_later_item(surface: Surface) 
     assert (await get).payload == b"later"
 
 
-async def test_a_timeout_gives_what_there_is_and_why(surface: Surface) -> None:
+async def test_a_get_with_a_timeout_returns_the_found_items_and_the_reason(surface: Surface) -> None:
     channel = await surface.channel()
     items = await channel.get(st.OLDEST, st.NEWEST, timeout=0.05)
     assert (len(items), items.reason) == (0, st.Reason.NOT_YET)

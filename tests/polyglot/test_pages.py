@@ -45,7 +45,7 @@ def test_the_page_names_every_service_of_the_contract() -> None:
     assert {name for name in services if f"`{name}`" not in WIRE} == set()
 
 
-def test_the_page_says_what_to_do_with_every_reason_that_can_be_repeated() -> None:
+def test_the_page_gives_advice_for_every_repeatable_reason() -> None:
     known = set(re.findall(r"ERROR_REASON_(\w+) =", (PROTO / "stampede_rt/v1/error.proto").read_text()))
     table = WIRE.split("What to do with a reason:")[1].split("A newer server")[0]
     named = set(re.findall(r"`([A-Z_]+)`", table))

@@ -42,7 +42,7 @@ def client(name: str) -> Caller:
 
 
 @given(RULES, st.lists(st.tuples(NAMES, st.sampled_from(AccessVerb), st.sampled_from(AccessKind), NAMES), max_size=6))
-def test_the_judge_says_what_the_simple_one_says(
+def test_the_access_rules_agree_with_a_simple_implementation(
     rules: list[AccessRule], asked: list[tuple[str, AccessVerb, AccessKind, str]]
 ) -> None:
     judge = AccessRules(rules)

@@ -137,7 +137,7 @@ def test_a_read_as_of_an_instant_answers_as_a_channel_of_memory_alone_did_then(s
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_subscription_that_begins_in_the_archive_brings_what_one_of_memory_alone_brings(seed: int) -> None:
+def test_a_subscription_from_the_archive_on_brings_the_same_items_as_one_from_memory(seed: int) -> None:
     draw = random.Random(seed)
     large, small, _, now = tell(draw)
     start = draw.randrange(-1, now + 2)

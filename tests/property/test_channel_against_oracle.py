@@ -160,7 +160,7 @@ def _play_steps(pair: ChannelPair, numbers: list[int], *, hasty: bool, counts: b
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=30))
-def test_a_channel_does_what_the_oracle_does_in_every_scenario(numbers: list[int]) -> None:
+def test_a_channel_agrees_with_the_oracle_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)
 
 

@@ -12,7 +12,7 @@ from stampede_rt._sync import queue as sync_queue
 from tests.contract.queues.rig import Rig, adds_up, numbers
 
 
-async def test_the_pending_list_tells_what_is_leased_to_whom(rig: Rig) -> None:
+async def test_the_pending_list_names_each_leased_message_and_its_taker(rig: Rig) -> None:
     named = await rig.connect(name=f"taker{next(numbers)}")
     queue, other = await rig.queue(lease="60s"), None
     assert await queue.pending() == []
@@ -81,7 +81,7 @@ async def test_a_message_id_that_is_none_is_refused(rig: Rig, message_id: object
         await queue.put(b"x", message_id=message_id)
 
 
-async def test_a_mailbox_knows_message_ids_and_tells_what_is_pending(rig: Rig) -> None:
+async def test_a_mailbox_knows_message_ids_and_lists_pending_messages(rig: Rig) -> None:
     peer = await rig.connect(name=f"peer{next(numbers)}")
     first = await rig.rt.send(peer.name, b"x", message_id="one")
     again = await rig.rt.send(peer.name, b"x", message_id="one")

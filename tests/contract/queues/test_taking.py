@@ -48,7 +48,7 @@ async def test_a_get_waits_for_an_item(rig: Rig) -> None:
     assert (await get).payload == b"x"
 
 
-async def test_a_message_brings_what_was_put(rig: Rig) -> None:
+async def test_a_taken_message_equals_the_put_message(rig: Rig) -> None:
     queue = await rig.queue(codec="json")
     began = st.now()
     await queue.put({"goal": [1, 2]}, attributes={"from": "planner"})

@@ -111,7 +111,7 @@ def test_credit_has_an_end() -> None:
     assert (credit.left, credit.is_over) == (-5, True)
 
 
-async def test_a_reader_that_closes_its_side_gets_what_its_credit_allows_and_then_the_end(rig: Rig) -> None:
+async def test_a_reader_that_closes_its_side_gets_the_items_of_its_credit_and_then_the_end(rig: Rig) -> None:
     channel = await rig.open()
     call = await begun(channel)
     await grant(call, 1)

@@ -62,7 +62,7 @@ async def filled(rig: Rig) -> tuple[Opened, int]:
     return channel, t
 
 
-async def test_each_match_selects_what_the_time_model_says(rig: Rig) -> None:
+async def test_each_match_selects_the_items_of_the_time_model(rig: Rig) -> None:
     channel, t = await filled(rig)
 
     async def matching(match: time_pb2.Match, start: int, end: int) -> list[bytes]:
@@ -240,7 +240,7 @@ async def test_a_waiting_call_holds_up_no_other(rig: Rig) -> None:
     exchange.call.cancel()
 
 
-async def test_a_blocked_get_answers_with_what_there_is_when_its_time_is_over(rig: Rig) -> None:
+async def test_a_blocked_get_returns_the_found_items_at_its_timeout(rig: Rig) -> None:
     channel = await rig.open()
     got = await channel.get(wait_nanos=20 * MS)
     assert got.payloads == []
@@ -378,7 +378,7 @@ async def test_advance_is_a_promise_kept_by_the_host(rig: Rig) -> None:
         )
 
 
-async def test_consume_is_refused_where_nobody_counts_consumers(rig: Rig) -> None:
+async def test_consume_is_refused_for_channels_without_consumers(rig: Rig) -> None:
     channel, _ = await filled(rig)
     with pytest.raises(Exception, match="counts no consumption"):
         await rig.channels.Consume(pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, seqs=[1]))

@@ -83,7 +83,7 @@ async def test_twenty_first_binds_at_once_ask_the_directory_once(rig: Rig) -> No
     assert rig.directory.calls["ResolveChannel"] == 1
 
 
-async def test_a_channel_that_nobody_knows_cannot_be_bound(rig: Rig) -> None:
+async def test_an_unknown_channel_cannot_be_bound(rig: Rig) -> None:
     channel = await rig.open()
     assert (await refusal(bind(channel, channel_id=b"x" * 16))).reason == "CHANNEL_NOT_FOUND"
     assert (await refusal(bind(channel, channel_id=b"short"))).reason == "INVALID_ARGUMENT"

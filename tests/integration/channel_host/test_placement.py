@@ -119,7 +119,7 @@ def test_channels_of_both_clients_open_beside_the_channel_that_they_name(
         assert asyncio.run(open_fourth(host)) == host
 
 
-def test_a_channel_beside_an_unknown_one_is_refused_with_what_to_do(rt: st.Connection) -> None:
+def test_a_channel_beside_an_unknown_one_is_refused_with_advice(rt: st.Connection) -> None:
     with pytest.raises(st.ChannelNotFound, match="beside channel nobody, because there is no such channel; open"):
         rt.channel("lonely", beside="nobody")
     with pytest.raises(st.InvalidArgument, match="state one of them"):

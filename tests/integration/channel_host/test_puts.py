@@ -291,7 +291,7 @@ async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_str
 
 
 async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_meanwhile(rig: Rig) -> None:
-    """A fixed fault: the host answered "resolve the channel again" for the rest, and gave the same answer to the retry."""
+    """A fixed fault: the host answered "resolve the channel again" for the rest, and again for the retry."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}

@@ -100,7 +100,7 @@ async def test_blocked_gets_beyond_the_quota_are_refused_and_those_that_end_make
     call.cancel()
 
 
-async def test_a_stream_of_gets_that_is_cut_gives_back_what_waited_on_it(rig: Rig) -> None:
+async def test_a_broken_stream_of_gets_gives_back_the_quota_of_its_waiting_gets(rig: Rig) -> None:
     rig.accounts.set_default(Quota.WAITING_CALLS, 5)
     channel = await rig.open()
     call = rig.channels.Get()

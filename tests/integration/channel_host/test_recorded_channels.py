@@ -165,7 +165,7 @@ def test_a_get_says_which_items_are_in_a_damaged_block(rt: st.Connection, folder
         assert events.dropped == 1
 
 
-def test_every_example_of_the_guide_prints_what_stands_beside_it(
+def test_every_example_of_the_guide_prints_the_stated_output(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)

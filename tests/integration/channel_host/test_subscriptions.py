@@ -125,7 +125,7 @@ async def _runs(reader: Reader, count: int) -> AsyncIterator[Any]:
             yield delivered
 
 
-async def test_newest_never_goes_back_and_counts_what_it_skips(rig: Rig) -> None:
+async def test_newest_never_goes_back_and_counts_skipped_items(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     await channel.put(run_of(b"held", times=[t]))
@@ -211,7 +211,7 @@ async def test_a_reader_that_takes_nothing_is_ended_with_a_reason(rig: Rig, monk
     assert "took nothing" in (error.details() or "")
 
 
-async def test_a_reader_that_does_not_even_take_the_end_keeps_nobody_waiting(
+async def test_a_reader_that_does_not_take_the_end_of_its_stream_delays_no_other_caller(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(subscription, "WRITE_SECONDS_MAX", 0.1)

@@ -130,7 +130,7 @@ def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_wa
             for_ever(gone)  # the directory knows at once, and hosts a moment later
 
 
-def test_a_match_says_that_all_was_lost_though_nobody_puts_and_begun_anew_gives_new_sets(
+def test_matches_report_the_loss_without_a_further_put_and_go_on_with_new_items(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     left, right = rt.channel("anew/one", max_age="1h"), rt.channel("anew/two", max_age="1h")

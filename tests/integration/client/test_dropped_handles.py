@@ -95,7 +95,7 @@ def test_queues_put_to_and_taken_from_and_dropped_leave_nothing_open(cluster: Lo
         wait_until(lambda: threading.active_count() <= before)
 
 
-async def test_awaited_queues_that_are_dropped_give_back_what_they_had_prefetched(cluster: LocalCluster) -> None:
+async def test_dropped_handles_of_awaited_queues_give_prefetched_messages_back(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         for number in range(10):
             queue = await rt.queue("dropped/prefetched", prefetch=10, lease="60s")

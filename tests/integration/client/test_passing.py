@@ -140,7 +140,7 @@ def test_items_answers_and_errors_are_values_that_can_be_pickled(rt: st.Connecti
     assert again(channel.info) == channel.info
 
 
-def test_every_handle_shows_what_it_is_and_whether_it_is_closed(cluster: LocalCluster) -> None:
+def test_every_handle_shows_its_kind_and_whether_it_is_closed(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="shown") as rt:
         channel, queue = rt.channel("passing/shown"), rt.queue("passing/shown-queue")
         group = rt.group("passing/shown-group", [channel])

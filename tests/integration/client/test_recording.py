@@ -173,7 +173,7 @@ def test_a_deleted_channel_ends_with_a_gap_and_the_others_go_on(rt: st.Connectio
     assert by_name["stays"].complete
 
 
-def test_a_full_disk_ends_the_recording_with_an_error_and_keeps_what_was_written(
+def test_a_full_disk_ends_the_recording_with_an_error_and_keeps_the_written_items(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel, path = rt.channel("disk"), tmp_path / "a.mcap"

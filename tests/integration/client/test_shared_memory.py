@@ -70,7 +70,7 @@ def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return calls
 
 
-def test_reads_of_the_newest_part_ask_nobody(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reads_of_the_newest_part_make_no_call(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = count_calls(monkeypatch)
     with channel_of(cluster, "ring/calls") as channel:
         items = [channel.put(b"%d" % number) for number in range(20)]
@@ -121,7 +121,7 @@ def test_a_channel_with_consumers_is_read_over_sockets(cluster: LocalCluster) ->
         assert channel.stats().transport == "socket"
 
 
-def test_a_host_on_another_machine_shares_nothing_and_the_error_says_what_to_do(
+def test_a_host_on_another_machine_shares_no_memory_and_the_error_gives_advice(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt._sync.session.this_machine", lambda: "another")

@@ -65,7 +65,7 @@ def proven(number: int) -> bytes:
 
 
 @pytest.mark.parametrize(("held", "dropped_max"), [(100, 0), (10, 30)])
-def test_a_stopped_reader_delays_nobody_and_goes_on_where_it_was(
+def test_a_stopped_reader_delays_no_other_caller_and_goes_on_where_it_was(
     cluster: LocalCluster, held: int, dropped_max: int
 ) -> None:
     """The ring has room for 16 items. The host sends later items that the ring lacks, or reports them as dropped."""

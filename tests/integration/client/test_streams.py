@@ -35,7 +35,7 @@ async def test_a_step_that_was_cancelled_makes_a_subscription_neither_miss_nor_d
                 assert (await anext(subscription)).payload == b"2"
 
 
-async def test_a_step_that_was_cancelled_does_not_lose_what_came_next_on_a_subscription_to_new_items(
+async def test_a_cancelled_step_of_a_subscription_to_new_items_loses_no_item(
     cluster: LocalCluster,
 ) -> None:
     async with await aio.connect(cluster.address) as rt:
@@ -190,7 +190,7 @@ async def test_a_stream_that_is_given_up_while_it_opens_keeps_no_put_waiting(clu
             assert (await put).payload == b"x"
 
 
-async def test_closing_a_connection_ends_what_waits_for_streams_to_open(cluster: LocalCluster) -> None:
+async def test_closing_a_connection_ends_calls_that_wait_for_a_stream(cluster: LocalCluster) -> None:
     rt = await aio.connect(cluster.address)
     channel = await rt.channel("client/closing", max_age="60s")
     queue = await rt.queue("client/closing", host=channel.host)
@@ -208,7 +208,7 @@ async def test_closing_a_connection_ends_what_waits_for_streams_to_open(cluster:
             await producer.flush(timeout=5)
 
 
-async def test_cancelled_calls_leave_no_exception_that_nobody_looked_at(
+async def test_cancelled_calls_leave_no_unretrieved_exception(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with await aio.connect(cluster.address) as rt:

@@ -97,7 +97,7 @@ def test_without_a_terminal_each_look_gives_lines_for_programs() -> None:
     assert rows[0]["held"] == 3 * (rows[0]["held"] // 3) > 0
 
 
-def test_lag_names_each_kind_of_thing_and_who_holds_a_group_back() -> None:
+def test_lag_names_each_kind_of_thing_and_the_member_that_holds_a_group_back() -> None:
     done = subprocess.run([*STAMPEDE, "lag", "top/*", "-o", "json"], capture_output=True, text=True, check=True)
     rows = {(row["kind"], row["name"]): row for row in json.loads(done.stdout)}
     assert set(rows) == {("channel", "top/left"), ("group", "top/both"), ("queue", "top/queue")}

@@ -232,7 +232,7 @@ def test_help_and_version_load_no_grpc(arguments: list[str]) -> None:
     assert done.returncode == 0, done
 
 
-def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
+def test_ls_and_info_show_existing_channels(stampede: Run) -> None:
     stampede("put", "cli/shown/one", "x", "--max-items", "5")
     listed = stampede("ls", "cli/shown/*").stdout
     assert "cli/shown/one" in listed
@@ -244,7 +244,9 @@ def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
     assert stampede("ls", "no/such*").stdout == "no channel matches 'no/such*'\n"
 
 
-def test_info_names_the_readers_and_writers_and_what_a_slow_reader_missed(stampede: Run, cluster: LocalCluster) -> None:
+def test_info_names_readers_and_writers_and_the_missed_items_of_a_slow_reader(
+    stampede: Run, cluster: LocalCluster
+) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("cli/used", max_items=100)
         with channel.subscribe(mode="newest") as items:

@@ -71,9 +71,7 @@ def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
-def test_a_host_that_was_killed_and_what_it_held_are_reported_until_it_is_back(
-    cluster: LocalCluster, doctor: Doctor
-) -> None:
+def test_a_killed_host_and_its_channels_are_reported_until_it_is_back(cluster: LocalCluster, doctor: Doctor) -> None:
     empty = cluster.add_host()
     with st.connect(cluster.address) as rt:
         rt.channel("cam/left", max_age="10s", host="h1").put(b"gone soon")
@@ -153,7 +151,7 @@ def test_a_front_end_whose_seeds_do_not_answer_is_not_taken_for_one_that_is_down
     assert "they run, but reach no supernode" in said
 
 
-def test_doctor_says_what_to_start_where_nothing_listens(doctor: Doctor) -> None:
+def test_doctor_names_the_service_to_start_where_nothing_listens(doctor: Doctor) -> None:
     code, said = doctor("--url", NOBODY)
     assert (code, f"front-end {NOBODY}" in said, "start a front-end: stampede frontend" in said) == (1, True, True)
 

@@ -188,7 +188,7 @@ def test_denials_are_counted_and_call_for_nothing() -> None:
     assert (finding.state, finding.advice) == ("3 calls denied, the last one 5 s ago, at host h1 (3)", "")
 
 
-def test_calls_beyond_quotas_are_counted_and_lately_refused_ones_lead_to_those_who_made_them() -> None:
+def test_doctor_counts_calls_beyond_quotas_and_names_callers_with_recent_refusals() -> None:
     finding = found(changed("h1", quota_refusals=3, quota_refused_ago_nanos=5000 * MS), "quotas")
     assert finding.state == "3 calls refused, the last one 5 s ago, at host h1 (3)"
     assert "`stampede quota use`" in finding.advice

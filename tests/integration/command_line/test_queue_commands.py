@@ -166,7 +166,7 @@ def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster:
         assert "another live peer has the name" in said
 
 
-def test_nobody_is_sent_to_who_is_not_there(stampede: Run) -> None:
+def test_sending_to_an_absent_participant_fails(stampede: Run) -> None:
     for verb in (("send", "cli/nobody", "x"), ("info", "cli/nobody")):
         _, said = stampede("mailbox", *verb, status=1)
         assert said == "stampede: no live peer is named cli/nobody; `stampede peers` lists the live ones\n"

@@ -166,7 +166,7 @@ def test_an_event_beyond_the_limit_is_named_and_the_status_is_3(
     assert _is_finished(tmp_path / "a-000001.mcap")
 
 
-def test_wrong_usage_says_what_to_write(run: Command, tmp_path: Path) -> None:
+def test_wrong_usage_names_the_right_usage(run: Command, tmp_path: Path) -> None:
     status, _, told = run("record", "any", "--on", "event", "-o", tmp_path / "a.mcap")
     assert (status, "--on needs --for" in told) == (2, True)
     status, _, told = run("record", "any", "--since", "30", "-o", tmp_path / "a.mcap")

@@ -50,7 +50,7 @@ def test_a_consumer_that_joins_in_the_middle_gets_pairs(outcome: Outcome) -> Non
     assert 0 < outcome.report.latecomer_pairs < outcome.report.pairs
 
 
-def test_the_mapper_answers_what_the_planner_asks(outcome: Outcome) -> None:
+def test_the_mapper_answers_the_requests_of_the_planner(outcome: Outcome) -> None:
     assert outcome.report.answers > 0
     assert outcome.report.unanswered == 0
 
@@ -71,7 +71,7 @@ def test_the_json_of_a_run_has_the_fields_that_the_page_names(
     require_fields("demo stereo", capsys.readouterr().out)
 
 
-def test_roles_may_do_what_their_rights_say_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_roles_may_do_only_the_actions_of_their_rights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without certificates, which the other tests use. One role and one supernode are enough."""
     monkeypatch.setattr(orchestrator, "ROLES", {"left camera": "left_camera"})
     monkeypatch.setattr(orchestrator, "SUPERNODES", 1)

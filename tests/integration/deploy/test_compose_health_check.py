@@ -25,7 +25,7 @@ async def test_a_service_that_is_not_ready_is_not_healthy() -> None:
         assert await asyncio.to_thread(main, [server.address]) == 1
 
 
-async def test_the_command_of_the_images_says_what_it_found() -> None:
+async def test_the_health_command_of_the_images_prints_its_finding() -> None:
     async with serving(lambda _: None) as server:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "stampede_rt_runtime.health_check"),

@@ -87,7 +87,7 @@ def test_keys_that_the_proof_does_not_carry_out_are_refused(changes: dict[str, A
         planned(**changes)
 
 
-def test_services_start_after_what_they_wait_for() -> None:
+def test_services_start_after_their_dependencies() -> None:
     def waiting(*names: str) -> dict[str, Any]:
         return SERVICE | {"depends_on": {name: {"condition": "service_started"} for name in names}}
 
@@ -104,7 +104,7 @@ def query(name: str, kind: int) -> bytes:
     ("name", "kind", "code", "answers"),
     [("supernode-1", 1, 0, 1), ("SUPERNODE-1", 1, 0, 1), ("supernode-1", 28, 0, 0), ("elsewhere", 1, 3, 0)],
 )
-def test_the_name_server_knows_the_services_and_says_at_once_what_does_not_exist(
+def test_the_name_server_knows_the_services_and_rejects_other_names_at_once(
     name: str, kind: int, code: int, answers: int
 ) -> None:
     response = name_server.answer(query(name, kind), {"supernode-1": "10.0.0.3"})
@@ -139,7 +139,7 @@ def declared(package: str) -> set[str]:
 
 
 @pytest.mark.parametrize("package", sorted(set(PACKAGES) - {"stampede-rt"}))
-def test_a_service_declares_what_it_imports_so_that_its_image_has_it(package: str) -> None:
+def test_a_service_declares_its_imports_so_that_its_image_has_them(package: str) -> None:
     foreign = set(imported_modules(PACKAGES[package] / "src")) - sys.stdlib_module_names - OPTIONAL
     installed = importlib.metadata.packages_distributions()
     ours = {name.replace("-", "_"): [name] for name in PACKAGES}

@@ -92,7 +92,7 @@ def running(*arguments: str) -> Iterator[Dev]:
                 os.close(handle)
 
 
-def test_the_screen_tells_the_address_and_what_to_type_next(home: Path) -> None:
+def test_the_screen_shows_the_address_and_the_next_command(home: Path) -> None:
     with running() as dev:
         match = re.match(r"Stampede RT is ready at (localhost:\d+) \(1 supernode, 1 host, 1 front-end; ", dev.screen)
         assert match is not None, dev.screen + dev.process.stderr.read()

@@ -60,7 +60,7 @@ def test_the_docs_name_no_other_metric() -> None:
     assert set(re.findall(r"`(stampede_[a-z_]+)`", OBSERVING)) <= {one.name for one in ALL}
 
 
-def test_the_docs_say_what_to_do_about_each_alert() -> None:
+def test_the_docs_give_advice_for_each_alert() -> None:
     alerts = re.findall(r"- alert: (\w+)", (FOLDER / "alerts.yml").read_text())
     assert alerts == re.findall(r"^### (Stampede\w+)$", OBSERVING, re.MULTILINE)
 

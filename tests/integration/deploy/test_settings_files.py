@@ -34,7 +34,7 @@ def test_every_service_has_its_sample() -> None:
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_a_sample_is_what_its_service_prints(service: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_settings_sample_equals_the_output_of_its_service(service: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert SERVICES[service][0](["--sample-settings"]) == 0
     assert capsys.readouterr().out == (FOLDER / f"{service}.toml").read_text(), (
         f"write it again: stampede {service} --sample-settings > deploy/settings/{service}.toml"

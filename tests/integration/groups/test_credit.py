@@ -87,9 +87,7 @@ async def test_credit_goes_to_the_host_that_decides_and_boundaries_to_the_others
         await reader.event()
 
 
-async def test_matches_wait_for_credit_and_take_what_all_their_items_take(
-    host: Host, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_match_waits_for_credit_for_all_of_its_items(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)
     left, right, group = await a_pair(host)
     t = host.now() - S

@@ -85,7 +85,7 @@ async def test_hosts_that_part_and_share_another_group_at_once_hear_of_each_othe
     await synced([right, left], second, t + 5)
 
 
-async def test_a_member_is_followed_though_nobody_names_the_group_at_its_host(cluster: Cluster) -> None:
+async def test_a_member_is_followed_though_the_group_was_last_named_at_its_host_long_ago(cluster: Cluster) -> None:
     left, right = await two_channels(cluster)
     third, fourth = await right.host.open("third"), await right.host.open("fourth")
     group, t = cluster.directory.add_group("group", [left, right]), left.host.now()

@@ -27,7 +27,7 @@ async def host(clock: ManualClock) -> AsyncIterator[Host]:
         yield await cluster.start("h1", b"host-number-one!")
 
 
-async def test_a_group_shows_what_lies_before_the_newest_of_its_reference(host: Host) -> None:
+async def test_a_group_shows_items_before_the_newest_item_of_its_reference(host: Host) -> None:
     text, audio, t = await host.open("text"), await host.open("audio"), host.now() - S
     group = host.directory.add_group(
         "tv", [text, audio], reference=group_pb2.GROUP_REFERENCE_CHANNEL, reference_channel_id=text.channel_id
@@ -113,7 +113,7 @@ async def test_a_blocked_get_ends_when_its_channel_leaves_the_group(host: Host) 
         await waiting
 
 
-async def test_a_blocked_get_ends_with_its_time_and_says_who_holds_it(host: Host) -> None:
+async def test_a_blocked_get_ends_at_its_timeout_and_names_the_member_that_holds_the_cut(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
@@ -172,7 +172,7 @@ async def test_a_subscription_brings_items_in_the_order_of_becoming_visible(host
     assert await reading.take(1) == [t + 4]
 
 
-async def test_a_subscription_to_the_newest_never_shows_what_is_hidden(host: Host) -> None:
+async def test_a_subscription_to_the_newest_never_shows_hidden_items(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)
@@ -181,7 +181,7 @@ async def test_a_subscription_to_the_newest_never_shows_what_is_hidden(host: Hos
     assert await reading.take(1) == [t + 2]
 
 
-async def test_status_says_who_holds_the_cut_how_far_each_is_and_how_much_is_hidden(host: Host) -> None:
+async def test_status_shows_the_member_that_holds_the_cut_each_position_and_the_hidden_items(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)
@@ -197,7 +197,7 @@ async def test_status_says_who_holds_the_cut_how_far_each_is_and_how_much_is_hid
     assert not of[left.channel_id].window_too_short
 
 
-async def test_get_cut_waits_for_what_the_caller_has_seen_and_says_if_that_does_not_come(host: Host) -> None:
+async def test_get_cut_waits_for_the_cut_that_the_caller_has_seen_or_fails(host: Host) -> None:
     one, t = await host.open("one"), host.now() - S
     group = host.directory.add_group("alone", [one])
     await one.put(t)

@@ -75,7 +75,7 @@ def test_reads_through_a_group_go_on_in_the_archives_of_several_hosts(rt: st.Con
     assert numbers(shown.get(st.OLDEST, st.NOW, after=backwards[-1], newest_first=True, limit=2)) == [278, 277]
 
 
-def test_a_group_far_behind_shows_the_archived_items_before_its_cut_and_says_which_are_hidden(
+def test_a_group_far_behind_shows_archived_items_before_its_cut_and_names_the_hidden_ones(
     rt: st.Connection,
 ) -> None:
     rig = Rig(rt, "behind", ahead=200)

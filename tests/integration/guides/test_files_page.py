@@ -39,7 +39,7 @@ def before(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         yield
 
 
-def test_every_example_of_the_page_does_what_it_says(before: None) -> None:
+def test_every_example_of_the_page_gives_the_stated_result(before: None) -> None:
     names: dict[str, Any] = {}
     blocks = BLOCK.findall(PAGE.read_text())
     assert len(blocks) >= 5

@@ -49,7 +49,7 @@ def blocks_of(page: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_every_example_of_a_page_prints_what_stands_beside_it(
+def test_every_example_of_a_page_prints_the_stated_output(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, page: str
 ) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)

@@ -41,14 +41,14 @@ def test_the_readme_has_programs_and_commands() -> None:
     assert len(COMMANDS) >= 6
 
 
-def test_the_first_program_prints_what_it_put(cluster: LocalCluster) -> None:
+def test_the_first_program_prints_its_own_items(cluster: LocalCluster) -> None:
     done = run_program(PROGRAMS[0], cluster)
     assert "b'the next frame'" in done
     assert "b'a frame' {'enc': 'jpeg'}" in done
     assert "0 NOT_YET" in done
 
 
-def test_the_awaited_program_prints_what_it_put(cluster: LocalCluster) -> None:
+def test_the_awaited_program_prints_its_own_items(cluster: LocalCluster) -> None:
     assert "b'live'" in run_program(PROGRAMS[1], cluster)
 
 

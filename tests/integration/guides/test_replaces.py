@@ -39,7 +39,7 @@ def check(program: str, names: dict[str, Any]) -> None:
     assert printed.getvalue().splitlines() == PRINTED.findall(program)
 
 
-def test_our_programs_do_what_stands_beside_them(
+def test_our_programs_print_the_stated_output(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
@@ -94,7 +94,7 @@ def zenoh_names(folder: Path) -> Iterator[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("section", "names"), [("Redis Streams", redis_names), ("NATS JetStream", nats_names), ("Zenoh", zenoh_names)]
 )
-def test_the_program_of_another_system_does_what_stands_beside_it(section: str, names: Any, tmp_path: Path) -> None:
+def test_the_program_of_another_system_prints_the_stated_output(section: str, names: Any, tmp_path: Path) -> None:
     (program,) = blocks(SECTIONS[section], "py")
     with names(tmp_path) as given:
         check(program, given)

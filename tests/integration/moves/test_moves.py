@@ -54,7 +54,7 @@ def test_a_channel_that_is_there_already_does_not_move(rt: Any, channel: Any) ->
     assert rt.move(channel, "h1").blackout_nanos == 0
 
 
-def test_a_channel_that_nobody_has_used_moves_too(rt: Any) -> None:
+def test_an_unused_channel_moves_too(rt: Any) -> None:
     channel = rt.channel(f"cam/{next(numbers)}", host="h1")
     assert rt.move(channel.name, "h3").held == 0
     assert channel.put(b"first").seq == 1

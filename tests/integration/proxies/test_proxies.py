@@ -102,7 +102,7 @@ def test_a_subscription_that_wants_the_owner_stays_there(rt: Any, channel: Any) 
         eventually(lambda: channel.stats().subscriptions == 4, "all are at the owner")
 
 
-def test_proxies_come_and_go_under_load_and_nobody_misses_or_repeats_an_item(rt: Any, channel: Any) -> None:
+def test_proxies_come_and_go_under_load_and_no_reader_misses_or_repeats_an_item(rt: Any, channel: Any) -> None:
     with reading(channel, 8) as readers, produced(channel) as producing:
         for host in ("h2", "h3", "h2"):
             passes(producing, 30)

@@ -16,7 +16,7 @@ cluster = cluster_fixture(hosts=1, supernodes=1)
 
 
 @pytest.mark.parametrize("transport", ["grpc", None])
-def test_a_put_that_is_not_replicated_in_time_says_so_and_nobody_sees_it(cluster: LocalCluster, transport: Any) -> None:
+def test_a_put_that_is_not_replicated_in_time_fails_and_stays_hidden(cluster: LocalCluster, transport: Any) -> None:
     with st.connect(cluster.address, transport=transport) as rt:
         channel = rt.channel(f"waits/{transport}", max_items=10, replicas=1, ack="replica")
         with pytest.raises(st.NotReplicated) as told:

@@ -76,7 +76,7 @@ def test_a_client_that_may_put_may_open_and_put_and_nothing_else(cluster: LocalC
         assert list(rt.channels()) == []
 
 
-def test_only_a_caller_that_may_read_a_channel_sees_who_reads_and_writes_it(
+def test_only_a_caller_that_may_read_a_channel_sees_its_readers_and_writers(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     things(cluster)
@@ -153,7 +153,7 @@ def denied(method: Any, request: Any, operator: Operator) -> str:
     return f"{caught.value.details()} {caught.value.trailing_metadata()}"
 
 
-def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channels(
+def test_reading_a_group_needs_its_read_right_and_making_it_those_of_its_channels(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     things(cluster)
@@ -171,7 +171,7 @@ def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channel
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_channels_queues_groups_and_peers_tell_who_made_them(
+def test_channels_queues_groups_and_peers_name_their_makers(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with st.connect(cluster.address, secret=operator.token("maker"), name="maker-peer") as rt:
@@ -198,7 +198,7 @@ def test_channels_queues_groups_and_peers_tell_who_made_them(
             assert json.loads(capsys.readouterr().out)["created_by"] == "maker"
 
 
-def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, operator: Operator) -> None:
+def test_only_peers_own_their_mailboxes(cluster: LocalCluster, operator: Operator) -> None:
     operator.add("*", "register,send", "robot-*", "--kind", "peer")
     tokens = [operator.token(name) for name in ("robot-1", "thief")]
     with (
@@ -271,7 +271,7 @@ def test_a_name_that_no_rule_gives_cannot_be_registered(cluster: LocalCluster, o
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_a_caller_with_the_secret_of_the_cluster_may_do_everything_whatever_the_rules(
+def test_a_caller_with_the_secret_of_the_cluster_may_do_everything_under_any_rules(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     operator.add("*", "*", "*", "--deny")
@@ -281,7 +281,7 @@ def test_a_caller_with_the_secret_of_the_cluster_may_do_everything_whatever_the_
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
+def test_an_operator_sees_the_effect_of_a_rule_and_the_reason_of_a_denial(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     things(cluster)
@@ -383,7 +383,7 @@ def test_the_removal_of_an_unknown_rule_says_how_to_write_the_rule(
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_an_operator_is_told_which_part_has_not_heard_of_a_rule_yet(
+def test_an_operator_sees_which_service_has_not_received_a_rule_yet(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt.administration.in_force.IN_FORCE_SECONDS", 0.1)

@@ -42,7 +42,7 @@ async def test_bytes_that_are_no_request_leave_nothing_in_the_logs() -> None:
 
 
 @pytest.mark.parametrize("name", ["unfinished-puts", *rare("unfinished-messages")])
-async def test_requests_that_nobody_finishes_take_no_more_than_their_room_and_a_small_window_for_each_stream(
+async def test_unfinished_requests_take_at_most_their_room_and_a_small_window_for_each_stream(
     name: str,
 ) -> None:
     found = await attacked(name)

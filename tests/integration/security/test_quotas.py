@@ -73,7 +73,7 @@ def client(cluster: LocalCluster, operator: Operator, monkeypatch: pytest.Monkey
         yield rt
 
 
-def test_a_client_beyond_its_quota_is_told_which_and_what_raises_it_and_what_it_has_goes_on(
+def test_a_client_beyond_its_quota_sees_the_quota_and_advice_and_keeps_its_streams(
     operator: Operator, client: st.Connection
 ) -> None:
     channel = client.channel("quotas/video")

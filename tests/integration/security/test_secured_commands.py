@@ -58,7 +58,7 @@ def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster
 
 
 @pytest.mark.parametrize("verb", ["status", "add", "remove", "snapshot", "join"])
-def test_every_verb_of_supernode_says_what_a_caller_without_a_certificate_lacks(
+def test_every_verb_of_supernode_tells_a_caller_that_it_needs_a_certificate(
     verb: str, cluster: LocalCluster, tmp_path: Path
 ) -> None:
     joining = ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")
@@ -69,7 +69,7 @@ def test_every_verb_of_supernode_says_what_a_caller_without_a_certificate_lacks(
     assert printed.startswith(told)
 
 
-def test_doctor_finds_a_secured_cluster_well_and_says_what_a_caller_lacks(
+def test_doctor_finds_a_secured_cluster_healthy_and_tells_a_caller_what_it_lacks(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert stampede(["doctor", "--url", cluster.address]) == 1

@@ -27,13 +27,13 @@ from tests.contract.test_puts import (
     test_seqs_grow_by_one,
 )
 from tests.contract.test_reads import (
-    test_an_item_keeps_what_its_producer_said_of_it,
-    test_items_come_in_the_order_of_time_whatever_the_order_of_arrival,
+    test_an_item_keeps_the_time_and_attributes_of_its_producer,
+    test_items_come_in_the_order_of_time_and_not_of_arrival,
     test_limit_keeps_the_earliest_and_pages_on,
 )
 from tests.contract.test_subscriptions import (
-    test_every_item_comes_once_whatever_its_time,
-    test_newest_never_goes_back_and_counts_what_it_skips,
+    test_every_item_comes_once_at_any_time,
+    test_newest_never_goes_back_and_counts_skipped_items,
 )
 from tests.contract.test_waiting import (
     test_a_blocking_get_is_released_by_the_first_matching_item,

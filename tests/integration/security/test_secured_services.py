@@ -136,9 +136,7 @@ def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster
 
 
 @pytest.mark.parametrize("is_move", [False, True])
-def test_a_host_is_not_fed_as_another_whose_reports_would_acknowledge_puts(
-    cluster: LocalCluster, is_move: bool
-) -> None:
+def test_a_host_cannot_open_a_feed_under_the_id_of_another_host(cluster: LocalCluster, is_move: bool) -> None:
     with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
         (h1,) = [one for one in rt.hosts() if one.name == "h1"]
         channel_id = rt.channel("fed/claimed").info.channel_id

@@ -26,7 +26,7 @@ def responses(data: bytes, part_bytes: int = 999) -> Iterator[TakeSnapshotRespon
 
 
 @pytest.mark.parametrize("part_bytes", [7, 999, 10**6])
-def test_a_whole_backup_replaces_what_was_there(tmp_path: Path, part_bytes: int) -> None:
+def test_a_whole_backup_replaces_the_former_file(tmp_path: Path, part_bytes: int) -> None:
     out = tmp_path / "backup"
     out.write_bytes(b"older")
     assert write_backup(responses(BODY + SHA256, part_bytes), out) == FACTS

@@ -17,7 +17,7 @@ def owner(cluster: LocalCluster, channel: st.Channel) -> object:
     return next(host for host in cluster.hosts if channel.host in host.name or host.name in channel.host)
 
 
-def test_the_loss_of_a_supernode_and_a_front_end_disturbs_nobody(cluster: LocalCluster) -> None:
+def test_clients_go_on_after_the_loss_of_a_supernode_and_a_front_end(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("cam/left", max_age="60s")
         channel.put(b"before")

@@ -78,7 +78,7 @@ async def test_addresses_of_two_clusters_in_one_list_are_refused_and_both_are_na
             await one.close()
 
 
-async def test_a_founder_that_is_started_without_its_list_says_what_to_name(tmp_path: Path) -> None:
+async def test_a_founder_that_is_started_without_its_list_names_the_missing_flag(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     address, data_dir = f"127.0.0.1:{port}", str(tmp_path / "a")
     place = ["--listen", address, "--data-dir", data_dir]

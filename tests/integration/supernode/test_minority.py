@@ -11,7 +11,7 @@ from tests.support.supernode.commands import command
 from tests.support.supernode.processes import Supernode, free_ports, open_channel, register, resolve, running_cluster
 
 
-async def test_a_supernode_without_a_majority_gives_what_it_holds_and_a_new_cluster_goes_on_with_it(
+async def test_a_supernode_without_a_majority_gives_a_stale_backup_that_founds_a_new_cluster(
     tmp_path: Path,
 ) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:

@@ -279,5 +279,5 @@ def _play_steps(scenario: Scenario, numbers: list[int]) -> None:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
-def test_a_group_does_what_the_oracle_does_in_every_scenario(numbers: list[int]) -> None:
+def test_a_group_agrees_with_the_oracle_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)

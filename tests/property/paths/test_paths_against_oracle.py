@@ -58,7 +58,7 @@ def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
-def test_a_client_sees_what_the_oracle_says_in_every_scenario(
+def test_a_client_agrees_with_the_oracle_in_every_scenario(
     surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
 ) -> None:
     ring_answers.clear()
@@ -68,6 +68,6 @@ def test_a_client_sees_what_the_oracle_says_in_every_scenario(
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
 @pytest.mark.parametrize("items_per_block", [2, 1024])
-def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_scenario(items_per_block: int) -> None:
+def test_the_path_without_a_network_agrees_with_the_oracle_in_every_scenario(items_per_block: int) -> None:
     with core_surface(items_per_block) as (surface, host):
         play_stories(surface, host, 2 * EXAMPLES)

@@ -122,7 +122,7 @@ async def test_a_command_over_the_limit_is_refused_by_name_and_size(tmp_path: Pa
             await log.propose(b"x" * (COMMAND_BYTES_MAX + 1), timeout=SECONDS_MAX)
 
 
-async def test_closing_ends_what_waits_at_once(tmp_path: Path) -> None:
+async def test_closing_ends_all_waiting_calls_at_once(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         first, second, third = cluster.all
         await second.stop()

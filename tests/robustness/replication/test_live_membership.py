@@ -183,7 +183,7 @@ async def test_changes_without_effect_are_no_error_and_senseless_ones_are(tmp_pa
             await log.remove_member("m0", timeout=5.0)
 
 
-async def test_nobody_is_removed_who_is_needed_for_a_majority(tmp_path: Path) -> None:
+async def test_a_member_that_the_majority_needs_is_not_removed(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         down, alive = await cluster.followers()
         await down.stop()
@@ -203,7 +203,7 @@ def _is_alive(leader: ReplicatedLog, other: LiveMember) -> bool:
     return other.member.member_id in node.alive_voters(within_seconds=0.6)
 
 
-async def test_no_leader_is_removed_who_is_needed_for_a_majority_not_even_by_its_successor(tmp_path: Path) -> None:
+async def test_a_leader_that_the_majority_needs_is_not_removed_by_its_successor_either(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         first = (await cluster.leader()).member.member_id
         [down, _] = await cluster.followers()

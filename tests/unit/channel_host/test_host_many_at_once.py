@@ -95,7 +95,7 @@ async def test_a_listing_looks_at_a_bounded_number_of_channels_in_one_piece(rig:
     assert page.has_more
 
 
-async def test_a_piece_that_nobody_waits_for_gives_way_to_others() -> None:
+async def test_a_piece_without_a_waiting_caller_runs_after_the_others() -> None:
     done: list[int] = []
 
     def three() -> Pieces[None]:

@@ -141,7 +141,7 @@ def test_a_stale_binding_is_forgotten_for_every_thread() -> None:
     assert cache.gatekeepers(b"h") == ()
 
 
-def test_a_run_takes_what_fits_together_and_numbers_go_on() -> None:
+def test_a_run_holds_as_many_items_as_fit_and_the_next_run_continues_their_numbers() -> None:
     builder = RunBuilder()
     for number in range(RUN_ITEMS_MAX):
         assert builder.fits(b"x", number, None, "")

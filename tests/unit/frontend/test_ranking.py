@@ -51,7 +51,7 @@ NODES = st.builds(
 
 
 @given(st.lists(NODES, max_size=8), st.sampled_from(["", "x"]))
-def test_ranking_loses_nobody_puts_all_healthy_ones_first_and_is_settled(nodes: list[Supernode], zone: str) -> None:
+def test_ranking_keeps_all_supernodes_puts_healthy_ones_first_and_is_stable(nodes: list[Supernode], zone: str) -> None:
     ranked = rank(nodes, zone)
     assert sorted(map(repr, ranked)) == sorted(map(repr, nodes))
     health = [one.healthy for one in ranked]

@@ -168,7 +168,7 @@ def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> N
     assert failure.startswith("x1:1: belongs to another cluster, c2, and this front-end serves c1;")
 
 
-def test_another_cluster_at_its_addresses_is_left_out_though_nobody_of_the_own_one_answers() -> None:
+def test_supernodes_of_another_cluster_are_left_out_even_if_no_own_one_answers() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     for target in roster.targets():

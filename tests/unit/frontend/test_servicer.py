@@ -97,7 +97,7 @@ async def test_a_caller_that_comes_before_the_supernode_waits_for_it() -> None:
             assert (await waiting).supernodes[0].healthy
 
 
-async def test_a_caller_is_told_no_quorum_when_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_caller_hears_of_a_lost_quorum_when_no_supernode_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_frontend.servicer.WAIT_SECONDS_MAX", 0.1)
     async with frontend(NOBODY) as bind:
         with pytest.raises(Unavailable, match=f"no supernode answers this front-end .*{NOBODY}") as caught:

@@ -223,9 +223,7 @@ async def refusal(target: str, files: TlsFiles | None) -> str:
     return found.message
 
 
-async def test_a_client_hears_what_is_wrong_with_the_certificate_of_the_service(
-    made: ClusterCertificates, tmp_path: Path
-) -> None:
+async def test_a_client_reads_the_fault_of_the_services_certificate(made: ClusterCertificates, tmp_path: Path) -> None:
     client = made.issue(Role.CLIENT, "cam")
     late = made.issue(Role.HOST, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
     early = made.issue(Role.HOST, "early", begins=datetime.now(UTC) + DAY, lifetime=DAY)
@@ -257,7 +255,7 @@ async def test_a_client_hears_that_the_service_speaks_plain_text(made: ClusterCe
         assert await asyncio.to_thread(explain_refusal, server.address, None) is None
 
 
-async def test_nothing_is_said_of_certificates_when_all_is_well_or_nobody_is_there(
+async def test_no_error_names_certificates_if_they_are_valid_or_no_service_answers(
     made: ClusterCertificates, own: ServiceTls
 ) -> None:
     reader = TlsReader(made.issue(Role.CLIENT, "cam"))

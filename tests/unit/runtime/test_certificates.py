@@ -30,7 +30,7 @@ def made(tmp_path: Path) -> ClusterCertificates:
     return ClusterCertificates(tmp_path / "certs")
 
 
-def test_a_certificate_says_who_it_is_for_and_where_and_until_when() -> None:
+def test_a_certificate_holds_its_name_its_addresses_and_its_end() -> None:
     authority = make_authority("lab", now=NOW, lifetime=10 * DAY)
     one = issue(authority, HOST, ("rig", "10.0.0.1", "[::1]"), now=NOW, lifetime=DAY)
     (told,) = describe(one.certificate)
@@ -196,9 +196,7 @@ def test_a_certificate_is_to_be_renewed_two_weeks_before_its_end_or_with_a_third
     assert told.ends_soon(NOW + lifetime - left, 14 * DAY) is soon
 
 
-def test_a_service_does_not_start_with_a_certificate_that_nobody_would_accept(
-    made: ClusterCertificates, tmp_path: Path
-) -> None:
+def test_a_service_does_not_start_with_an_invalid_certificate(made: ClusterCertificates, tmp_path: Path) -> None:
     late = made.issue(Role.HOST, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
     with pytest.raises(PermissionDenied, match="has expired; issue it anew"):
         load_tls(late, Role.HOST)

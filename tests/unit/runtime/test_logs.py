@@ -67,7 +67,7 @@ def test_a_record_is_one_json_object_with_its_event_and_numbers_as_numbers() -> 
 
 
 @pytest.mark.parametrize("value", ["a\nb", "\x1b[31m", '"}', "\ud800", b"\x00", None, object()])
-def test_a_json_line_has_no_control_character_whatever_its_values(value: object) -> None:
+def test_a_json_line_has_no_control_character_for_any_values(value: object) -> None:
     line = JsonFormatter().format(record("m %s", "\r\n\x9b", value=value))
     assert line.isascii()
     assert line.isprintable()
@@ -97,7 +97,7 @@ def test_the_log_has_no_line_for_a_caller_that_has_gone_before_its_answer(capsys
     assert "a defect" in told
 
 
-def test_an_error_that_nobody_handles_is_one_line_in_the_main_thread_and_in_others() -> None:
+def test_an_unhandled_error_is_one_line_in_the_main_thread_and_in_others() -> None:
     script = (
         "import threading\n"
         "from stampede_rt_runtime.logs import log_defects, set_up_logging\n"

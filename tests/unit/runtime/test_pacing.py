@@ -81,7 +81,7 @@ async def test_a_caller_that_comes_alone_does_not_wait() -> None:
         await asyncio.sleep(0)
 
 
-async def test_a_caller_that_gives_up_in_line_takes_nobodys_place() -> None:
+async def test_a_caller_that_leaves_the_line_takes_no_place_of_others() -> None:
     gate = TurnGate()
 
     async def enter() -> None:
@@ -153,7 +153,7 @@ async def _handler(behavior: Any) -> Any:
 
 
 @pytest.mark.parametrize("kind", ["unary", "stream", "responses"])
-async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+async def test_every_kind_of_call_is_charged_the_cost_of_its_work(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """For every service: a supernode's list with a pattern costs more than one without."""
     now = 10**9
     monkeypatch.setattr("time.thread_time_ns", lambda: now)

@@ -66,7 +66,7 @@ def test_only_hosts_hold_leases(method: str) -> None:
     assert roles_for(f"/stampede_rt.v1.DirectoryService/{method}") == {Role.HOST}
 
 
-def test_a_client_cannot_change_who_the_supernodes_are() -> None:
+def test_a_client_cannot_change_the_members_of_the_supernodes() -> None:
     for method in ("CreateJoinToken", "AddSupernode", "RemoveSupernode"):
         allowed = roles_for(f"/stampede_rt.v1.MembershipService/{method}")
         assert Role.CLIENT not in allowed

@@ -13,7 +13,7 @@ def test_only_loopback_leads_to_this_machine(target: str) -> None:
     assert address_towards([target]) == "localhost"
 
 
-def test_a_place_to_which_no_way_leads_is_refused_with_what_to_do() -> None:
+def test_an_address_without_a_route_is_refused_with_advice() -> None:
     with pytest.raises(CannotListen, match=r"no address of this machine is known to lead to nowhere\.invalid:7580"):
         address_towards(["nowhere.invalid:7580"])
 

@@ -163,7 +163,7 @@ async def test_a_stream_that_is_ended_during_a_write_gets_its_status(earlier_wri
     assert await code_of(behavior) is grpc.StatusCode.FAILED_PRECONDITION
 
 
-async def test_headers_that_nobody_takes_hold_up_the_end_of_a_stream_for_a_limited_time(
+async def test_unread_headers_delay_the_end_of_a_stream_for_a_limited_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(stream_headers, "HEADERS_SECONDS_MAX", 0.01)

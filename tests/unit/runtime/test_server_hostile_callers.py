@@ -190,7 +190,7 @@ async def test_a_caller_without_a_secret_is_refused_before_anything_is_read(meth
         await raw.aclose()
 
 
-async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_much_or_wait_long() -> None:
+async def test_any_caller_may_check_the_health_but_not_with_large_or_slow_requests() -> None:
     async with port(SECRET, brings=False, limits=Limits(concurrent_rpcs_max=4, refusals_max=4)) as one:
         raw = await RawConnection.open(one.address)
         streams = [await raw.call(CHECK) for _ in range(500)]
@@ -224,7 +224,7 @@ async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more
             call.cancel()
 
 
-async def test_a_caller_cannot_send_more_than_a_small_window_on_a_stream_that_nobody_reads() -> None:
+async def test_a_caller_cannot_send_more_than_a_small_window_on_an_unread_stream() -> None:
     limits = Limits()
     async with port() as one:
         raw = await RawConnection.open(one.address)

@@ -123,14 +123,14 @@ def test_a_flag_without_its_value_is_refused() -> None:
         ("--level", "verbose", "info, debug"),
     ],
 )
-def test_a_bad_flag_is_named_with_its_value_and_what_is_allowed(flag: str, value: str, allowed: str) -> None:
+def test_a_bad_flag_is_named_with_its_value_and_the_allowed_values(flag: str, value: str, allowed: str) -> None:
     message = refusal(flag, value)
     assert flag in message
     assert allowed in message
     assert "expected" in message or repr(value) in message
 
 
-def test_a_bad_variable_is_named_with_its_value_and_what_is_allowed() -> None:
+def test_a_bad_variable_is_named_with_its_value_and_the_allowed_values() -> None:
     message = refusal(STAMPEDE_SAMPLE_LOUD="perhaps")
     assert message == "$STAMPEDE_SAMPLE_LOUD: 'perhaps' cannot be used; allowed: true or false"
 

@@ -64,7 +64,7 @@ async def test_port_0_is_announced_as_the_port_that_was_bound() -> None:
         await one.close()
 
 
-async def test_all_members_read_what_one_acknowledged_also_after_the_loss_of_the_leader(tmp_path: Path) -> None:
+async def test_all_members_read_acknowledged_commands_even_after_the_loss_of_the_leader(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         first, second = cluster.others(leader)
@@ -211,7 +211,9 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
-def test_a_supernode_does_not_run_the_verbs_of_the_client_and_says_who_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_supernode_program_refuses_client_verbs_and_names_the_client_program(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["status"]) == 2
     said = "stampede supernode: the client runs 'status'; write: stampede supernode status\n"
     assert capsys.readouterr().err == said

@@ -77,7 +77,7 @@ async def test_it_refuses_reads_and_updates_and_says_where_it_went_wrong(node: N
     assert (state, "join under a new id" in advice, "latest data folder" in advice) == ("diverged", True, False)
 
 
-async def test_it_says_of_itself_that_its_disk_does_not_answer_and_doctor_what_to_do(node: Node) -> None:
+async def test_a_supernode_reports_that_its_disk_does_not_answer_and_doctor_gives_advice(node: Node) -> None:
     node.log.disk_silent_seconds = 7.2
     pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
     state, advice = refusal(pong.refused_supernodes["s1"])

@@ -9,7 +9,7 @@ import pytest
 from tools.benchmark_docs import BEGIN, END, PAGE, charts_of, filled, report_of
 
 
-def test_a_report_replaces_what_was_between_its_markers_and_nothing_else() -> None:
+def test_a_report_replaces_only_the_text_between_its_markers() -> None:
     page = f"above\n{BEGIN.format('limits')}old\n{END.format('limits')}\nbelow\n"
     once = filled(page, "limits", "new", ["limits-streams.png"])
     images = "![limits-streams](images/bench-limits-streams.png)\n"

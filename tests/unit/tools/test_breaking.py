@@ -158,7 +158,7 @@ def test_a_file_is_accepted_once_its_mark_is_gone(contract: tuple[Path, Path]) -
     assert guard(source, stable) == 1
 
 
-def test_exactly_the_services_that_nobody_implements_bear_the_mark() -> None:
+def test_exactly_the_unimplemented_services_bear_the_mark() -> None:
     sources = "\n".join(path.read_text() for path in breaking.ROOT.glob("services/*/src/**/*.py"))
     marked = {
         name: path in breaking.unserved(breaking.PROTO)

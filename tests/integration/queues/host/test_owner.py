@@ -36,7 +36,7 @@ async def test_a_wrong_epoch_is_refused_everywhere(rig: QueueRig) -> None:
     assert caught.value.code() == grpc.StatusCode.FAILED_PRECONDITION
 
 
-async def test_a_queue_of_another_host_has_moved_and_one_of_nobody_is_not_found(rig: QueueRig) -> None:
+async def test_a_queue_of_another_host_has_moved_and_an_unknown_queue_is_not_found(rig: QueueRig) -> None:
     queue = rig.open()
     queue.record.host_id = b"another-host-id!"
     (acked,) = await queue.enqueue(run_of(b"x"))

@@ -39,7 +39,7 @@ async def test_messages_are_taken_in_order_and_consumed_by_acknowledging(rig: Qu
     assert (counters.accepted, counters.consumed, counters.held, counters.leased) == (3, 3, 0, 0)
 
 
-async def test_a_taker_that_waits_is_given_what_comes(rig: QueueRig) -> None:
+async def test_a_waiting_taker_gets_new_messages(rig: QueueRig) -> None:
     queue = rig.open()
     taker = await queue.take(credit=1).open()
     await queue.until(lambda status: status.waiting_takers == 1)

@@ -46,7 +46,7 @@ def test_a_publisher_at_a_rate_says_how_long_to_wait_for_the_next_item() -> None
     assert 0 < wait <= 1000
 
 
-def test_queues_have_room_for_more_than_what_is_on_its_way() -> None:
+def test_queues_have_room_for_more_than_the_messages_under_way() -> None:
     for size in (64, 18_000, 300_000):
         room = room_for(size)
         assert room.items_max >= 2 * (window_items(size) + room.batch_items)

@@ -90,7 +90,7 @@ def test_the_bytes_of_a_channel_count_for_the_caller_that_made_it_also_when_the_
     disk.of_channel(TWO, "cam").check()
 
 
-def test_a_start_finds_the_folders_of_all_channels_and_who_made_them(folder: ArchiveFolder) -> None:
+def test_a_start_finds_the_folders_and_makers_of_all_channels(folder: ArchiveFolder) -> None:
     recorded(folder, ONE, "cam")
     recorded(folder, TWO, "")
     (folder.path / "channels" / "no-channel").mkdir()

@@ -42,7 +42,7 @@ def read_all(channel: ChannelCore, **fields: object) -> ReadAnswer:
 
 
 @given(st.integers(0, 2**64 - 1), st.lists(st.sampled_from([0, 1, 100, 127, 128, 20_000]), min_size=1, max_size=5))
-def test_a_get_response_is_what_protobuf_would_write(call_id: int, lengths: list[int]) -> None:
+def test_a_get_response_equals_the_bytes_of_protobuf(call_id: int, lengths: list[int]) -> None:
     channel, stored = channel_of(lengths)
     answer, summary = read_all(channel, limit=len(lengths)), pb.GetSummary(complete=True, detail="why")
     (message,) = get_responses(call_id, answer, summary, without_payloads=False)

@@ -168,7 +168,7 @@ async def test_runs_of_which_items_in_the_middle_went_are_charged_as_they_are_ke
     assert channel.footprint_bytes() == host.memory.used_bytes
 
 
-async def test_a_put_of_one_byte_with_large_attributes_is_charged_with_what_it_keeps() -> None:
+async def test_a_put_of_one_byte_with_large_attributes_is_charged_with_all_kept_bytes() -> None:
     host = Host()
     channel = host.open(Policy(max_items=10))
     encoded = encode_run([b"x"], times=None, attributes={"a": "b" * 10_000})
@@ -188,7 +188,7 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
 
 
 async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
-    """A fixed fault: such a put looked at 2048 channels in one step, and first at the channels that had just changed."""
+    """A fixed fault: such a put looked at 2048 channels in one step, the just changed ones first."""
     host = Host(bytes_max=200_000)
     old = [host.open(Policy(max_age_nanos=S)) for _ in range(4)]
     for channel in old:

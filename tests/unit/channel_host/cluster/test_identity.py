@@ -14,13 +14,13 @@ def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
     assert load_host_id(None) != load_host_id(None)
 
 
-def test_the_error_for_a_damaged_id_file_says_what_to_do(tmp_path: Any) -> None:
+def test_the_error_for_a_damaged_id_file_gives_advice(tmp_path: Any) -> None:
     (tmp_path / "host-id").write_text("what")
     with pytest.raises(ValueError, match="holds no host id; remove it"):
         load_host_id(tmp_path)
 
 
-def test_the_error_for_a_damaged_cluster_file_says_what_to_do(tmp_path: Any) -> None:
+def test_the_error_for_a_damaged_cluster_file_gives_advice(tmp_path: Any) -> None:
     (tmp_path / "cluster-id").write_bytes(b"\xff")
     with pytest.raises(ValueError, match="holds no cluster id; remove it, and the host may register with any cluster"):
         HomeCluster(tmp_path)

@@ -64,7 +64,7 @@ def test_records_cannot_be_changed() -> None:
             record.name = "other"  # type: ignore[misc]
 
 
-def test_a_record_says_who_owns_what_and_how_it_is_set_up() -> None:
+def test_a_record_holds_the_owner_and_the_settings_of_a_channel() -> None:
     channel, queue, group = recorded_channel(CHANNEL), recorded_queue(QUEUE), recorded_group(GROUP)
     assert (channel.name, channel.host_id, channel.epoch, channel.policy.max_items) == ("cam", b"h" * 16, 3, 5)
     assert (queue.queue_id, queue.incarnation, queue.policy.max_items) == (b"q" * 16, 9, 5)

@@ -43,7 +43,7 @@ def test_the_greatest_numbers_are_told_apart() -> None:
     assert window.find(2**64 - 1, last - 1, 1, now=0) is None
 
 
-def test_a_run_that_was_accepted_in_part_is_recognised_with_what_is_settled_of_it() -> None:
+def test_a_retry_of_a_partly_accepted_run_finds_its_accepted_part() -> None:
     window = RetryWindow()
     window.record(PRODUCER, 1, half(4, 3, first_seq=1))
     assert window.find(PRODUCER, 1, 4, now=1) == half(4, 3, first_seq=1)
@@ -164,7 +164,7 @@ def test_a_thousand_puts_of_one_item_cost_tens_of_bytes_each_and_the_window_know
     assert size <= window.footprint_bytes <= 64 * RUNS_MAX
 
 
-def test_many_producers_cost_what_the_window_says() -> None:
+def test_many_producers_cost_the_memory_that_the_window_reports() -> None:
     window = RetryWindow()
     tracemalloc.start()
     try:

@@ -54,7 +54,7 @@ def test_a_monotonic_reading_from_before_counts_as_the_last_one() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**10), st.integers(-(10**13), 10**13)), max_size=30))
-def test_host_time_keeps_within_the_slew_of_elapsed_time_whatever_the_wall_clock_does(
+def test_host_time_keeps_within_the_slew_of_elapsed_time_at_every_step_of_the_wall_clock(
     steps: list[tuple[int, int]],
 ) -> None:
     monotonic, clock = 0, HostTime(0, 0)

@@ -11,7 +11,7 @@ keys = st.tuples(st.integers(0, 5), st.integers(0, 5))
 
 
 @given(st.lists(keys, unique=True), st.lists(st.integers(0, 40)), st.none() | keys, keys, st.integers(0, 6))
-def test_a_keyed_list_gives_its_things_by_key_whatever_the_order_of_additions(
+def test_a_keyed_list_is_in_the_order_of_keys_and_not_of_additions(
     added: list[Key], removed: list[int], last: Key | None, end: Key, things_max: int
 ) -> None:
     listed: KeyedList[Key] = KeyedList(lambda key: key)

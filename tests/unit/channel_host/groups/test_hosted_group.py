@@ -84,7 +84,7 @@ async def test_a_cut_that_moves_wakes_a_few_readers_in_a_turn() -> None:
     assert (counts[0], most(counts), counts[-1]) == (OBSERVERS_PER_PIECE, OBSERVERS_PER_PIECE, MANY)
 
 
-async def test_a_cut_that_moves_releases_a_few_of_those_who_wait_for_it_in_a_turn() -> None:
+async def test_a_cut_that_moves_releases_a_few_waiting_calls_in_each_turn() -> None:
     hosted, released = Hosted(), 0
 
     async def wait() -> None:

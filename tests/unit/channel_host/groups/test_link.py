@@ -91,7 +91,7 @@ class Wire:
         await self.running
 
 
-async def test_the_other_side_is_told_only_what_it_wants_to_hear_and_the_latest_of_it() -> None:
+async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels() -> None:
     notebook = Notebook()
     wire = Wire(notebook)
     await wire.greet()

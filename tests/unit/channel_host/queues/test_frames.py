@@ -18,7 +18,7 @@ def stored(first_seq: int, *payloads: bytes) -> QueuedRun:
     return QueuedRun(first_seq, tuple(map(len, payloads)), 0, body.SerializeToString())
 
 
-def test_a_framed_response_is_what_the_generated_message_would_be() -> None:
+def test_a_framed_response_equals_the_bytes_of_the_generated_message() -> None:
     whole, cut = stored(1, b"a", b"bb"), stored(3, b"c" * 200, b"d", b"e")
     batch = Batch([LeasedSlice(whole, 0, 2, [7, 8], [1, 1]), LeasedSlice(cut, 1, 3, [9, 10], [1, 4])], 500)
     results = [queue_pb2.SettlementResult(delivery_id=5)]

@@ -78,7 +78,7 @@ async def test_an_operation_whose_host_does_not_answer_in_time_is_tried_again(cl
     assert place.forgotten == 3
 
 
-async def test_a_last_try_that_was_cut_short_does_not_hide_what_kept_the_others(clock: Clock) -> None:
+async def test_a_last_try_that_was_cut_short_does_not_hide_the_failure_of_the_others(clock: Clock) -> None:
     operation = Operation(st.Unavailable("gone"), st.DeadlineExceeded("too little time"), for_ever=True)
     with pytest.raises(st.Unavailable, match="gone"):
         await attempt(Place(), operation, 10)

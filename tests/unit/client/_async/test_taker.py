@@ -266,7 +266,7 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
     assert not taker._waiting
 
 
-async def test_a_poll_that_gets_what_another_had_asked_for_is_answered_at_once() -> None:
+async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_for() -> None:
     """A fixed fault: the poll already had its message, but waited 12 s for a stream on which to ask for another one."""
     host = Host()
     taker = taker_at(host)
@@ -295,7 +295,7 @@ async def test_prefetched_messages_are_extended_while_others_are_taken_and_go_ba
     assert (host.extended, host.given_back) == ([3], [3])
 
 
-async def test_a_stream_that_breaks_is_replaced_under_those_who_wait() -> None:
+async def test_waiting_callers_go_on_after_their_stream_broke() -> None:
     host = Host()
     taker = taker_at(host)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -314,7 +314,7 @@ async def until_at_rest(taker: Taker) -> None:
             await asyncio.sleep(0)
 
 
-async def test_no_stream_is_opened_for_those_who_left_while_none_could_be() -> None:
+async def test_no_stream_is_opened_for_callers_that_left_meanwhile() -> None:
     """Each cancelled get of a handle at a lost host left a stream and a task behind, once there was another host."""
     host = Host()
     host.error = st.Unavailable("connection refused")

@@ -37,7 +37,7 @@ def test_a_new_channel_and_one_that_has_begun_anew_have_no_rates_yet() -> None:
         assert (row.items, row.bytes_in, row.age_nanos) == (0, 0, None)
 
 
-def test_rows_are_sorted_by_what_the_user_chooses_and_then_by_name() -> None:
+def test_rows_are_sorted_by_the_chosen_column_and_then_by_name() -> None:
     now = {name: ("h1", replace(STATS, held=held)) for name, held in (("b", 1), ("a", 1), ("cam", 9))}
     rows = rates_of(now, now)
     assert [row.channel for row in arranged(rows, "held")] == ["cam", "a", "b"]

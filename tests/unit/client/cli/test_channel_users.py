@@ -19,7 +19,7 @@ TOLD = replace(
 )
 
 
-def test_people_see_who_missed_how_much_and_how_long_ago_a_writer_put() -> None:
+def test_people_see_the_missed_items_of_each_reader_and_the_last_put_of_each_writer() -> None:
     assert user_facts(TOLD, people=True) == {
         "dropped": 7,
         "readers": "dash#3 (5 collected, 2 skipped), @localhost#1",

@@ -138,7 +138,7 @@ def test_an_interrupt_that_a_weakref_callback_swallows_ends_the_process_all_the_
     assert "Traceback" not in said or "Exception ignored" in said
 
 
-def test_a_second_ctrl_c_ends_what_unwinds_at_once() -> None:
+def test_a_second_ctrl_c_ends_the_cleanup_at_once() -> None:
     program = f"""
     with interrupts.unwinding(signal.SIGINT, limit_s={FOREVER}):
         try:

@@ -43,7 +43,7 @@ def told(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list
     return [rows.get() for _ in range(rows.qsize())]
 
 
-def test_after_a_restart_the_watch_tells_what_differs_from_the_list_and_goes_on() -> None:
+def test_after_a_restart_the_watch_reports_the_differences_to_the_list_and_goes_on() -> None:
     *rows, error = told(
         ([channel("kept"), channel("gone"), channel("moved")], [
             Change(index=5, kind="added", subject=channel("late")), WatchRestart("begin anew")

@@ -82,7 +82,7 @@ def test_the_failures_of_all_rounds_tell_whether_a_majority_is_missing() -> None
     assert "1 of 3 supernodes answer" in failure.message
 
 
-def test_without_a_supernode_the_error_says_what_to_start() -> None:
+def test_without_a_supernode_the_error_names_the_service_to_start() -> None:
     assert "start a front-end and supernodes" in DirectoryCall(deadline_s=1.0).failure([]).message
 
 

@@ -80,7 +80,7 @@ def sampler(clock: TestClock, session: Attaching, function: Any, put: Any) -> Sa
     return Sampler(cast(Session, session), "channel 'x'", put, function, 10, clock)
 
 
-async def test_samples_do_not_drift_and_what_was_missed_is_counted() -> None:
+async def test_samples_do_not_drift_and_missed_samples_are_counted() -> None:
     clock, session, times = TestClock(), Attaching(), []
     lasts = {0: 3, 1: 7, 2: 38, 3: 0}  # how long each call takes; a period is 10
 

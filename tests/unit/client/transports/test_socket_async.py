@@ -63,7 +63,7 @@ async def test_a_large_request_goes_in_one_message_or_in_few_pieces(request_byte
         assert (found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)) == request
 
 
-async def test_a_large_request_over_grpc_goes_in_pieces_of_what_grpc_takes() -> None:
+async def test_a_large_request_over_grpc_goes_in_pieces_below_the_limit_of_grpc() -> None:
     class GrpcCall:
         def __init__(self) -> None:
             self.written: list[bytes] = []

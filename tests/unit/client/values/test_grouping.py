@@ -48,7 +48,7 @@ def test_values_are_found_by_handle_by_another_handle_of_the_same_channel_and_by
     assert repr(found) == "{'left': 1, 'right': 2}"
 
 
-def test_a_channel_without_a_value_is_not_there_and_neither_is_what_is_no_channel() -> None:
+def test_a_mapping_has_no_key_for_a_channel_without_a_value_or_for_another_object() -> None:
     pair = Pair()
     found = ByChannel([pair.left, pair.right], {b"left": 1})
     assert list(found) == [pair.left]

@@ -54,7 +54,7 @@ def test_arguments_that_take_words_say_which(function: object, argument: str, an
     assert inspect.signature(function).parameters[argument].annotation == annotation  # type: ignore[arg-type]
 
 
-def test_a_group_shows_only_what_is_meant_for_its_users() -> None:
+def test_a_group_has_only_attributes_for_its_users() -> None:
     shown = {name for name in dir(st.Group) if not name.startswith("_")}
     assert shown == {
         "add", "channels", "delete", "get", "incarnation", "info", "match", "name", "newest", "refresh", "remove",

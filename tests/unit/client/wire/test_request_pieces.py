@@ -51,7 +51,7 @@ def test_a_request_that_grpc_encodes_goes_as_it_is() -> None:
 
 
 @given(st.binary(max_size=40), st.integers(0, 30), st.binary(max_size=3))
-def test_a_changed_piece_is_refused_or_means_what_protobuf_says(content: bytes, at: int, noise: bytes) -> None:
+def test_a_changed_piece_is_refused_or_read_like_protobuf(content: bytes, at: int, noise: bytes) -> None:
     whole = pb.PutRequest(piece=pb.RequestPiece(request_bytes=300, content=content)).SerializeToString()
     message = PIECE_TAG + (whole[1 : 1 + at] + noise + whole[1 + at + len(noise) :])
     try:

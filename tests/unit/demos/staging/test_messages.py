@@ -39,7 +39,7 @@ def test_a_line_that_is_no_start_is_refused(line):
         messages.decode_start(line)
 
 
-def test_an_event_that_nobody_knows_is_not_sent():
+def test_an_unknown_event_is_not_sent():
     with pytest.raises(messages.BadMessage, match="dance"):
         messages.encode("dance")
 

@@ -116,7 +116,7 @@ def test_a_role_that_ignores_the_kind_signal_is_ended_by_force(monkeypatch):
     assert is_gone(pid)
 
 
-def test_a_talkative_role_that_nobody_hears_is_ended_all_the_same():
+def test_a_role_with_unread_output_is_ended_too():
     source = """
         while True:
             print('{"event": "progress", "items": 1}', flush=True)

@@ -72,7 +72,7 @@ REPORT = StereoReport(
 )
 
 
-def test_the_report_says_what_was_paired_and_that_every_lonely_frame_was_named() -> None:
+def test_the_report_counts_paired_frames_and_names_every_unpaired_frame() -> None:
     text = render(REPORT)
     assert "90 of 90" in text
     assert "exactly these" in text

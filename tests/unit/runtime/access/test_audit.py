@@ -19,7 +19,7 @@ class Clock:
         return self.now
 
 
-def test_a_line_tells_who_did_what_from_where(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_audit_line_names_the_caller_the_action_and_the_address(caplog: pytest.LogCaptureFixture) -> None:
     AuditLog().denied(CAM, "ipv4:10.0.0.3:5", "put", "channel video")
     [line] = caplog.records
     facts = {key: vars(line)[key] for key in ("who", "proof", "serial", "address", "verb", "thing", "result")}

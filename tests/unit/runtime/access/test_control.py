@@ -156,7 +156,7 @@ async def test_a_caller_with_a_token_waits_for_the_keys_of_tokens_too_and_others
         assert await early.read() == b"1"
 
 
-async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_go_on() -> None:
+async def test_a_stream_ends_when_its_right_is_taken_away_and_others_go_on() -> None:
     async with port() as (server, begin):
         server.access.set_state(state(1, ALLOW))
         client, other, member = begin(CLIENTS), begin(CLIENTS), begin(CLUSTER)

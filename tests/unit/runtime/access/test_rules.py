@@ -36,7 +36,7 @@ def test_with_the_first_rule_all_that_none_allows_is_denied() -> None:
         assert not rules.judge(client(who), verb, CHANNEL, name).allowed
 
 
-def test_a_rule_that_denies_beats_all_that_allow_in_whatever_order() -> None:
+def test_a_rule_that_denies_beats_all_that_allow_in_any_order() -> None:
     rules = [allow("*", (), "*"), deny("cam-1", (PUT,), "video/*"), allow("cam-1", (PUT,), "video/1")]
     for ordered in (rules, rules[::-1]):
         judged = AccessRules(ordered).judge(client("cam-1"), PUT, CHANNEL, "video/1")

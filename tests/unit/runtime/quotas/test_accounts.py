@@ -40,7 +40,7 @@ def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
     assert caught.value.metadata == {"quota": "bytes-in-flight", "subject": "cam-1", "used": "7", "limit": "10"}
 
 
-def test_holds_add_up_and_what_is_set_to_nothing_is_given_back() -> None:
+def test_held_amounts_add_up_and_an_amount_of_zero_is_forgotten() -> None:
     one = account(bytes_in_flight=10)
     first, second = one.charge_for(Quota.BYTES_IN_FLIGHT), one.charge_for(Quota.BYTES_IN_FLIGHT)
     first.set(4)
@@ -63,7 +63,7 @@ def test_a_call_that_may_not_wait_leaves_nothing_behind() -> None:
     assert used(one) == {}
 
 
-def test_a_change_of_the_settings_binds_those_who_are_there() -> None:
+def test_a_change_of_the_settings_binds_present_callers() -> None:
     accounts = Accounts()
     one = accounts.of("cam-1")
     one.take([Quota.STREAMS])
@@ -140,7 +140,7 @@ def test_all_refusals_of_a_port_are_counted_and_when_the_last_one_was() -> None:
     assert (accounts.refusals, accounts.refused_ago_nanos()) == (2, 2 * 10**9)
 
 
-def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
+def test_accounts_report_the_usage_and_the_refusals_of_each_caller() -> None:
     accounts = Accounts()
     one = accounts.of("cam")
     _idle = accounts.of("idle")
@@ -150,7 +150,7 @@ def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
     assert found == [("cam", Quota.STREAMS, 1, 0), ("cam", Quota.WAITING_CALLS, 0, 1)]
 
 
-def test_it_tells_what_the_directory_counts_beside_what_it_counts_itself() -> None:
+def test_accounts_report_the_counts_of_the_directory_beside_their_own() -> None:
     accounts, made = Accounts(), [("cam", Quota.CHANNELS, 7), ("other", Quota.QUEUES, 2)]
     accounts.draw_from(lambda: made)
     accounts.of("cam").take([Quota.STREAMS])

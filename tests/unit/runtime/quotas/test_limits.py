@@ -39,7 +39,7 @@ def test_a_whole_name_holds_before_a_longer_pattern() -> None:
     assert settings.limits_of("cam-1")[Quota.STREAMS] == 1
 
 
-def test_of_two_that_say_equally_much_the_lower_limit_holds_in_whatever_order_they_were_made() -> None:
+def test_of_two_equally_specific_patterns_the_lower_limit_holds_in_any_order() -> None:
     for settings in (table(("cam*", 5), ("*cam", 3)), table(("*cam", 3), ("cam*", 5))):
         assert settings.limits_of("cam")[Quota.STREAMS] == 3
 

@@ -29,7 +29,7 @@ def test_each_number_of_the_contract_is_a_quota() -> None:
 
 
 @pytest.mark.parametrize("number", [0, 99])
-def test_a_quota_that_is_not_known_is_refused_in_a_request_and_left_out_of_what_a_newer_supernode_tells(
+def test_an_unknown_quota_is_refused_in_a_request_and_ignored_in_a_response_of_a_newer_supernode(
     number: int,
 ) -> None:
     with pytest.raises(InvalidArgument):

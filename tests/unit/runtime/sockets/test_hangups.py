@@ -16,7 +16,7 @@ from tests.support.socket_port import ECHO, HOLD, Open, port_fixture, until
 port = port_fixture()
 
 
-async def test_the_close_of_a_watched_socket_is_reported_once_although_nobody_reads() -> None:
+async def test_the_close_of_a_watched_socket_is_reported_once_without_a_read() -> None:
     hangups = HangupWatcher()
     near, far = socket.socketpair()
     told = asyncio.Queue[str]()

@@ -336,7 +336,7 @@ async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pyte
         assert "another user" in status.message
 
 
-async def test_empty_messages_that_nobody_reads_count_with_the_memory_that_they_take(port: Open) -> None:
+async def test_unread_empty_messages_count_with_the_memory_that_they_take(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(READ_LATER)
         await one.streams.held.acquire()

@@ -294,7 +294,7 @@ def test_a_result_comes_out_as_it_went_in(result: Result) -> None:
     assert decode_result(encode_result(result)) == result
 
 
-def test_every_kind_of_command_has_one_row_that_says_how_it_travels_and_one_that_says_what_it_does() -> None:
+def test_every_kind_of_command_has_one_row_for_its_codec_and_one_for_its_effect() -> None:
     kinds = directory_command_pb2.DirectoryCommand.DESCRIPTOR.oneofs_by_name["kind"].fields
     outcomes = directory_command_pb2.DirectoryResult.DESCRIPTOR.oneofs_by_name["outcome"].fields
     assert sorted(row.kind for row in CODECS) == sorted(field.name for field in kinds)
@@ -310,7 +310,7 @@ def test_every_row_of_the_command_table_is_among_the_round_trips() -> None:
     assert {type(result) for result in RESULTS} == {Refused, *(row.result for row in KINDS)}
 
 
-def test_a_snapshot_remembers_what_came_of_every_kind_of_command() -> None:
+def test_a_snapshot_holds_the_kept_answer_to_every_kind_of_command() -> None:
     done = [result for result in RESULTS if isinstance(result, Success)]
     answers = [Answer(id_of(number), number, "subject", result) for number, result in enumerate(done, 1)]
     assert {type(result) for result in done} == {row.result for row in KINDS}
@@ -394,6 +394,6 @@ def test_a_snapshot_of_another_form_is_not_taken_for_ours() -> None:
         ).SerializeToString(),
     ],
 )
-def test_a_snapshot_whose_parts_contradict_each_other_is_refused_and_ends_nobody(encoded: bytes) -> None:
+def test_a_snapshot_whose_parts_contradict_each_other_is_refused_and_ends_no_member(encoded: bytes) -> None:
     with pytest.raises(StampedeError, match="the snapshot holds no directory"):
         decode_snapshot(encoded)

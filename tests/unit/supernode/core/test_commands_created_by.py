@@ -54,5 +54,5 @@ def test_the_maker_of_a_thing_stays_when_others_open_it_when_it_moves_and_in_sna
     assert makers(read.tables) == ["alice", "bob", "@cluster"]
 
 
-def test_below_the_feature_level_of_owners_nobody_keeps_who_made_a_thing() -> None:
+def test_below_the_feature_level_of_owners_no_maker_is_kept() -> None:
     assert makers(filled(feature_level=OWNERS_LEVEL - 1).directory.tables) == ["", "", ""]

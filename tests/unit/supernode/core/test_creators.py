@@ -49,7 +49,7 @@ def refusal(result: Result) -> Overloaded:
     return error
 
 
-def test_a_caller_makes_as_many_channels_as_its_quota_and_what_it_deletes_makes_room() -> None:
+def test_a_caller_makes_as_many_channels_as_its_quota_and_deletions_make_room() -> None:
     log = log_with_a_host()
     for number in (10, 11):
         log.apply(by("cam", open_channel(f"c{number}")))

@@ -82,7 +82,7 @@ def test_a_registration_seen_by_the_leader_gets_a_full_ttl_from_then(table: Leas
     assert table.due(9 * SECOND) == [(b"\x03", 1, 8)]
 
 
-def test_a_leader_that_was_stalled_lets_nobody_pay_for_it(table: LeaseTable) -> None:
+def test_a_stalled_leader_ends_no_lease_for_its_own_pause(table: LeaseTable) -> None:
     pass_time(table, 0, 2 * SECOND)
     frozen_until = 60 * SECOND
     assert table.due(frozen_until) == []

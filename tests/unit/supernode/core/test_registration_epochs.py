@@ -81,7 +81,7 @@ def test_the_process_that_lives_takes_the_next_number_if_the_late_one_came_first
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_process_registers_again_with_its_number_and_none_of_its_late_ones_lowers_it(log: Log, made: Make) -> None:
+def test_a_process_registers_again_with_its_epoch_and_its_late_requests_do_not_lower_it(log: Log, made: Make) -> None:
     log.apply(made(boot=3, epoch=4))
     assert epoch_in(log.apply(made(boot=3, epoch=4))) == 4
     assert epoch_in(log.apply(made(boot=3, epoch=2))) == 4, "sent before it was told of a higher one"
@@ -147,7 +147,7 @@ def test_a_snapshot_keeps_the_number(log: Log, made: Make) -> None:
 
 @pytest.mark.parametrize("made", KINDS)
 @pytest.mark.parametrize("epoch", [-1, 2**63])
-def test_a_number_that_nobody_could_exceed_is_refused(log: Log, made: Make, epoch: int) -> None:
+def test_a_registration_epoch_beyond_the_limit_is_refused(log: Log, made: Make, epoch: int) -> None:
     refused = log.apply(made(boot=3, epoch=epoch))
     assert isinstance(refused, Refused)
     assert (refused.reason, refused.metadata["field"]) == ("INVALID_ARGUMENT", "registration_epoch")

@@ -31,7 +31,7 @@ FOUNDER = Member(member_id="r", address="r:1")
         ("public:7590", "10.0.0.1:7591", "public:7590", False),
     ],
 )
-def test_a_supernode_that_listens_where_nobody_calls_it_says_so(
+def test_a_supernode_that_listens_at_an_unlisted_address_says_so(
     told: str, here: str, advertise: str, is_misplaced: bool
 ) -> None:
     founding = Founding(supernode_id="a", address=told, members={"a": told})
@@ -57,7 +57,7 @@ def test_a_folder_in_which_a_restore_was_cut_off_says_so(tmp_path: Path) -> None
     check_unused(tmp_path / "untouched")
 
 
-def test_the_refusal_of_a_restore_names_what_is_wrong_with_the_folder(tmp_path: Path) -> None:
+def test_the_refusal_of_a_restore_names_the_fault_of_the_folder(tmp_path: Path) -> None:
     with pytest.raises(StoreRefused, match="nowhere does not exist"):
         restore_from(tmp_path / "nowhere", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="c")
     with pytest.raises(StoreRefused, match="is not the data folder of a supernode that has ever run"):

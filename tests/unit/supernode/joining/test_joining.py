@@ -139,7 +139,7 @@ async def test_a_command_that_fails_says_why_in_one_line(tmp_path: Path) -> None
     assert os.listdir(tmp_path) == []
 
 
-async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_where_it_should_be(
+async def test_no_member_is_removed_without_a_majority_and_status_names_unreachable_members(
     tmp_path: Path,
 ) -> None:
     async with running_cluster(tmp_path) as cluster:
@@ -161,7 +161,7 @@ async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_
             await other.close()
 
 
-async def test_a_founder_that_lost_its_disk_is_refused_and_what_was_acknowledged_before_is_kept(tmp_path: Path) -> None:
+async def test_a_founder_that_lost_its_disk_is_refused_and_acknowledged_commands_are_kept(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         wiped, away = cluster.others(leader)

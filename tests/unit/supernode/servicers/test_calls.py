@@ -74,7 +74,7 @@ def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCall
     return DirectoryCalls(behind, behind), behind
 
 
-async def test_a_supernode_that_lags_behind_checks_the_rights_to_what_it_has_not_heard_of(log: Log) -> None:
+async def test_a_lagging_supernode_checks_the_rights_to_things_that_it_does_not_know_yet(log: Log) -> None:
     """A fixed fault: the supernode took the thing for missing and checked no right. The log then deleted the thing."""
     calls, behind = calls_of(log, known=Log().directory)
     channel_id = log.directory.tables.channel_ids["secret/plan"]
@@ -84,7 +84,7 @@ async def test_a_supernode_that_lags_behind_checks_the_rights_to_what_it_has_not
     assert behind.confirmed == 1
 
 
-async def test_a_supernode_that_lags_behind_checks_the_owner_of_a_peer_of_which_it_has_not_heard(log: Log) -> None:
+async def test_a_lagging_supernode_checks_the_owner_of_a_peer_that_it_does_not_know_yet(log: Log) -> None:
     calls, _ = calls_of(log, known=Log().directory)
     async with called_by("thief"):
         with pytest.raises(PermissionDenied, match="peer robot belongs to robot"):
@@ -100,7 +100,7 @@ async def test_a_known_thing_is_checked_without_a_confirmed_read_and_an_unknown_
         await calls.check_thing(CONTEXT, AccessVerb.DELETE, AccessKind.QUEUE, id_of(99))
 
 
-async def test_only_its_owner_changes_a_mailbox_whatever_the_rules(log: Log) -> None:
+async def test_only_its_owner_changes_a_mailbox_under_any_rules(log: Log) -> None:
     """A mailbox has no name. A fixed fault: every rule for "*" granted rights to all mailboxes, and no rule could deny
     them.
     """

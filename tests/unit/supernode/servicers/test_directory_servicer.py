@@ -237,7 +237,7 @@ async def test_a_request_without_a_meaning_is_refused_as_an_argument(node: Node,
     assert node.log.index == 3, "nothing of it came into the log"
 
 
-async def test_ping_tells_the_clock_who_answers_and_whether_it_can_serve(node: Node) -> None:
+async def test_ping_returns_the_clock_the_id_and_the_readiness_of_the_supernode(node: Node) -> None:
     pong = await node.stub.Ping(pb.DirectoryServicePingRequest())
     assert (pong.time_unix_nano, pong.supernode_id, pong.ready) == (node.clock.time_unix_nano(), "s1", True)
     assert pong.cluster_id
@@ -245,7 +245,7 @@ async def test_ping_tells_the_clock_who_answers_and_whether_it_can_serve(node: N
     assert not (await node.stub.Ping(pb.DirectoryServicePingRequest())).ready
 
 
-async def test_the_members_are_listed_with_what_was_found_of_them(node: Node) -> None:
+async def test_the_members_are_listed_with_their_observed_state(node: Node) -> None:
     await node.probe.round()
     listed = await node.stub.ListSupernodes(pb.ListSupernodesRequest())
     me, other = listed.supernodes

@@ -32,7 +32,7 @@ async def test_a_lease_that_is_renewed_lives_and_one_that_is_not_ends(node: Node
     assert (await reason_of(node.renew(1))).reason == "LEASE_EXPIRED"
 
 
-async def test_a_host_whose_lease_ended_keeps_its_channels_until_somebody_opens_them(node: Node) -> None:
+async def test_a_host_whose_lease_ended_keeps_its_channels_until_a_caller_opens_them(node: Node) -> None:
     opened = await node.open("cam")
     await node.pass_seconds(6)
     assert not (await node.host(1)).alive

@@ -252,6 +252,6 @@ def test_a_damaged_founding_is_refused(tmp_path: Path, text: str) -> None:
         read_founding(tmp_path)
 
 
-def test_a_folder_that_nobody_prepared_is_refused(tmp_path: Path) -> None:
+def test_an_unprepared_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StampedeError, match="stampede supernode init"):
         SupernodeSettings(data_dir=tmp_path).founding("localhost:1")

@@ -178,7 +178,7 @@ async def test_a_lease_that_ends_hands_the_channel_to_the_replica_in_sync(node: 
 
 
 @pytest.mark.parametrize("kind", [replica_pb2.REPLICA_KIND_UNSPECIFIED, replica_pb2.REPLICA_KIND_MOVE])
-async def test_a_kind_that_nobody_may_ask_for_is_refused(node: Node, kind: Any) -> None:
+async def test_an_unsupported_kind_is_refused(node: Node, kind: Any) -> None:
     left, _ = await two_channels(node)
     assert (await reason_of(node.replicas.AddReplica(add_request(1, left, kind=kind)))).reason == "INVALID_ARGUMENT"
 

@@ -128,7 +128,7 @@ async def test_gets_whose_time_ends_together_are_answered_a_few_in_a_turn_by_one
     assert len(blocked.gets) == timers() - before == 0
 
 
-async def test_gets_for_what_is_still_to_come_cost_a_put_nothing() -> None:
+async def test_gets_for_future_items_cost_a_put_nothing() -> None:
     blocked = Blocked()
     for number in range(10_000):
         start = START + (number + 1) * S
@@ -172,7 +172,7 @@ async def test_gets_between_the_newest_item_and_the_clock_cost_a_put_nothing(mat
     assert blocked.channel.polls == 1
 
 
-async def test_late_items_cost_nothing_for_gets_of_what_is_newer() -> None:
+async def test_gets_of_newer_items_cost_a_late_put_nothing() -> None:
     blocked = Blocked()
     blocked.put(START)
     for number in range(1000):
@@ -324,7 +324,7 @@ async def test_gets_that_a_change_leaves_blocked_are_released_by_the_one_behind_
     }
 
 
-async def test_a_get_whose_time_is_over_before_its_turn_has_what_released_it() -> None:
+async def test_a_get_that_was_released_before_its_timeout_has_the_released_item() -> None:
     blocked = Blocked(max_items=1)
     pieces = InPieces(blocked)
     gets = [blocked.block(number, bucket(START + S), 3600 * S) for number in range(100)]

@@ -96,7 +96,7 @@ async def test_a_request_that_goes_in_the_moment_in_which_it_gets_room_gives_it_
         some._tasks.pop("first")
 
 
-async def test_large_requests_that_nobody_finishes_leave_room_for_those_in_which_producers_join_items() -> None:
+async def test_unfinished_large_requests_leave_room_for_the_requests_of_producers() -> None:
     async with uploads(RequestRooms()) as some:
         for number in range(12):
             await some.begin(f"large {number}", f"hostile {number % 3}", REQUEST_BYTES_MAX)

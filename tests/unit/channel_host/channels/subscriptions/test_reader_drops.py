@@ -31,7 +31,7 @@ def test_a_reader_of_a_group_is_none_of_a_channel_with_the_same_name() -> None:
         assert readers.dropped("a") == 0
 
 
-def test_a_channel_misses_what_its_open_readers_missed_and_the_sums_keep_what_the_others_missed() -> None:
+def test_a_channel_counts_drops_of_its_open_readers_and_the_sums_keep_those_of_closed_readers() -> None:
     readers = Readers()
     with readers.reading("a") as first:
         with readers.reading("a") as second:

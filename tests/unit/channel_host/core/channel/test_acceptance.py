@@ -59,7 +59,7 @@ def test_an_item_too_far_ahead_is_told_the_measured_offset() -> None:
     assert error.metadata == {"offset_nanos": "101", "host_time_unix_nano": str(CLOCK)}
 
 
-def test_an_item_older_than_what_was_collected_is_too_old_but_one_in_its_bucket_is_not() -> None:
+def test_an_item_older_than_the_collected_bucket_is_too_old_and_one_in_the_bucket_is_not() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 10, 20)
     assert reasons(put(channel, 9).rejections) == [(0, "TOO_OLD")]
@@ -97,7 +97,7 @@ def test_an_advance_too_far_ahead_is_refused() -> None:
     assert channel.advanced_to is None
 
 
-def test_a_full_channel_that_rejects_says_what_it_holds() -> None:
+def test_the_refusal_of_a_full_channel_states_its_number_of_items_and_bytes() -> None:
     channel = a_channel(max_items=2, on_full="reject")
     outcome = put(channel, 10, 20, 30)
     assert reasons(outcome.rejections) == [(2, "CHANNEL_FULL")]

@@ -59,7 +59,7 @@ def test_items_that_all_come_late_are_counted_in_blocks_too(looked: SliceCounter
     assert looked.slices <= 3 * BLOCK_ITEMS + 20
 
 
-def test_ageing_of_what_consumers_have_consumed_looks_at_a_bounded_number_of_slices(looked: SliceCounter) -> None:
+def test_collection_of_consumed_items_by_age_looks_at_a_bounded_number_of_slices(looked: SliceCounter) -> None:
     channel = a_channel(max_age_nanos=10**6, max_age_unconsumed_nanos=10**12)
     channel.consume(1, [], CLOCK)
     for time in range(ITEMS):

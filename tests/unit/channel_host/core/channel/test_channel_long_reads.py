@@ -104,7 +104,7 @@ def test_the_newest_item_of_a_full_bucket_is_found_at_once(looked: SliceCounter)
 
 
 @pytest.mark.parametrize("newest_first", [False, True])
-def test_a_large_answer_that_nobody_wants_is_let_go_of_in_pieces(newest_first: bool) -> None:
+def test_an_unwanted_large_answer_is_freed_in_pieces(newest_first: bool) -> None:
     answer = shuffled().read(everything(newest_first=newest_first), CLOCK)
     left = [ITEMS]
     for _ in emptying(answer.slices):
@@ -113,7 +113,7 @@ def test_a_large_answer_that_nobody_wants_is_let_go_of_in_pieces(newest_first: b
     assert left[-1] == 0
 
 
-def test_a_large_get_that_is_given_up_lets_go_of_what_it_has_found_in_pieces() -> None:
+def test_a_cancelled_large_get_frees_its_found_items_in_pieces() -> None:
     channel, rounds = shuffled(), ITEMS // pieces.STEPS_PER_PIECE - 2
     reading = channel.reading(everything(), CLOCK)
     for _ in range(rounds):
@@ -147,7 +147,7 @@ def permuted(items: int = 5000) -> ChannelCore:
 def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch, resumed: bool
 ) -> None:
-    """The seqs of 5000 items make one range. A fixed fault: the subscription kept them in 20 lists of 256 ranges each."""
+    """The seqs of 5000 items make one range. A fixed fault: they filled 20 lists of 256 ranges each."""
     yielded, ranges_of = 0, subscribing._Ranges.__iter__
 
     def counting(self: subscribing._Ranges) -> Iterator[subscribing.Range]:

@@ -320,7 +320,7 @@ def test_a_thousand_consumers_cost_a_put_and_a_consume_a_look_at_few_of_them() -
     assert channel.counters(CLOCK).collected["consumption"] == 30
 
 
-def test_one_slow_consumer_among_a_thousand_costs_what_it_consumes() -> None:
+def test_one_slow_consumer_among_a_thousand_costs_only_its_own_consumption() -> None:
     channel = a_channel(consumers=1000)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None

@@ -141,7 +141,7 @@ def test_an_empty_answer_says_whether_it_was_collected_never_came_or_may_come() 
     assert get(channel, NEWEST, OLDEST).reason == "NEVER", "meta-times may cross; then nothing lies between"
 
 
-def test_an_advance_finishes_what_lies_before_it() -> None:
+def test_an_advance_finishes_the_intervals_before_it() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, durations=[5])
     channel.advance(50, CLOCK)
@@ -188,7 +188,7 @@ def test_a_blocking_get_resolves_its_anchors_at_the_first_item_and_never_again()
     assert times_of(answer.slices) == [10, 30]
 
 
-def test_a_blocked_get_says_what_must_come_before_it_can_be_released() -> None:
+def test_a_blocked_get_states_the_change_that_can_release_it() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     expected = {
@@ -203,7 +203,7 @@ def test_a_blocked_get_says_what_must_come_before_it_can_be_released() -> None:
         assert found.needs == needs
 
 
-def test_a_change_reaches_as_far_as_what_came_with_it() -> None:
+def test_the_extent_of_a_change_covers_all_its_items() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     tracker = ReachTracker(channel)
@@ -237,7 +237,7 @@ def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() ->
     assert times_of(answer.slices) == [10], "the newest item holds up to now"
 
 
-def test_a_complete_get_answers_what_there_is_when_it_is_given_up() -> None:
+def test_a_complete_get_returns_the_found_items_when_it_is_given_up() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     pending = channel.begin(Query(interval=parse_interval(10, 20), complete=True), CLOCK)
@@ -289,7 +289,7 @@ def test_items_of_an_earlier_incarnation_are_lost_and_not_never_or_not_yet() -> 
     assert get(channel, CLOCK, CLOCK + 5, now=CLOCK + 5).reason is None
 
 
-def test_an_item_that_is_put_again_after_it_was_lost_releases_who_waits_for_it() -> None:
+def test_a_lost_item_that_is_put_again_releases_the_gets_that_wait_for_it() -> None:
     channel = ChannelCore(Policy(max_items=9), incarnation=2, lost_before=CLOCK)
     pending = channel.begin(Query(interval=parse_interval(CLOCK - 20, CLOCK - 10)), CLOCK)
     assert isinstance(channel.poll(pending, CLOCK), WakeAt)

@@ -61,7 +61,7 @@ def test_a_narrower_policy_outdates_at_once_and_tells_which_it_was() -> None:
     assert "max_items (2)" in answer.reason.detail
 
 
-def test_a_late_item_may_come_between_what_was_collected_and_what_is_held() -> None:
+def test_a_late_item_may_come_between_collected_and_held_items() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 20, 40)
     channel.configure(Policy(max_items=9), CLOCK)
@@ -86,7 +86,7 @@ def test_an_outdated_item_is_never_returned_though_its_memory_is_freed_in_small_
     assert times_of(get(channel, now=later).slices) == [CLOCK + 499]
 
 
-def test_age_looks_at_a_bounded_part_of_what_it_outdates_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_collection_by_age_looks_at_a_bounded_number_of_items_in_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """A million items that went together once stalled the host for most of a second."""
     channel = a_channel(max_age_nanos=1_000_000)
     for time in range(CLOCK, CLOCK + 9000):

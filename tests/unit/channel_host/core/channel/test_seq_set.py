@@ -15,7 +15,7 @@ RANGES = st.lists(st.tuples(st.integers(1, 40), st.integers(0, 6)), max_size=25)
 
 
 @given(RANGES)
-def test_it_holds_what_was_put_in_and_says_what_was_new(ranges: list[tuple[int, int]]) -> None:
+def test_a_set_holds_the_added_seqs_and_returns_the_new_ones(ranges: list[tuple[int, int]]) -> None:
     seqs, plain = SeqSet(), set[int]()
     for first, items in ranges:
         news = set(range(first, first + items)) - plain

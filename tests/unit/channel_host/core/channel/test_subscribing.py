@@ -13,7 +13,7 @@ from tests.support.channel_host.channel_cores import CLOCK, a_channel, put, seqs
 ALL = 10**9
 
 
-def test_without_a_start_only_new_items_come_whatever_their_time() -> None:
+def test_without_a_start_only_new_items_come_with_any_time() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20)
     cursor = channel.subscribe_all(CLOCK)
@@ -109,7 +109,7 @@ def test_a_resumption_that_cannot_hold_is_refused() -> None:
         channel.subscribe_all(CLOCK, start=NEWEST, after=Position(20, 2))
 
 
-def test_the_newest_never_goes_back_and_counts_what_it_skipped() -> None:
+def test_the_newest_never_goes_back_and_counts_skipped_items() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     cursor = channel.subscribe_newest(CLOCK)
@@ -143,7 +143,7 @@ def test_a_run_is_split_where_the_bound_is_reached() -> None:
     ]  # fmt: skip
 
 
-def test_a_saved_cursor_holds_what_the_start_left_out() -> None:
+def test_a_resumed_cursor_leaves_out_the_items_before_its_start() -> None:
     channel = a_channel(max_items=99)
     put(channel, 30, 5, 10, 7, 20)
     cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))

@@ -31,7 +31,7 @@ def at(newest: int, *, epoch: int = 1, incarnation: int = 7, end: int | None = N
     return ChannelTimes(epoch, incarnation, newest, end)
 
 
-def test_with_oldest_the_channel_that_lags_most_holds_the_cut() -> None:
+def test_in_mode_oldest_the_channel_that_lags_most_holds_the_cut() -> None:
     cut, board = group(a=at(100), b=at(70))
     assert cut.cut == 70
     assert cut.waiting_on(0) == [B]
@@ -40,7 +40,7 @@ def test_with_oldest_the_channel_that_lags_most_holds_the_cut() -> None:
     assert (cut.cut, cut.waiting_on(0)) == (100, [A])
 
 
-def test_nothing_is_visible_before_every_channel_has_said_something() -> None:
+def test_no_item_is_visible_before_every_channel_has_reported() -> None:
     cut, board = group(a=at(100))
     assert cut.cut is None
     assert cut.waiting_on(0) == [B]
@@ -160,7 +160,7 @@ def test_another_incarnation_begins_anew() -> None:
     assert cut.cut == 70
 
 
-def test_words_of_a_former_owner_change_nothing() -> None:
+def test_reports_of_a_former_owner_change_nothing() -> None:
     board = TimesBoard()
     assert board.hear(A, at(50, epoch=3, incarnation=9), 0, 0)
     assert not board.hear(A, at(99, epoch=2), 0, 0)
@@ -180,7 +180,7 @@ def test_an_item_that_everybody_consumed_before_the_group_was_made_counts_as_one
     assert OwnTimes(used, NOW).times(1) == ChannelTimes(1, INCARNATION, 120)
 
 
-def test_a_host_that_goes_on_as_owner_without_being_it_neither_counts_nor_stops_its_ears() -> None:
+def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     board = TimesBoard()
     board.enter_own(A, at(50, epoch=3), 0)
     assert board.hear(A, at(60, epoch=4), 0, 10)

@@ -17,7 +17,7 @@ def member(name: bytes, newest: int | None, *, idle: bool = False) -> CutMember:
     return CutMember(name, known, newest, idle)
 
 
-def test_an_event_is_due_when_every_member_is_as_far_as_the_cut() -> None:
+def test_an_event_is_due_when_every_member_has_reached_the_cut() -> None:
     decider = EventDecider(0, WAIT)
     decider.note(50, now=0)
     assert decider.due([member(b"a", 50), member(b"b", 40)], 0) is None
@@ -25,14 +25,14 @@ def test_an_event_is_due_when_every_member_is_as_far_as_the_cut() -> None:
     assert decider.wake_at() is None
 
 
-def test_after_max_wait_the_event_comes_and_names_who_was_not_there() -> None:
+def test_after_max_wait_the_event_comes_and_names_the_missing_members() -> None:
     decider = EventDecider(0, WAIT)
     decider.note(50, now=7)
     assert decider.wake_at() == 107
     assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
 
 
-def test_with_a_lateness_every_member_has_to_be_so_much_farther_or_advanced_to_the_cut() -> None:
+def test_with_a_lateness_every_member_must_be_past_the_cut_by_it_or_have_advanced_to_the_cut() -> None:
     decider = EventDecider(0, WAIT, 20)
     decider.note(50, now=7)
     assert decider.wake_at() == 127
@@ -100,7 +100,7 @@ def put_at(into: ChannelCore, time: int, clock: int) -> None:
     into.put(Offer(times=[time], durations=None, lengths=[1]), clock, lambda first_seq, kept, stamped: b"")
 
 
-def test_late_items_come_with_the_next_event_and_apart() -> None:
+def test_late_items_come_with_the_next_event_in_a_part_of_their_own() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 15, NOW)
     put(made, 12)
@@ -127,7 +127,7 @@ def test_items_accepted_while_an_event_is_under_way_are_late_in_the_next_event()
     assert times([one.slice for one in step.late]) == [5, 22]
 
 
-def test_items_that_went_before_they_were_shown_are_counted() -> None:
+def test_items_that_were_collected_before_they_were_shown_are_counted() -> None:
     made = channel(10, 20, policy=Policy(max_items=3))
     follower = CutFollower(made, 5, NOW)
     for time in (30, 40, 50):
@@ -162,7 +162,7 @@ def test_a_position_from_before_the_host_was_lost_is_reported_as_lost() -> None:
     assert (step.loss.reason, step.loss.is_exact) == ("LOST", False)
 
 
-def test_items_that_all_consumers_used_up_before_they_were_shown_are_counted_up_to_where_they_lay() -> None:
+def test_items_that_all_consumers_consumed_before_they_were_shown_are_counted_up_to_their_time() -> None:
     made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
     follower = CutFollower(made, 5, NOW)
     made.consume(1, [1, 2], NOW)
@@ -172,7 +172,7 @@ def test_items_that_all_consumers_used_up_before_they_were_shown_are_counted_up_
     assert (step.loss.items, step.loss.before) == (2, 21)
 
 
-def test_a_reader_who_resumes_hears_that_something_was_used_up_meanwhile() -> None:
+def test_a_resumed_subscription_reports_items_that_were_consumed_meanwhile() -> None:
     made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
     made.consume(1, [1, 2], NOW)
     follower = CutFollower(made, 15, NOW, next_seq=2, incarnation=INCARNATION)
@@ -193,7 +193,7 @@ def test_the_reported_loss_covers_items_lost_between_the_return_and_the_first_st
     assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)
 
 
-def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
+def test_by_end_an_event_waits_for_items_or_max_wait_because_a_duration_promises_no_item() -> None:
     """Durations may be wrong: if deciders trusted them, an item before the stated end would count as late."""
     until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
@@ -204,7 +204,7 @@ def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for
     assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)
 
 
-def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enough() -> None:
+def test_each_of_many_waiting_cuts_has_its_event_after_its_max_wait() -> None:
     """The decider once merged many cuts into one, whose wait each further cut restarted. Items came twice as late."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
@@ -218,7 +218,7 @@ def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enoug
     assert len(told) > PENDING_MAX / 2
 
 
-def test_the_span_of_what_an_event_brings_ends_at_the_next_visible_item_alone() -> None:
+def test_the_span_of_an_items_value_ends_at_the_next_visible_item_alone() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 0, NOW)
     follower.begin(30)

@@ -38,7 +38,7 @@ def test_each_item_gets_the_nearest_and_the_earlier_wins_a_tie() -> None:
     assert matcher.unmatched == 1
 
 
-def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_items_are_matched_together_within_the_credit(monkeypatch: pytest.MonkeyPatch) -> None:
     left, right = channel(*range(10, 110)), channel(*range(10, 120))
     matcher, remote = everything(left, right, 1), RemoteTrack()
     remote.add((time, time) for time in range(10, 120))
@@ -89,7 +89,7 @@ def test_items_that_go_before_they_are_settled_are_counted() -> None:
     assert matcher.dropped == 1
 
 
-def test_of_a_member_at_another_host_keys_are_enough_and_their_number_is_bounded() -> None:
+def test_for_a_member_at_another_host_a_bounded_number_of_keys_is_kept() -> None:
     left = channel(10, 20)
     remote = RemoteTrack()
     remote.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])
@@ -104,7 +104,7 @@ def test_of_a_member_at_another_host_keys_are_enough_and_their_number_is_bounded
     assert remote.nearest(99 + 2 * TRACK_ITEMS_MAX, 5, NOW) is not None
 
 
-def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
+def test_matching_begins_with_new_items_and_resumes_behind_an_item() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     assert pairs(Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW), right) == []
     resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
@@ -126,7 +126,7 @@ def test_late_items_between_two_streams_are_counted_as_dropped() -> None:
     assert uncounted.dropped == 0
 
 
-def test_of_another_incarnation_all_that_lies_behind_is_counted_as_dropped() -> None:
+def test_after_a_new_incarnation_all_earlier_items_are_counted_as_dropped() -> None:
     left, right = channel(10, 15, 30), channel(30, 90)
     of_before = Position(20, 7, INCARNATION + 1)
     resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=of_before, next_seq=8)
@@ -134,7 +134,7 @@ def test_of_another_incarnation_all_that_lies_behind_is_counted_as_dropped() -> 
     assert resumed.dropped == 2
 
 
-def test_behind_a_time_what_comes_at_that_very_time_is_dropped_and_counted() -> None:
+def test_matching_behind_a_time_drops_and_counts_items_at_that_time() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10))
     assert pairs(matcher, right) == [(20, 20)]
@@ -153,7 +153,7 @@ def test_an_item_exactly_as_far_as_the_tolerance_matches_and_may_match_two() -> 
     assert matcher.unmatched == 0
 
 
-def test_an_item_that_two_members_have_nothing_for_counts_once() -> None:
+def test_an_item_without_a_match_in_two_members_counts_once() -> None:
     matcher = Matcher(channel(10), {RIGHT: RemoteTrack(), b"rear": RemoteTrack()}, 3, NOW, after=Position(-1, 0))
     (one,) = matcher.take(lambda channel_id, instant: True, NOW, 100)
     assert (one.missing, matcher.unmatched) == ((b"rear", RIGHT), 1)
@@ -170,13 +170,13 @@ def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tup
     return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
 
 
-def test_of_two_items_with_the_same_nearest_the_nearer_gets_it_if_each_goes_into_one_match_only() -> None:
+def test_with_unique_matches_the_nearer_of_two_items_gets_their_common_partner() -> None:
     left, right = channel(10, 14, 40), channel(5, 13, 60)
     assert matched(everything(left, right, 6), left, right) == [(10, 13), (14, 13), (40, None)]
     assert matched(unique(left, right, 6), left, right) == [(10, 5), (14, 13), (40, None)]
 
 
-def test_the_later_one_gives_way_if_it_finds_a_nearer_one_itself() -> None:
+def test_with_unique_matches_an_item_leaves_its_partner_for_a_nearer_one() -> None:
     left, right = channel(0, 9, 40), channel(5, 9, 60)
     assert matched(unique(left, right, 5), left, right) == [(0, 5), (9, 9), (40, None)]
 

@@ -32,7 +32,7 @@ def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_
     assert told(made, follower) == (20, 20)
 
 
-def test_late_items_and_what_goes_change_nothing() -> None:
+def test_late_and_removed_items_change_no_time() -> None:
     made = channel(10, 30, durations=[5, 5], policy=Policy(max_items=2))
     follower = OwnTimes(made, NOW)
     put(made, 20, 2**62)
@@ -50,12 +50,12 @@ def test_a_run_is_looked_through_for_its_latest_bucket() -> None:
     assert told(made, OwnTimes(made, NOW)) == (30, 39)
 
 
-def test_an_endless_duration_ends_with_time() -> None:
+def test_an_endless_duration_ends_at_the_greatest_instant() -> None:
     made = channel(10, durations=[2**63 - 1])
     assert told(made, OwnTimes(made, NOW)) == (10, MAX_INSTANT)
 
 
-def test_silence_ends_with_a_late_item_and_with_an_advance_but_not_with_looking() -> None:
+def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does_not() -> None:
     made = channel(10, 20)
     follower = OwnTimes(made, 5)
     assert follower.observe(7) is False
@@ -68,7 +68,7 @@ def test_silence_ends_with_a_late_item_and_with_an_advance_but_not_with_looking(
     assert (follower.silent_since, follower.times(1).mark) == (9, 30)
 
 
-def test_all_reports_of_one_life_count_and_of_another_life_only_its_own() -> None:
+def test_a_tracker_counts_only_reports_of_its_own_incarnation() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
@@ -79,7 +79,7 @@ def test_all_reports_of_one_life_count_and_of_another_life_only_its_own() -> Non
     assert _known(board) == ChannelTimes(4, INCARNATION + 1, 20)
 
 
-def test_whether_a_channel_is_silent_is_known_up_to_the_last_sign_of_life() -> None:
+def test_the_silence_of_a_channel_is_known_up_to_the_last_report_of_its_host() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
     known = board.find(A)

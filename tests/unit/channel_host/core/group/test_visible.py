@@ -23,7 +23,7 @@ def everything() -> Query:
     return Query(interval=parse_interval(OLDEST, NEWEST))
 
 
-def test_only_items_before_the_cut_are_there_and_the_channel_keeps_the_others() -> None:
+def test_only_items_before_the_cut_are_visible_and_the_channel_keeps_the_others() -> None:
     made = channel(10, 20, 30)
     view = VisibleChannel(made)
     answer = view.read(everything(), horizon(30), CLOCK)
@@ -33,7 +33,7 @@ def test_only_items_before_the_cut_are_there_and_the_channel_keeps_the_others() 
     assert view.hidden_items(30, CLOCK) == 1
 
 
-def test_an_answer_that_the_cut_leaves_empty_names_who_holds_it() -> None:
+def test_an_answer_that_the_cut_leaves_empty_names_the_member_that_holds_the_cut() -> None:
     answer = VisibleChannel(channel(10, 20)).read(Query(interval=parse_interval(20, 25)), horizon(15), CLOCK)
     assert answer.reason == "HIDDEN"
     assert answer.reason is not None
@@ -48,7 +48,7 @@ def test_the_clock_stops_at_the_cut() -> None:
     assert times(answer.slices) == [10]  # which lasts up to now, since nothing later is visible
 
 
-def test_without_a_cut_there_is_nothing_and_no_now() -> None:
+def test_without_a_cut_there_is_no_item_and_no_present() -> None:
     view = VisibleChannel(channel(10))
     assert view.read(everything(), horizon(None), CLOCK).reason == "HIDDEN"
     assert view.read(Query(interval=parse_interval(5, NOW)), horizon(None), CLOCK).interval is None
@@ -71,14 +71,14 @@ def test_a_reader_that_has_seen_more_is_told_that_the_host_is_stalled() -> None:
     assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
 
 
-def test_a_window_shorter_than_the_lead_is_noticed() -> None:
+def test_retention_shorter_than_the_lead_of_a_member_is_reported() -> None:
     view = VisibleChannel(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)
     assert not view.window_too_short(1_000, 5_001)  # 4000 ahead, and kept for 4000
 
 
-def test_an_item_that_went_at_the_cut_or_past_it_shows_that_the_window_is_too_short() -> None:
+def test_an_item_that_was_collected_at_or_after_the_cut_shows_that_retention_is_too_short() -> None:
     view = VisibleChannel(channel(10, 20, 30, policy=Policy(max_items=1)))
     assert view.window_too_short(None, CLOCK)
     assert view.window_too_short(20, CLOCK)
@@ -98,7 +98,7 @@ def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
     return found
 
 
-def test_a_subscription_brings_what_becomes_visible_and_late_items_as_they_come() -> None:
+def test_a_subscription_brings_newly_visible_items_and_late_items() -> None:
     made = channel(10, 20, 30)
     reader = VisibleAll(made, horizon(20), CLOCK)
     assert delivered(reader, 20) == []
@@ -107,7 +107,7 @@ def test_a_subscription_brings_what_becomes_visible_and_late_items_as_they_come(
     assert delivered(reader, 31) == [20, 30]
 
 
-def test_a_subscription_with_a_start_begins_with_what_is_visible_from_there() -> None:
+def test_a_subscription_with_a_start_begins_with_the_visible_items_from_the_start_on() -> None:
     made = channel(10, 20, 30)
     reader = VisibleAll(made, horizon(25), CLOCK, start=OLDEST, start_exclusive=True)
     assert delivered(reader, 25) == [20]
@@ -161,14 +161,14 @@ def test_items_that_the_cut_hides_beyond_the_limit_give_no_reason() -> None:
     assert (times(answer.slices), answer.more, answer.reason) == ([20], True, "HIDDEN")
 
 
-def test_an_interval_with_its_end_is_complete_when_the_cut_is_past_that() -> None:
+def test_an_interval_that_includes_its_end_is_complete_when_the_cut_is_past_the_end() -> None:
     view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 25, "[]"), complete=True)
     assert not view.read(query, horizon(25), CLOCK).complete
     assert view.read(query, horizon(26), CLOCK).complete
 
 
-def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_it() -> None:
+def test_a_get_from_a_future_instant_wakes_at_that_instant_unless_only_the_cut_can_release_it() -> None:
     view = VisibleChannel(channel(10))
     query = Query(interval=parse_interval(CLOCK + 5, CLOCK + 9))
     pending = view.begin(query, horizon(20), CLOCK)
@@ -178,7 +178,7 @@ def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_
     assert not isinstance(view.poll(pending, horizon(CLOCK + 6), CLOCK + 5), WakeAt)
 
 
-def test_a_key_that_no_item_has_is_counted_from_as_exactly() -> None:
+def test_counting_from_a_key_without_an_item_is_exact() -> None:
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
     reader = VisibleAll(made, horizon(15), CLOCK, after=Position(5, 2, INCARNATION))
@@ -205,7 +205,7 @@ def newest_time(reader: VisibleNewest, cut: int) -> int | None:
     return given.slices[0].slice.first_time if given.slices else None
 
 
-def test_the_newest_visible_item_comes_and_what_was_passed_over_or_lost_is_counted() -> None:
+def test_the_newest_visible_item_comes_and_skipped_and_lost_items_are_counted() -> None:
     made = channel(policy=Policy(max_items=2))
     reader = VisibleNewest(made, horizon(5), CLOCK)
     for time in (10, 20, 30):
@@ -216,7 +216,7 @@ def test_the_newest_visible_item_comes_and_what_was_passed_over_or_lost_is_count
     assert (reader.delivered, reader.skipped) == (2, 1)
 
 
-def test_the_newest_begins_at_a_start_or_behind_it() -> None:
+def test_the_newest_begins_at_or_after_its_start() -> None:
     made = channel(10, 20)
     assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST), 25) == 20
     assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST, start_exclusive=True), 25) is None

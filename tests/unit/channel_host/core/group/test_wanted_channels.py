@@ -19,7 +19,7 @@ def numbers(asked: Iterable[bytes]) -> set[int]:
     return {int.from_bytes(one) for one in asked}
 
 
-def test_one_maker_may_fill_the_room_that_nobody_else_wants() -> None:
+def test_one_maker_may_fill_all_unused_room() -> None:
     wanted = WantedChannels(4)
     wanted.add("hostile", ids(1, 2, 3, 4, 5))
     assert numbers(wanted.asked) == {1, 2, 3, 4}
@@ -55,7 +55,7 @@ def test_a_channel_of_two_makers_counts_for_the_other_one_when_the_first_has_no_
     assert numbers(wanted.asked) >= {11, 21}
 
 
-def test_the_maker_with_most_channels_is_known_when_all_others_have_gone() -> None:
+def test_the_maker_with_most_channels_is_still_found_when_all_others_have_gone() -> None:
     wanted = WantedChannels(10)
     wanted.add("a", ids(1, 2, 3))
     wanted.add("b", ids(4))
@@ -85,7 +85,7 @@ def test_all_room_is_used_and_no_maker_is_left_out_while_another_has_many_more(s
 
 
 @given(STEPS)
-def test_a_maker_that_comes_last_gets_its_part_however_many_channels_others_have(steps: list[tuple[int, int]]) -> None:
+def test_a_maker_that_comes_last_gets_its_part_though_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
     wanted = WantedChannels(8)
     for maker, number in steps:
         wanted.add(f"{maker}", ids(number))

@@ -52,7 +52,7 @@ def test_a_repeated_acknowledgement_of_the_same_taker_succeeds_for_ten_minutes()
     assert core.ack(1, 1) == ["LEASE_EXPIRED"]
 
 
-def test_another_taker_cannot_settle_what_it_was_not_given() -> None:
+def test_a_taker_cannot_settle_the_delivery_of_another_taker() -> None:
     core = Core()
     core.put(1)
     core.taker(1, credit=1)
@@ -110,7 +110,7 @@ def test_a_copy_that_comes_back_goes_to_a_taker_that_passed_it_by() -> None:
     assert core.dispatched() == {3: [1]}
 
 
-def test_takers_that_wait_share_what_comes_and_are_served_in_turn() -> None:
+def test_waiting_takers_are_served_in_turn() -> None:
     core = Core()
     takers = [core.taker(number, credit=10) for number in (1, 2, 3)]
     core.put(*[1] * 6)
@@ -123,7 +123,7 @@ def test_takers_that_wait_share_what_comes_and_are_served_in_turn() -> None:
     assert core.queue.waiting_takers == len(takers)
 
 
-def test_credit_bounds_what_a_taker_is_given_and_drain_voids_it() -> None:
+def test_credit_bounds_the_messages_of_a_taker_and_drain_voids_the_credit() -> None:
     core = Core()
     taker = core.taker(1, credit=2)
     core.put(*[1] * 5)
@@ -202,7 +202,7 @@ def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
     assert (first.progress.first_seq, core.queue.waiting_enqueues) == (3, 1)
 
 
-def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
+def test_a_put_whose_wait_is_over_refuses_the_rest_of_its_run() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, 1, wait_nanos=20)
     core.now += 20
@@ -284,7 +284,7 @@ def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:
     assert core.counted("accepted", "held") == (2, 1)
 
 
-def test_a_queue_that_rejects_says_what_it_holds_and_the_way_out() -> None:
+def test_the_refusal_of_a_full_queue_states_its_content_and_gives_advice() -> None:
     core = Core(max_bytes=200, on_full=REJECT)
     run = core.put(100, 100)
     assert run.outcome is not None
@@ -294,7 +294,7 @@ def test_a_queue_that_rejects_says_what_it_holds_and_the_way_out() -> None:
     assert "200 bytes" in rejection.error.message
 
 
-def test_the_oldest_items_that_nobody_has_make_room() -> None:
+def test_the_oldest_items_without_a_lease_make_room() -> None:
     core = Core(max_items=3, on_full=DROP_OLDEST)
     core.put(1, 1, 1)
     core.taker(1, credit=1)

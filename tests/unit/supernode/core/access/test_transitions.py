@@ -130,7 +130,7 @@ def owned_peer(name: str) -> RegisterPeer:
     return replace(register_peer(7, name), owner="cam")
 
 
-def test_nobody_else_who_is_judged_takes_the_place_of_a_peer_whatever_its_proof() -> None:
+def test_no_other_client_takes_the_name_of_a_peer_with_any_proof() -> None:
     log = Log()
     log.apply(RaiseFeatureLevel(feature_level=2))
     log.apply(register(1))

@@ -98,7 +98,7 @@ def test_a_limit_left_out_before_is_not_added_behind_the_backs_of_others(log: Lo
     assert "left out" in result.message
 
 
-def test_stating_what_is_in_effect_anyway_agrees(log: Log) -> None:
+def test_an_open_that_states_the_present_settings_agrees(log: Log) -> None:
     opened(log, "cam/left", max_age_nanos=10)
     agreed = opened(log, "cam/left", on_full="drop_oldest", max_future_nanos=10**9, content_type="image/png")
     assert agreed.channel.policy.content_type == "image/png"

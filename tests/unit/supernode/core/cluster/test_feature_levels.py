@@ -52,7 +52,7 @@ def test_each_kind_of_command_has_a_level_that_this_release_knows() -> None:
     assert level_needed("what a later release has added") > HIGHEST_LEVEL
 
 
-def test_a_command_above_the_clusters_level_is_done_by_no_replica_of_whatever_release() -> None:
+def test_no_replica_of_any_release_applies_a_command_above_the_clusters_level() -> None:
     older, newer, more = DirectoryReplica(), NewerReplica(), encoded(5, open_channel("cam/2"))
     for replica in (older, newer):
         driven(replica, *START)
@@ -169,7 +169,7 @@ async def test_a_follower_raises_nothing() -> None:
     assert newer.feature_level == 1
 
 
-async def test_the_proposer_names_the_command_the_level_and_who_is_behind_and_the_log_gets_nothing(
+async def test_the_refusal_names_the_command_the_level_and_the_older_members_and_the_log_gets_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("stampede_rt_supernode.servicers.submission.encode_command", encode_newer)

@@ -179,7 +179,7 @@ def test_the_number_of_groups_is_bounded(log: Log, monkeypatch: pytest.MonkeyPat
     assert (refused.reason, refused.metadata["group"]) == ("OVERLOADED", "third")
 
 
-def test_a_view_of_an_older_group_leaves_out_what_was_deleted(log: Log) -> None:
+def test_a_view_of_an_older_group_leaves_out_deleted_channels(log: Log) -> None:
     left, right = channel(log, "left", "one"), channel(log, "right", "two")
     before = group(log, "pair", left, right)
     log.apply(delete(left))

@@ -203,7 +203,7 @@ def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_is_gone
     assert opened_beside(log, "right", "left") == "host-2"
 
 
-def test_a_channel_that_exists_stays_where_it_is_whatever_it_should_be_beside() -> None:
+def test_an_existing_channel_stays_at_its_host_even_if_beside_names_another() -> None:
     log = log_with_hosts(2)
     log.apply(open_channel("left", host="host-1"))
     log.apply(open_channel("right", host="host-2"))
@@ -269,7 +269,7 @@ def test_a_host_that_owns_far_more_gets_channels_if_the_others_have_no_room() ->
     assert opened_at(log, "another") == "host-1"
 
 
-def test_a_host_that_reports_nothing_counts_with_what_it_owns() -> None:
+def test_a_host_without_reports_counts_with_its_own_channels() -> None:
     log = log_with_hosts(2)
     tables = log.directory.tables
     tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], load=None)  # of a release without reports

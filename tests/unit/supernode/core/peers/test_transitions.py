@@ -241,7 +241,7 @@ def test_mailboxes_wait_while_there_is_no_host_and_go_to_the_first_that_comes(lo
     assert list(log.directory.tables.hosts) == [id_of(3)], "nothing belongs to the lost ones any more"
 
 
-def test_a_peer_that_registers_while_its_mailbox_waits_hears_that_nobody_can_hold_it(log: Log) -> None:
+def test_a_peer_that_registers_while_its_mailbox_waits_hears_that_no_host_has_room(log: Log) -> None:
     enter(log, 7, "planner")
     for number in (1, 2):
         log.apply(deregister(number))
@@ -257,7 +257,7 @@ def test_a_mailbox_at_a_host_that_starts_anew_is_found_empty_there(log: Log) -> 
     assert entered.mailbox.incarnation != held.incarnation
 
 
-def test_peers_have_a_bound_that_those_who_are_in_do_not_meet(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_of_peers_refuses_new_peers_and_no_registered_ones(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transitions, "PEERS_MAX", 1)
     enter(log, 7)
     assert refusal(log, register_peer(8)).reason == "OVERLOADED"

@@ -197,7 +197,7 @@ def test_a_queue_waits_for_its_lost_host_and_gets_another_when_it_is_opened(log:
     assert id_of(1) not in log.directory.tables.hosts, "nothing belongs to it any more"
 
 
-def test_a_host_that_starts_anew_has_lost_what_its_queues_held(log: Log) -> None:
+def test_a_restarted_host_has_lost_the_messages_of_its_queues(log: Log) -> None:
     before = queue(log, "jobs", host="one")
     log.apply(register(1, name="one", boot=1))
     assert log.directory.tables.queues.named("jobs") == before
@@ -207,7 +207,7 @@ def test_a_host_that_starts_anew_has_lost_what_its_queues_held(log: Log) -> None
     assert (after.epoch, after.incarnation, after.host_id) == (2, 901, id_of(1))
 
 
-def test_a_host_whose_lease_lapsed_keeps_its_queues_if_nobody_opened_them(log: Log) -> None:
+def test_a_host_whose_lease_lapsed_keeps_its_queues_until_an_open(log: Log) -> None:
     before = queue(log, "jobs", host="one")
     registered = log.directory.tables.hosts[id_of(1)].registered_index
     log.apply(expire(1, registered_index=registered))
@@ -223,7 +223,7 @@ def test_the_number_of_queues_has_a_bound(log: Log, monkeypatch: pytest.MonkeyPa
     queue(log, "jobs")
 
 
-def test_pages_hold_what_matches_and_say_where_to_go_on(log: Log) -> None:
+def test_pages_hold_the_matching_queues_and_a_token_for_the_next_page(log: Log) -> None:
     for name in ("a", "b", "b/c", "c"):
         queue(log, name)
     tables = log.directory.tables

@@ -155,7 +155,7 @@ def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
     assert late.reason == "WRONG_EPOCH", "the former owner cannot acknowledge without the replica any more"
 
 
-def test_a_replica_for_which_no_put_waited_takes_over_with_a_new_incarnation(log: Log) -> None:
+def test_a_replica_that_puts_do_not_wait_for_takes_over_with_a_new_incarnation(log: Log) -> None:
     before = cam(log)
     warm_in_sync(log, 2, acknowledged=False)
     warm_in_sync(log, 3)

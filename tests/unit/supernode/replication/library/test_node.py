@@ -22,7 +22,9 @@ UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
     ("reason", "failure"),
     [(name, ProposalFailure.NOT_TAKEN) for name in NOT_TAKEN] + [(name, ProposalFailure.UNKNOWN) for name in UNKNOWN],
 )
-def test_every_reason_of_the_library_says_what_became_of_a_command(reason: str, failure: ProposalFailure) -> None:
+def test_every_failure_reason_of_the_library_maps_to_the_fate_of_the_command(
+    reason: str, failure: ProposalFailure
+) -> None:
     lone, heard = LoneNode(), []
     lone.node._applyCommand = lambda command, callback, kind: callback(None, getattr(FAIL_REASON, reason))
     lone.node.propose(b"c", heard.append)

@@ -57,7 +57,7 @@ def test_a_member_that_accepts_the_store_again_no_longer_refuses_it() -> None:
     assert not refusals.refused("c", COPY, others="bc", leader_id=None)
 
 
-def test_only_what_cannot_pass_by_itself_counts() -> None:
+def test_only_permanent_refusals_count() -> None:
     for words in (ANOTHER_STORE, NO_STORE, OLDER_STORE, REMOVED, TOO_OLD):
         assert grounds_of(f"'a' {words}; more") is not None
     for words in (UNKNOWN, OTHER_CLUSTER, "UNAVAILABLE: closing"):

@@ -145,7 +145,7 @@ def test_a_doubt_is_dropped_with_its_member_and_once_it_agrees() -> None:
     assert poll.doubts == {}, "one has left, the other one was started again"
 
 
-def test_a_position_is_named_until_all_who_are_connected_have_answered_but_not_for_ever() -> None:
+def test_a_digest_position_is_asked_for_until_all_connected_members_answered_or_a_limit() -> None:
     poll = DigestPoll()
     assert poll.of_most("ab") == NO_DIGEST
     poll.ask(0.0, (5, b""), "ab")

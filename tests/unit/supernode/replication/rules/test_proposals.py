@@ -87,7 +87,7 @@ def test_an_abandoned_command_is_never_submitted() -> None:
     assert library.handed == []
 
 
-def test_closing_ends_every_command_by_what_is_known_of_it() -> None:
+def test_closing_ends_every_command_with_its_known_fate() -> None:
     library = Library(submitted_max=1)
     library.propose()
     library.propose()

@@ -137,7 +137,7 @@ def test_a_stranger_is_not_followed(rules: type) -> None:
     assert lone.node.term == 0
 
 
-def test_a_leader_that_contradicts_what_is_committed_is_at_fault_and_changes_nothing() -> None:
+def test_a_leader_that_contradicts_committed_entries_is_at_fault_and_changes_nothing() -> None:
     lone = LoneNode()
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1)], commit=3))
     lone.tick()
@@ -146,7 +146,7 @@ def test_a_leader_that_contradicts_what_is_committed_is_at_fault_and_changes_not
     assert lone.held() == [(1, 0), (2, 1), (3, 1)]
 
 
-def test_a_conflict_above_what_is_committed_replaces_the_tail() -> None:
+def test_a_conflict_above_the_commit_index_replaces_the_tail() -> None:
     lone = LoneNode()
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)], commit=2))
     replies = lone.receive("c", append(2, (2, 1), [(3, 2)], commit=2))
@@ -154,7 +154,7 @@ def test_a_conflict_above_what_is_committed_replaces_the_tail() -> None:
     assert replies[0][1] == AppendReply(term=2, next_index=4, reset=False, success=True)
 
 
-def test_the_commit_index_does_not_pass_what_was_matched() -> None:
+def test_the_commit_index_does_not_pass_the_match_index() -> None:
     lone = LoneNode()
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)]))
     lone.receive("c", append(2, (1, 0), [], commit=4))

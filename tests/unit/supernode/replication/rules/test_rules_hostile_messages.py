@@ -138,7 +138,7 @@ def test_however_many_strangers_come_few_are_remembered() -> None:
     assert {"b", "c"} <= set(lone.node.peers)
 
 
-def test_nobody_pushes_out_what_a_member_has_promised() -> None:
+def test_many_hostile_promises_do_not_remove_the_promise_of_a_member() -> None:
     lone = LoneNode()
     lone.log.note_promise("b", 7, 70)
     for number in range(1000):
@@ -179,7 +179,7 @@ def taken(request_id: int, log_index: int) -> Message:
     return ForwardedCommandReply(request_id=request_id, log_index=log_index, log_term=1)
 
 
-def test_only_the_leader_answers_what_was_asked_of_it() -> None:
+def test_only_the_leaders_answers_to_open_requests_count() -> None:
     lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | ProposalFailure]
     lone.receive("b", append(1, (1, 0), []))
     request_id = forwarded(lone, outcomes)

@@ -235,14 +235,14 @@ def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkey
     assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
 
 
-def test_a_store_of_another_format_stays_unchanged_and_the_error_says_what_to_do(tmp_path: Path) -> None:
+def test_a_store_of_another_format_stays_unchanged_and_the_error_gives_advice(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "UPDATE identity SET format_version = 2")
     with pytest.raises(StoreRefused, match="run the version that wrote it"):
         open_store(tmp_path)
 
 
-def test_last_entries_that_are_missing_are_found_though_nobody_called_them_committed(tmp_path: Path) -> None:
+def test_missing_last_entries_are_found_before_they_are_committed(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "DELETE FROM entry WHERE log_index > 3")
     assert "holds 1 to 3, and held 1 to 5" in damage_found(tmp_path)
