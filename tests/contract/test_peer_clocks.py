@@ -140,7 +140,7 @@ async def clocks_told(connected: Connecting, address: str) -> dict[str, int | No
         return {peer.name: None if peer.clock is None else peer.clock.offset_nanos for peer in await rt.peers()}
 
 
-async def test_clocks_are_asked_of_the_leader_even_if_somebody_else_was_taken_for_it(connected: Connecting) -> None:
+async def test_clocks_are_asked_of_the_leader_after_a_wrong_leader_hint(connected: Connecting) -> None:
     async with two_supernodes() as (follower, leader):
         address, _ = follower.members
         assert await clocks_told(connected, address) == {"peer/0": 7, "peer/1": 7}

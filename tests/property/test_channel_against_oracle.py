@@ -200,7 +200,7 @@ def test_a_consumer_on_a_lost_place_owes_no_item_before_the_newest() -> None:
     pair.check()
 
 
-def test_a_place_that_is_taken_and_given_up_at_once_lets_everything_go_that_others_have_consumed() -> None:
+def test_a_consumer_place_that_is_left_at_once_frees_the_items_that_all_others_consumed() -> None:
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=None, durations=[1, 1], lengths=[0, 40]))

@@ -75,7 +75,7 @@ async def test_a_message_id_that_was_refused_is_free(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("message_id", ["", "x" * 129, 7])
-async def test_a_message_id_that_is_none_is_refused(rig: Rig, message_id: object) -> None:
+async def test_a_value_that_is_no_message_id_is_refused(rig: Rig, message_id: object) -> None:
     queue = await rig.queue()
     with pytest.raises(st.InvalidArgument, match="message_id"):
         await queue.put(b"x", message_id=message_id)

@@ -122,7 +122,7 @@ async def test_several_waits_on_one_handle_share_its_stream(rig: Rig) -> None:
     assert {message.payload for message in await asyncio.gather(*gets)} == {b"0", b"1", b"2", b"3", b"4"}
 
 
-async def test_by_default_nothing_is_taken_before_somebody_waits_for_it(rig: Rig) -> None:
+async def test_by_default_no_message_is_taken_before_a_caller_waits_for_one(rig: Rig) -> None:
     queue = await rig.queue()
     for number in range(3):
         await queue.put(str(number).encode())

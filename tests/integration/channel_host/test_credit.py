@@ -59,7 +59,7 @@ async def test_a_reader_that_grants_nothing_is_sent_nothing_and_costs_no_memory(
     call.cancel()
 
 
-async def test_each_item_takes_its_payload_and_64_bytes_and_the_last_one_may_take_more_than_is_left(rig: Rig) -> None:
+async def test_each_item_costs_its_payload_and_64_bytes_and_the_last_one_may_exceed_the_credit(rig: Rig) -> None:
     channel = await rig.open()
     call = await begun(channel)
     await channel.put(run_of(*(b"%06d" % number for number in range(10))))

@@ -42,7 +42,9 @@ def test_puts_and_gets_go_on_with_the_channel_that_they_open_again(cluster: Loca
         channel.newest(after=before)
 
 
-def test_a_handle_that_may_not_create_says_so_until_somebody_does(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_a_handle_with_create_false_fails_until_another_caller_creates_the_channel(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
     rt.channel("anew/others").put(b"gone")
     reader = rt.channel("anew/others", create=False)
     restart(cluster)

@@ -168,6 +168,6 @@ async def test_the_time_that_the_machine_slept_counts_for_the_age(
 
 
 @pytest.mark.parametrize("told", ["-1", "1.5", "", "٣", "9" * 13])
-def test_an_age_that_is_none_is_refused(told: str) -> None:
+def test_a_value_that_is_no_age_is_refused(told: str) -> None:
     with pytest.raises(stampede_rt.InvalidArgument, match="whole milliseconds"):
         request_age_nanos([(METADATA_KEY, told)])

@@ -170,7 +170,7 @@ async def delays_of_one_that_finds_nobody(patch: pytest.MonkeyPatch) -> list[flo
     return delays
 
 
-async def test_clients_that_have_lost_everybody_at_once_look_for_them_again_at_different_moments(
+async def test_clients_that_lost_the_service_together_reconnect_at_different_times(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     one, other = [await delays_of_one_that_finds_nobody(monkeypatch) for _ in range(2)]

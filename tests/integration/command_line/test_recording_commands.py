@@ -199,7 +199,7 @@ def test_names_in_a_hostile_file_are_escaped_at_the_terminal(run: Command, tmp_p
         assert "\\x1b" in out
 
 
-def test_a_torn_file_has_no_info_but_a_way_out(run: Command, tmp_path: Path) -> None:
+def test_info_on_a_torn_file_gives_advice(run: Command, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", entries("cam", range(1, 30)), finish=False)
     status, _, told = run("file", "info", path)
     assert (status, "`stampede file recover`" in told) == (1, True)

@@ -49,7 +49,7 @@ def test_a_moved_channel_has_its_items_and_its_incarnation_and_goes_on(rt: Any, 
     assert channel.stats().accepted == 301
 
 
-def test_a_channel_that_is_there_already_does_not_move(rt: Any, channel: Any) -> None:
+def test_a_channel_does_not_move_to_its_own_host(rt: Any, channel: Any) -> None:
     channel.put(b"x")
     assert rt.move(channel, "h1").blackout_nanos == 0
 

@@ -48,7 +48,7 @@ def test_a_moved_queue_has_its_messages_its_leases_and_its_counters(rt: Any) -> 
     assert queue.put(b"5").seq == 6
 
 
-def test_a_queue_that_is_there_already_does_not_move_and_one_that_is_not_there_says_so(rt: Any) -> None:
+def test_a_queue_does_not_move_to_its_own_host_and_a_missing_queue_is_reported(rt: Any) -> None:
     queue = rt.queue(f"jobs/{next(numbers)}", host="h1")
     queue.put(b"x")
     assert rt.move_queue(queue.name, "h1").blackout_nanos == 0

@@ -116,7 +116,7 @@ def test_a_proof_without_a_name_is_refused(cluster: LocalCluster) -> None:
 
 
 @pytest.mark.parametrize("proof", ["short", 7])
-def test_a_proof_that_anybody_could_guess_is_refused(cluster: LocalCluster, proof: Any) -> None:
+def test_a_proof_that_is_easy_to_guess_is_refused(cluster: LocalCluster, proof: Any) -> None:
     with pytest.raises(st.InvalidArgument, match="token_hex"):
         st.connect(cluster.address, name="weak", proof=proof)
 

@@ -232,7 +232,7 @@ async def test_a_front_end_that_serves_another_cluster_by_now_takes_no_client_al
 
 
 @pytest.mark.parametrize(("before", "after", "former"), [("memory-x", "memory-y", ()), ("x", "y", ("x",))])
-async def test_a_client_goes_over_to_the_cluster_that_takes_its_ones_place(
+async def test_a_client_goes_over_to_the_successor_of_its_cluster(
     world: World, kind: str, before: str, after: str, former: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (async_directory, sync_directory):

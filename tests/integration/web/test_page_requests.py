@@ -145,7 +145,7 @@ def test_a_window_before_the_track_is_read_beside_it(
     assert asyncio.run(look()) == [([2, 3, 4, 5], True), ([1, 2, 3], False)]
 
 
-def test_an_instant_shows_the_item_of_then_and_why_there_is_none(rt: st.Connection, page: LivePage) -> None:
+def test_an_instant_shows_its_item_or_the_reason_for_none(rt: st.Connection, page: LivePage) -> None:
     channel = rt.channel("at/json", max_age="10m", codec="json")
     first = channel.put({"x": 1})
     second = channel.put({"x": 2})

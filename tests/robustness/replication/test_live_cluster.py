@@ -292,7 +292,7 @@ class Swallower:
             pass
 
 
-async def test_a_link_on_which_nobody_answers_is_made_anew(tmp_path: Path) -> None:
+async def test_a_link_without_answers_is_replaced(tmp_path: Path) -> None:
     swallower, server = Swallower(), grpc.aio.server()
     handler = grpc.stream_stream_rpc_method_handler(
         swallower.exchange,

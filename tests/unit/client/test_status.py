@@ -47,7 +47,7 @@ def test_a_connection_that_broke_is_reported_as_unavailable(code: grpc.StatusCod
         failed(INTERNAL, "Failed to serialize response!"),
     ],
 )
-def test_a_defect_of_the_service_is_none_of_the_connection(error: grpc.aio.AioRpcError) -> None:
+def test_a_defect_of_the_service_is_not_retryable(error: grpc.aio.AioRpcError) -> None:
     told = from_rpc_error(error, "h:1")
     assert type(told) is st.StampedeError
     assert not told.retryable

@@ -101,7 +101,7 @@ def test_flags_cannot_be_abbreviated() -> None:
     assert "there is no flag --lis" in refusal("--lis=x:1")
 
 
-def test_a_stray_word_is_refused() -> None:
+def test_an_unexpected_argument_is_refused() -> None:
     assert "'start' is not expected here" in refusal("start")
 
 

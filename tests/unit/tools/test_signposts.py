@@ -50,7 +50,7 @@ def test_a_picture_has_a_row_for_each_layer_from_the_top_down() -> None:
         ),
     ],
 )
-def test_a_picture_tells_the_other_rules_as_well(contract: dict[str, Any], drawn: str) -> None:
+def test_a_layer_picture_shows_the_other_rules_too(contract: dict[str, Any], drawn: str) -> None:
     assert layers([contract]) == drawn
 
 

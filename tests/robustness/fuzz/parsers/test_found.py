@@ -137,7 +137,7 @@ def test_a_backup_whose_first_line_is_none_is_refused(line: bytes, tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", [b"a = " + NESTED, NO_TEXT])
-def test_a_settings_file_that_is_none_is_refused(text: bytes, tmp_path: Path) -> None:
+def test_a_file_that_is_no_settings_file_is_refused(text: bytes, tmp_path: Path) -> None:
     (tmp_path / "settings.toml").write_bytes(text)
     with pytest.raises(SettingsError, match="cannot be read"):
         load_settings(

@@ -154,7 +154,7 @@ def interleaved(items: int) -> tuple[ChannelCore, list[bytes]]:
     return channel, stored
 
 
-def test_a_run_of_which_every_item_goes_alone_is_looked_into_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_with_interleaved_items_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     channel, _ = interleaved(200)
     looked: list[bytes] = []
 

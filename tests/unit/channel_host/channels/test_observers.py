@@ -80,7 +80,7 @@ async def test_an_observer_that_was_woken_before_another_change_is_woken_again_a
     assert {reader.seen for reader in book.readers} == {2}
 
 
-async def test_changes_without_end_leave_nobody_unwoken() -> None:
+async def test_endless_changes_still_wake_every_observer() -> None:
     book = Book(MANY)
     for _ in range(3 * MANY // OBSERVERS_PER_PIECE):
         book.change()

@@ -96,7 +96,7 @@ async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_afte
     assert fake.clusters_told == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
 
 
-async def test_a_host_whose_lease_is_renewed_by_the_cluster_that_took_its_ones_place_is_of_that_one(
+async def test_a_host_whose_lease_the_successor_cluster_renews_belongs_to_that_cluster(
     tmp_path: Path,
 ) -> None:
     """The host serves the callers of both clusters from then on, because callers change over at other moments."""

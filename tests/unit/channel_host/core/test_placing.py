@@ -20,6 +20,6 @@ def test_the_least_busy_host_gets_channels_and_equals_share_them() -> None:
     assert sorted(one.name for one in places.values()) == ["h2", "h3", "h3"]
 
 
-def test_a_bunch_goes_to_one_host() -> None:
+def test_channels_that_belong_together_go_to_one_host() -> None:
     places = spread([[b"a", b"b", b"c"], [b"d"]], [host("h1"), host("h2")])
     assert places[b"a"] == places[b"b"] == places[b"c"] != places[b"d"]

@@ -123,7 +123,7 @@ async def test_a_reader_of_news_hears_of_each_member_until_it_leaves() -> None:
     assert shown.table.concerned_by(channel(1)) == []
 
 
-async def test_a_deleted_group_concerns_nobody() -> None:
+async def test_a_deleted_group_holds_no_cut_and_no_channel() -> None:
     shown = Shown()
     one = shown.group(0, 1, 2)
     shown.table.forget(one.record.group_id)

@@ -233,7 +233,7 @@ async def test_a_message_that_came_as_its_wait_was_cancelled_is_given_back() -> 
     assert host.given_back == [5]
 
 
-async def test_a_message_that_its_cancelled_getter_never_saw_goes_to_the_next_one_here() -> None:
+async def test_a_message_for_a_cancelled_getter_goes_to_the_next_getter_of_the_client() -> None:
     host = Host()
     taker = taker_at(host)
     first, second = (asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(2))

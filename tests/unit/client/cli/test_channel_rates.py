@@ -24,7 +24,7 @@ def test_a_rate_is_the_growth_by_the_hosts_time() -> None:
     assert (row.age_nanos, row.held, row.subscriptions, row.host) == (12 * S, 10, 2, "h1")
 
 
-def test_drops_are_none_when_a_slow_reader_has_left() -> None:
+def test_drops_are_zero_after_a_slow_reader_has_left() -> None:
     slow, gone = replace(STATS, dropped=10, host_time=102 * S), replace(STATS, dropped=0, host_time=104 * S)
     assert rates_of({"a": ("h1", STATS)}, {"a": ("h1", slow)})[0].dropped == 5
     assert rates_of({"a": ("h1", slow)}, {"a": ("h1", gone)})[0].dropped == 0

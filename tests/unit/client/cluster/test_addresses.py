@@ -30,7 +30,7 @@ def test_a_place_on_this_machine_alone_is_known_as_such(target: str) -> None:
         "a.localhost:7580",  # a resolver may ask the network for it
     ],
 )
-def test_a_place_that_may_be_elsewhere_is_not_taken_for_this_machine(target: str) -> None:
+def test_an_address_that_may_be_of_another_machine_does_not_count_as_this_machine(target: str) -> None:
     assert not is_loopback(target)
 
 

@@ -136,7 +136,7 @@ async def test_a_cancelled_sampled_function_has_failed(caplog: pytest.LogCapture
     assert (made.failures, made.samples) == (1, 0)
 
 
-def test_a_coroutine_function_is_refused_where_nobody_would_run_it() -> None:
+def test_a_coroutine_function_is_refused_in_the_blocking_client() -> None:
     from stampede_rt.transports.concurrency_sync import check_callback
 
     async def fn() -> None: ...

@@ -82,7 +82,7 @@ def test_impossible_members_of_a_group_are_refused_with_the_reason(channels: Any
         parse_members(channels)
 
 
-def test_as_many_members_as_there_may_be_are_taken_as_they_are() -> None:
+def test_a_list_of_the_greatest_number_of_members_is_accepted_unchanged() -> None:
     channels = [handle(str(number)) for number in range(MEMBERS_MAX)]
     assert parse_members(channels) == channels
 

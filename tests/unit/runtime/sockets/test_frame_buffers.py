@@ -16,7 +16,7 @@ async def test_a_caller_with_many_long_frames_takes_no_place_of_another() -> Non
     assert buffers.place(good).take_now(PLACE_BYTES)
 
 
-async def test_a_place_that_was_left_goes_to_the_first_that_waits() -> None:
+async def test_a_free_frame_buffer_goes_to_the_first_waiting_stream() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     taken = [buffers.place(busy) for _ in range(PLACES)]
     assert all(one.take_now(PLACE_BYTES) for one in taken)

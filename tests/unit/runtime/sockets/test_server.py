@@ -209,7 +209,9 @@ async def test_unread_bytes_stay_with_the_caller_and_are_read_later(port: Open) 
         assert one.streams.read_bytes == 100 * 100_000
 
 
-async def test_a_caller_that_takes_nothing_is_let_go_after_a_while(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_caller_that_reads_nothing_is_disconnected_after_a_while(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(stream_socket, "STALL_SECONDS_MAX", 0.05)
     monkeypatch.setattr(server, "ALIVE_SECONDS", 0.02)
     async with port() as one, raw_stream(one.target) as stream:

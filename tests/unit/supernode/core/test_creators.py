@@ -158,7 +158,7 @@ def test_a_snapshot_counts_as_the_state_that_it_is_of() -> None:
     assert tables.groups.count_made_with(channel, "cam") == 1
 
 
-def test_a_limit_of_nothing_lets_nothing_be_made_and_a_name_that_is_not_known_is_not_counted() -> None:
+def test_a_quota_of_zero_refuses_every_new_thing_and_things_without_a_maker_are_not_counted() -> None:
     creators = Creators()
     with pytest.raises(Overloaded):
         creators.check(Creation(created_by="cam", created_max=0), "channels")

@@ -41,7 +41,7 @@ def pass_time(table: LeaseTable, start: int, end: int) -> list[tuple[bytes, int,
     return due
 
 
-def test_a_new_leader_grants_everybody_a_full_ttl(table: LeaseTable) -> None:
+def test_a_new_leader_grants_every_lease_its_full_ttl(table: LeaseTable) -> None:
     assert pass_time(table, 0, TTL - SECOND) == []
     assert table.due(TTL - 1) == []
     assert table.due(TTL) == [(b"\x01", 1, 1), (b"\x02", 1, 1)]

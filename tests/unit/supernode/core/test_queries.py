@@ -85,6 +85,6 @@ def test_the_channels_of_a_host_are_bounded(log: Log, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("token", ["!", "abc", "_w=="])
-def test_a_page_token_that_is_none_is_refused(token: str) -> None:
+def test_a_text_that_is_no_page_token_is_refused(token: str) -> None:
     with pytest.raises(InvalidArgument, match="page token"):
         page_tokens.read_name(token)

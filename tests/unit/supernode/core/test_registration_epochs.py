@@ -131,7 +131,7 @@ def test_the_name_counts_where_the_newer_process_has_another_id(log: Log) -> Non
     assert log.directory.tables.peers.ids["it"] == id_of(2)
 
 
-def test_a_stranger_is_told_that_the_name_is_taken_and_no_number(log: Log) -> None:
+def test_an_error_for_a_taken_name_tells_another_caller_no_epoch(log: Log) -> None:
     log.apply(register_peer(1, "it", boot=1, proof=5))
     refused = log.apply(register_peer(2, "it", boot=2, epoch=7, proof=6))
     assert isinstance(refused, Refused)

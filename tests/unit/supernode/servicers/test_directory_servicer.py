@@ -48,7 +48,7 @@ async def test_a_channel_is_opened_resolved_changed_and_deleted(node: Node) -> N
     assert gone.reason == "CHANNEL_NOT_FOUND"
 
 
-async def test_a_repeat_puts_no_old_set_up_over_a_newer_one_however_much_was_done_meanwhile(node: Node) -> None:
+async def test_a_repeated_update_never_replaces_newer_settings(node: Node) -> None:
     opened = await node.open("cam")
 
     def update(number: int, max_items: int, age_ms: int = 0) -> Awaitable[pb.UpdateChannelResponse]:

@@ -64,7 +64,7 @@ async def test_a_leader_grants_nothing_before_its_tenure_is_committed(node: Node
     assert (await node.renew(1)).tenure == 2
 
 
-async def test_a_new_tenure_grants_everybody_a_full_ttl(node: Node) -> None:
+async def test_a_new_tenure_grants_every_lease_its_full_ttl(node: Node) -> None:
     await node.pass_seconds(4)
     node.log.tenure = 2
     await node.leases.tick()

@@ -154,7 +154,7 @@ async def test_unsent_items_of_a_dropped_call_or_an_ended_stream_are_freed_in_pi
     assert not other
 
 
-async def test_an_answer_that_comes_after_the_stream_has_ended_is_let_go_and_not_written() -> None:
+async def test_an_answer_after_the_end_of_the_stream_is_freed_and_not_written() -> None:
     box = Box()
     box.outbox.close()
     box.add(1)

@@ -85,7 +85,7 @@ async def test_a_request_whose_caller_goes_gives_its_room_and_its_place_in_line_
         assert some.under_way == ["first", "second", "third"]
 
 
-async def test_a_request_that_goes_in_the_moment_in_which_it_gets_room_gives_it_back() -> None:
+async def test_a_request_that_is_cancelled_when_it_gets_room_gives_the_room_back() -> None:
     async with uploads() as some:
         await some.begin("first", "a", 50)
         await some.begin("second", "a", 50)

@@ -147,7 +147,7 @@ def test_the_end_of_a_small_bucket_is_that_of_its_longest_span() -> None:
     assert (held.items, held.collected_end) == (1, CLOCK + 5)
 
 
-def test_a_large_newest_bucket_that_goes_ends_with_its_longest_span(looked: SliceCounter) -> None:
+def test_a_large_newest_bucket_is_collected_at_the_end_of_its_longest_span(looked: SliceCounter) -> None:
     channel = a_channel()
     for at in range(5000):
         put(channel, CLOCK, durations=[7 if at == 4000 else 5])

@@ -68,7 +68,7 @@ def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does
     assert (follower.silent_since, follower.times(1).mark) == (9, 30)
 
 
-def test_a_tracker_counts_only_reports_of_its_own_incarnation() -> None:
+def test_reports_of_one_incarnation_add_up_and_a_new_incarnation_replaces_them() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
@@ -79,7 +79,7 @@ def test_a_tracker_counts_only_reports_of_its_own_incarnation() -> None:
     assert _known(board) == ChannelTimes(4, INCARNATION + 1, 20)
 
 
-def test_the_silence_of_a_channel_is_known_up_to_the_last_report_of_its_host() -> None:
+def test_the_silence_of_a_channel_counts_up_to_the_last_report_of_its_host() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
     known = board.find(A)

@@ -71,7 +71,7 @@ def test_a_reader_that_has_seen_more_is_told_that_the_host_is_stalled() -> None:
     assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
 
 
-def test_retention_shorter_than_the_lead_of_a_member_is_reported() -> None:
+def test_a_max_age_shorter_than_the_lead_over_the_cut_is_noticed() -> None:
     view = VisibleChannel(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)

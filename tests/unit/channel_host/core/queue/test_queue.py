@@ -136,7 +136,7 @@ def test_credit_bounds_the_messages_of_a_taker_and_drain_voids_the_credit() -> N
     assert core.dispatched() == {}
 
 
-def test_a_message_that_was_dispatched_and_never_sent_goes_back_without_a_trace() -> None:
+def test_a_dispatched_message_that_was_not_sent_goes_back_without_a_counted_delivery() -> None:
     core = Core(max_deliveries=1)
     core.put(1, 1)
     taker = core.taker(1, credit=2)
@@ -189,7 +189,7 @@ def test_a_batch_of_several_items_keeps_the_limit_of_a_message_and_a_large_item_
     assert sizes == [2, 1, 1, 1]
 
 
-def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
+def test_runs_wait_at_a_full_queue_in_the_order_of_their_arrival() -> None:
     core = Core(max_items=2)
     core.put(1, 1)
     first, second = core.put(1, 1), core.put(1)
@@ -351,7 +351,7 @@ def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delive
     assert [one.seq for one in core.queue.dead_letters(10)] == [1, 2, 3]
 
 
-def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_given_out_before_all_were(
+def test_after_new_limits_a_queue_checks_a_few_items_a_step_and_delivers_none_before_all_are_checked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(due_work, "CHECKED_PER_CALL_MAX", 4)

@@ -137,7 +137,7 @@ def test_an_update_changes_the_stated_fields_under_the_right_epoch(log: Log) -> 
     assert refusal(log, update_queue(id_of(99))).reason == "QUEUE_NOT_FOUND"
 
 
-def test_a_dead_letter_queue_must_be_there_and_be_no_mailbox(log: Log) -> None:
+def test_a_dead_letter_queue_must_exist_and_be_no_mailbox(log: Log) -> None:
     refused = refusal(log, open_queue("jobs", dead_letter_queue_id=id_of(99)))
     assert (refused.reason, refused.metadata["queue_id"]) == ("QUEUE_NOT_FOUND", id_of(99).hex())
     log.apply(register_peer(7, "me"))

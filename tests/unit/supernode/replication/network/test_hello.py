@@ -52,7 +52,7 @@ class Links3(PeerLinks):
         self._on_refused(member_id, f"{refusal.code.name}: {refusal.why}", self.done.append)
 
 
-def test_a_release_that_knows_less_is_refused_and_one_members_word_does_not_end_it() -> None:
+def test_an_older_release_is_refused_and_the_refusal_of_one_member_does_not_end_it() -> None:
     refusal, links = refused(knows=1, cluster=2), Links3(leader_id="s3")
     assert refusal is not None
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION

@@ -118,7 +118,7 @@ async def greeted_by_an_older_copy(channel: grpc.aio.Channel) -> str:
     return str(await call.details())
 
 
-async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once_and_not_held_against_the_member(
+async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_harm_the_member(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     inbox = Inbox()

@@ -84,7 +84,7 @@ def test_a_newcomer_must_know_the_clusters_level_and_the_one_to_which_it_is_abou
         assert leader.changes.is_idle, "others can come"
 
 
-def test_a_member_that_has_not_told_its_level_holds_the_rise_down_and_so_an_older_newcomer_may_come() -> None:
+def test_a_member_of_unknown_level_prevents_the_rise_and_an_older_newcomer_may_join() -> None:
     assert isinstance(Leader(level=1, knows=2, told={"b": 2}).let_in(1), int)
     assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
 

@@ -56,7 +56,7 @@ def test_a_new_leader_counts_only_members_that_have_answered_it_as_alive(removed
 
 
 @pytest.mark.parametrize("removed", ["a", "b"])
-def test_a_leader_that_had_the_time_to_hear_all_refuses_for_good(removed: str) -> None:
+def test_a_leader_that_heard_from_all_members_refuses_for_good(removed: str) -> None:
     leader = Leader("b")
     leader.let_pass(ALIVE_SECONDS, "b")
     [outcome] = leader.remove(removed)
