@@ -7,6 +7,7 @@ and begin anew. A copy that has all steps takes the queue over, and the rest of 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
@@ -14,7 +15,9 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_messages import parts_of
+from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal, QueueStep, handoff
 from tests.property import test_queue_against_oracle as stories
 from tests.property.queue_pair import QueuePair, limits_of
@@ -32,17 +35,26 @@ def contents(core: QueueCore, clock: int) -> list[bytes]:
     return [part.SerializeToString(deterministic=True) for part in parts_of(state)]
 
 
+def sent(parts: Iterable[pb.FedQueuePart]) -> list[pb.FedQueuePart]:
+    return [pb.FedQueuePart.FromString(part.SerializeToString()) for part in parts]
+
+
 class Copy:
     """A copy at another host, whose clock shows the same time."""
 
     def __init__(self, pair: ReplicatedPair) -> None:
         state = handoff.export(pair.core._queue_items, pair.core._leasing, pair.core._enqueuing, pair.clock)
-        self.core = QueueCore.restored(limits_of(pair.oracle.setup), state, pair.clock, incarnation=7)
-        self.journal = self.core.journal(pair.journal.next_step)
+        self.arriving = ArrivingParts()
+        self.arriving.begin_anew()
+        ((whole, next_step),) = self.arriving.add(sent(whole_parts(state, pair.journal.next_step)))
+        assert not isinstance(whole, QueueStep)
+        self.core = QueueCore.restored(limits_of(pair.oracle.setup), whole, pair.clock, incarnation=7)
+        self.journal = self.core.journal(next_step)
 
-    def take(self, steps: list[QueueStep], now: dict[int, int]) -> None:
-        for step in steps:
-            self.journal.apply(step, now[step.number])
+    def take(self, step: QueueStep, clock: int) -> None:
+        for arrived in self.arriving.add(sent(step_parts(step, clock))):
+            assert not isinstance(arrived, WholeQueue)
+            self.journal.apply(arrived[0], clock - arrived[1])
 
 
 class ReplicatedPair(QueuePair):
@@ -64,7 +76,7 @@ class ReplicatedPair(QueuePair):
         steps = self.journal.steps_from(max(self._oldest(), copy.journal.next_step - back), bytes_max)
         assert steps is not None
         for step in steps:
-            copy.take([step], {one.number: one.time for one in steps})
+            copy.take(step, self.clock)
             if step.number == copy.journal.next_step - 1:
                 clock, expected = self.seen[copy.journal.next_step]
                 assert contents(copy.core, clock) == expected
@@ -130,7 +142,7 @@ def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
 
 def test_the_journal_forgets_the_oldest_steps_above_its_bound() -> None:
     pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
-    pair.journal._bytes_max = 3000
+    pair.journal.bytes_max = 3000
     for number in range(1, 20):
         pair.enqueue([8], 5, number, None, "")
     assert pair.journal.size_bytes <= 3000

@@ -90,3 +90,55 @@ async def test_a_put_is_checked_before_it_is_sent(rig: Rig) -> None:
         await message.extend("2h")
     with pytest.raises(st.InvalidArgument, match="delay"):
         await message.nack(delay="-1s")
+
+
+async def test_a_queue_without_enough_replicas_acknowledges_no_put_and_delivers_nothing(rig: Rig) -> None:
+    """The cluster of these tests has one host, so no replica can be in sync."""
+    queue = await rig.queue(replicas=1, ack="replica")
+    assert (queue.info.policy.replicas, queue.info.policy.ack) == (1, "replica")
+    with pytest.raises(st.NotReplicated, match="min_replicas is 1") as told:
+        await queue.put(b"1", timeout=0)
+    assert (told.value.metadata["seq"], told.value.metadata["copies"]) == ("1", "1")
+    assert await queue.get(timeout=0) is None
+    await queue.configure(min_replicas=0)
+    message = await queue.get(timeout=40)
+    assert (message.payload, message.deliveries) == (b"1", 1)
+    await message.ack()
+    put = await queue.put(b"2")
+    assert (put.seq, put.copies) == (2, 1)
+    stats = await until(queue, lambda stats: stats.consumed == 1)
+    assert stats.replicas == ()
+
+
+async def test_a_queue_stops_waiting_for_replicas_when_its_policy_says_so(rig: Rig) -> None:
+    queue = await rig.queue(replicas=1, ack="replica")
+    waiting = asyncio.ensure_future(queue.put(b"1"))
+    await until(queue, lambda stats: stats.held == 1)
+    await queue.configure(replicas=0, ack="host")
+    assert (await waiting).copies == 1
+    async with await queue.get(timeout=40) as message:
+        assert message.payload == b"1"
+    await queue.configure(replicas=1, ack="replica", min_replicas=0)
+    assert (await queue.put(b"2")).seq == 2
+    async with await queue.get(timeout=40) as message:
+        assert message.payload == b"2"
+
+
+async def test_replicas_without_their_ack_are_refused_and_change_nothing(rig: Rig) -> None:
+    queue = await rig.queue()
+    for wrong in ({"replicas": 1}, {"ack": "replica"}, {"ack": "disk"}, {"replicas": 5, "ack": "replica"}):
+        with pytest.raises(st.InvalidArgument):
+            await queue.configure(**wrong)
+    with pytest.raises(st.InvalidArgument):
+        await rig.queue(replicas=1, ack="replica", min_replicas=2)
+    assert (await queue.stats()).policy == queue.info.policy
+
+
+async def test_the_mailbox_of_a_peer_waits_for_replicas_when_its_owner_says_so(rig: Rig) -> None:
+    rt = await rig.connect(name=rig.name().replace("/", "-"))
+    mailbox = rt.mailbox
+    policy = await mailbox.configure(replicas=1, ack="replica", min_replicas=0)
+    assert (policy.replicas, policy.ack, policy.min_replicas) == (1, "replica", 0)
+    await rig.rt.send(mailbox.name, b"hello")
+    async with await mailbox.get(timeout=40) as message:
+        assert message.payload == b"hello"

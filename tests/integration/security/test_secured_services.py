@@ -32,6 +32,7 @@ from stampede_rt.v1 import (
     membership_service_pb2_grpc,
     migration_directory_service_pb2_grpc,
     migration_service_pb2_grpc,
+    queue_pb2,
     raft_service_pb2_grpc,
     replica_service_pb2_grpc,
 )
@@ -156,6 +157,33 @@ def test_a_host_cannot_open_a_feed_under_the_id_of_another_host(cluster: LocalCl
     opening.host_id = b"n" * 16
     told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
     assert told.startswith("NOT_FOUND: ")
+
+
+def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_names(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        (h1,) = [one for one in rt.hosts() if one.name == "h1"]
+        queue = rt.queue("fed/queue")
+        record = queue_pb2.QueueRecord(queue_id=queue.info.queue_id, epoch=queue.info.epoch, host_id=h1.host_id)
+        first = migration_pb.FeedQueueRequest(owner_host_id=h1.host_id, queue=record)
+
+        async def feed(channel: grpc.aio.Channel) -> None:
+            call: Any = migration_service_pb2_grpc.MigrationServiceStub(channel).FeedQueue(timeout=5)
+            await call.write(first)
+            await call.read()
+            raise AssertionError(f"the feed was not refused: {await call.code()}")
+
+        address = cluster.hosts[0].address
+        told = ask(address, cluster.tls_files("cam"), feed)
+        assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/FeedQueue")
+        told = ask(address, cluster.tls_files("h9", Role.HOST), feed)
+        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate")
+        told = ask(
+            address, cluster.tls_files("h1", Role.HOST), feed
+        )  # the certificate is right, but no replica is here
+        assert told.startswith("FAILED_PRECONDITION: ")
+        first.owner_host_id = b"short"
+        assert ask(address, cluster.tls_files("h9", Role.HOST), feed).startswith("INVALID_ARGUMENT: ")
+        assert queue.put(b"kept").copies == 1
 
 
 def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(cluster: LocalCluster) -> None:

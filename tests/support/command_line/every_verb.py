@@ -106,7 +106,8 @@ def _make_groups_and_queues(made: Stage, left: st.Channel, right: st.Channel) ->
     rt.group(made.name("changed"), [left, rt.channel(made.name("inside"))])
     rt.group(made.name("gone"), [left])
     rt.queue(made.name("gone")).put(b"x")
-    queue = rt.queue(made.name("queue"), lease="1h")
+    queue = rt.queue(made.name("queue"), lease="1h", replicas=1, ack="replica")
+    rt.mailbox.configure(replicas=1, ack="replica")
     for _ in range(3):
         queue.put(b"x", attributes={"k": "v"})
     doomed = rt.queue(made.name("doomed"), dead_letter=rt.queue(made.name("dead")))

@@ -9,15 +9,14 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
-from stampede_rt._async.files import Files
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
 from stampede_rt._async.hosting import Hosting, open_channel, open_queue_near
 from stampede_rt._async.mailbox_sender import MailboxSender
-from stampede_rt._async.peer_locator import PeerLocator
+from stampede_rt._async.mailboxes import Mailboxes
 from stampede_rt._async.presence import Mailbox, Presence
-from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
+from stampede_rt._async.queue import Queue, dead_letter_id
 from stampede_rt._async.queue_locator import queue_state
 from stampede_rt._async.replay import ReplayedConnection
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
@@ -41,13 +40,13 @@ from stampede_rt.values.grouping import (
 from stampede_rt.values.model import Ack, OnFull
 from stampede_rt.values.peering import ClockOffset, PeerInfo
 from stampede_rt.values.policy import parse_name, parse_policy
-from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
+from stampede_rt.values.queueing import Enqueued, parse_prefetch, parse_queue_policy
 from stampede_rt.values.reading import parse_replay
 from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, InstantLike, parse_duration
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Files, Reference):
+class Connection(Mailboxes, Reference):
     """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
@@ -271,6 +270,9 @@ class Connection(Files, Reference):
         lease: DurationLike | None = None,
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,
+        replicas: int | None = None,
+        ack: Ack | None = None,
+        min_replicas: int | None = None,
         content_type: str | None = None,
         codec: CodecLike | None = None,
         prefetch: int = 1,
@@ -284,8 +286,10 @@ class Connection(Files, Reference):
         Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: this
         number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
         deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which such a message
-        goes, and each message that a taker gives up. `host` names the host of a new queue. If the queue does not exist
-        and `create` is False, the call raises QueueNotFound.
+        goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies at other hosts,
+        which know of each put, delivery and acknowledgement before its caller. One of them becomes the owner if the
+        owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses. `host` names the host of a
+        new queue. If the queue does not exist and `create` is False, the call raises QueueNotFound.
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With a
         greater number the handle takes up to this number of messages ahead, and extends the leases of these messages
@@ -302,6 +306,9 @@ class Connection(Files, Reference):
             max_deliveries=max_deliveries,
             dead_letter_queue_id=await dead_letter_id(self._session, dead_letter, name),
             content_type=content_type,
+            replicas=replicas,
+            ack=ack,
+            min_replicas=min_replicas,
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
@@ -341,14 +348,3 @@ class Connection(Files, Reference):
         return await self._mailbox_sender.send(
             parse_name(name, "peer"), payload, timeout, attributes, content_type, codec, message_id
         )
-
-    async def mailbox_stats(self, peer: str) -> QueueStats:
-        """Return the counters of a peer's mailbox at one moment. Raises PeerNotFound, Unavailable."""
-        return await stats_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")))
-
-    async def mailbox_pending(self, peer: str, limit: int = 1000) -> list[PendingMessage]:
-        """List the messages that a peer has taken from its mailbox and not yet settled (see `Queue.pending`).
-
-        Raises PeerNotFound, Unavailable, InvalidArgument.
-        """
-        return await pending_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")), limit)

@@ -125,7 +125,7 @@ class Puts:
 
 def enqueued(ack: channel_pb.PutAck) -> Enqueued:
     """Return the ack of a queue as the value that a program gets."""
-    return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
+    return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation, ack.copies or 1)
 
 
 def accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:

@@ -24,7 +24,7 @@ from stampede_rt.transports.concurrency_sync import monotonic_s, when_dropped
 from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from stampede_rt.values.model import OnFull
+from stampede_rt.values.model import Ack, OnFull
 from stampede_rt.values.policy import count_of, parse_name
 from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.values.reading import Wait
@@ -137,6 +137,58 @@ class MessageTaking:
         """
         return pending_at(self._session, self._locator, limit)
 
+    def configure(
+        self,
+        *,
+        max_items: int | None = None,
+        max_bytes: int | None = None,
+        copies: int | None = None,
+        on_full: OnFull | None = None,
+        lease: DurationLike | None = None,
+        max_deliveries: int | None = None,
+        dead_letter: Queue | str | None = None,
+        replicas: int | None = None,
+        ack: Ack | None = None,
+        min_replicas: int | None = None,
+    ) -> QueuePolicy:
+        """Change the queue's policy while it runs, and return the new policy.
+
+        A setting that you leave out stays as it is. Blocks for at most 40 s. Raises InvalidArgument, QueueNotFound,
+        Unavailable.
+        """
+        policy = parse_queue_policy(
+            max_items=max_items,
+            max_bytes=max_bytes,
+            copies=copies,
+            on_full=on_full,
+            lease=lease,
+            max_deliveries=max_deliveries,
+            dead_letter_queue_id=dead_letter_id(self._session, dead_letter, self.info.name),
+            replicas=replicas,
+            ack=ack,
+            min_replicas=min_replicas,
+        )
+        return self._update(policy)
+
+    def _update(self, policy: QueuePolicy) -> QueuePolicy:
+        identity, since_s = request_id(), age_clock_s()
+
+        def update_at(binding: Binding, timeout_s: float) -> QueuePolicy:
+            request = queue_directory_pb.UpdateQueueRequest(
+                request_id=identity,
+                queue_id=binding.subject_id,
+                epoch=binding.epoch,
+                spec=queue_policy_to_spec(policy),
+            )
+            deadline_s = monotonic_s() + timeout_s
+            response = self._session.supernodes.call("UpdateQueue", request, timeout_s, since_s=since_s)
+            request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.subject_id)
+            now = self._session.supernodes.call("ResolveQueue", request_now, left_s(deadline_s))
+            self._state.info = learn_queue(self._session, response.queue, now.host)
+            return self._state.info.policy
+
+        return attempt(self._locator, update_at, CALL_TIMEOUT_S)
+
     def close(self) -> None:
         """Stop taking: waiting calls return None, and prefetched messages go back to the queue.
 
@@ -201,49 +253,6 @@ class Queue(MessageTaking, Reference):
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         with span("enqueue", queue=self.name):
             return enqueued(self._puts.put(self._numbers.put_of(item), Wait.parse(timeout)))
-
-    def configure(
-        self,
-        *,
-        max_items: int | None = None,
-        max_bytes: int | None = None,
-        copies: int | None = None,
-        on_full: OnFull | None = None,
-        lease: DurationLike | None = None,
-        max_deliveries: int | None = None,
-        dead_letter: Queue | str | None = None,
-    ) -> QueuePolicy:
-        """Change the queue's policy while it runs, and return the new policy.
-
-        A setting that you leave out stays as it is. Blocks for at most 40 s. Raises InvalidArgument, QueueNotFound,
-        Unavailable.
-        """
-        policy = parse_queue_policy(
-            max_items=max_items,
-            max_bytes=max_bytes,
-            copies=copies,
-            on_full=on_full,
-            lease=lease,
-            max_deliveries=max_deliveries,
-            dead_letter_queue_id=dead_letter_id(self._session, dead_letter, self.info.name),
-        )
-        identity, since_s = request_id(), age_clock_s()
-
-        def update_at(binding: Binding, timeout_s: float) -> QueuePolicy:
-            request = queue_directory_pb.UpdateQueueRequest(
-                request_id=identity,
-                queue_id=binding.subject_id,
-                epoch=binding.epoch,
-                spec=queue_policy_to_spec(policy),
-            )
-            deadline_s = monotonic_s() + timeout_s
-            response = self._session.supernodes.call("UpdateQueue", request, timeout_s, since_s=since_s)
-            request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.subject_id)
-            now = self._session.supernodes.call("ResolveQueue", request_now, left_s(deadline_s))
-            self._state.info = learn_queue(self._session, response.queue, now.host)
-            return self._state.info.policy
-
-        return attempt(self._locator, update_at, CALL_TIMEOUT_S)
 
     def delete(self) -> None:
         """Delete the queue with all its messages, for everyone. Blocks for at most 10 s.

@@ -10,7 +10,7 @@ from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.channel_users import user_facts
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
-from stampede_rt.cli.replicas import replica_rows
+from stampede_rt.cli.replicas import replica_rows, replicas_text
 from stampede_rt.values.model import ChannelInfo
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.values.statistics import ChannelStats
@@ -71,7 +71,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         stats = channel.stats()
         info = channel.info
         proxies = rt.proxies(channel) if stats.copies else []
-        replicas = replica_rows(rt, stats) if stats.policy.replicas else []
+        replicas = replica_rows(rt, stats.copies) if stats.policy.replicas else []
     people = arguments.output == "table"
     instant = instant_text if people else (lambda value: value)
     facts: dict[str, Any] = {
@@ -122,13 +122,8 @@ def _consumers(stats: ChannelStats) -> str:
 def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
     if not stats.policy.replicas:
         return "none"
-    shown = [
-        f"{one['host']} ({'in sync' if one['in_sync'] else 'out of sync'}, {one['waiting']} items behind)"
-        for one in replicas
-    ]
-    in_sync = sum(one["in_sync"] for one in replicas)
     lacking = f", {stats.not_replicated} items not replicated in time" if stats.not_replicated else ""
-    return f"{in_sync} of {stats.policy.replicas} in sync" + (f": {', '.join(shown)}" if shown else "") + lacking
+    return replicas_text(stats.policy.replicas, replicas) + lacking
 
 
 def _proxies(proxies: list[ProxyInfo]) -> str:

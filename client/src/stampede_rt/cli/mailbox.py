@@ -20,6 +20,7 @@ from stampede_rt.cli.messages import (
     take,
 )
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.replicas import queue_replicas
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import PeerNotFound
 from stampede_rt.values.timeline import format_duration
@@ -150,9 +151,11 @@ def run_info(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         try:
             stats = rt.mailbox_stats(arguments.peer)
+            replicas = queue_replicas(rt, stats, arguments.output)
         except PeerNotFound as error:
             raise _nobody(arguments.peer) from error
     facts: dict[str, Any] = {"peer": arguments.peer, "incarnation": f"{stats.incarnation:016x}"}
+    facts["replicas"] = replicas
     print_facts(facts | counted(stats, arguments.output), arguments.output)
     return 0
 

@@ -116,8 +116,7 @@ def policy_text(policy: Policy) -> str:
     if policy.archive_bytes is not None:
         parts.append(f"archive {bytes_text(policy.archive_bytes)}")
     if policy.replicas:
-        least = "" if policy.min_replicas is None else f", at least {policy.min_replicas}"
-        parts.append(f"{number_of(policy.replicas, 'replica')} (ack {policy.ack}{least})")
+        parts.append(replication_text(policy.replicas, policy.ack, policy.min_replicas))
     return ", ".join(parts)
 
 
@@ -143,3 +142,9 @@ def roughly(nanos: int) -> str:
 def joined(names: Sequence[str]) -> str:
     """Join names for a sentence: with commas, and `and` before the last one."""
     return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else "".join(names)
+
+
+def replication_text(replicas: int | None, ack: str | None, min_replicas: int | None) -> str:
+    """Return the replicas of a policy as a text for people; empty without replicas."""
+    least = "" if min_replicas is None else f", at least {min_replicas}"
+    return f"{number_of(replicas, 'replica')} (ack {ack}{least})" if replicas else ""

@@ -24,7 +24,8 @@ from stampede_rt.cli.messages import (
     print_sent,
     take,
 )
-from stampede_rt.cli.output import bytes_text, print_done, print_facts, print_rows
+from stampede_rt.cli.output import bytes_text, print_done, print_facts, print_rows, replication_text
+from stampede_rt.cli.replicas import queue_replicas
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import QueueNotFound
 from stampede_rt.values.queueing import LEASE_NANOS_DEFAULT, ON_FULL
@@ -33,7 +34,10 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
 
-POLICY_OPTIONS = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
+POLICY_OPTIONS = (
+    "max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter", "replicas", "ack",
+    "min_replicas",
+)  # fmt: skip
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -85,6 +89,12 @@ def _add_policy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--dead-letter", metavar="QUEUE", help="the queue for messages that leave after --max-deliveries"
+    )
+
+    parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
+    parser.add_argument("--ack", choices=("host", "replica"), help="when the host acknowledges a put")
+    parser.add_argument(
+        "--min-replicas", type=int, metavar="N", help="with --ack replica, the queue pauses with fewer in sync"
     )
 
 
@@ -139,6 +149,7 @@ def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
         f"lease {format_duration(lease_nanos)}",
         f"{policy.max_deliveries} deliveries" if policy.max_deliveries is not None else "",
         f"dead letters to {names.get(dead, dead.hex())}" if dead is not None else "",
+        replication_text(policy.replicas, policy.ack, policy.min_replicas),
     ]
     return ", ".join(part for part in parts if part)
 
@@ -149,6 +160,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         queue = _existing(rt, arguments.queue)
         stats, info = queue.stats(), queue.info
         names = _names(rt) if stats.policy.dead_letter_queue_id else {}
+        replicas = queue_replicas(rt, stats, arguments.output)
     facts = {
         "queue": info.name,
         "host": info.host,
@@ -156,6 +168,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "epoch": info.epoch,
         "incarnation": f"{stats.incarnation:016x}",
         "policy": policy_text(stats.policy, names),
+        "replicas": replicas,
     }
     print_facts(facts | counted(stats, arguments.output), arguments.output)
     return 0

@@ -1,13 +1,15 @@
-"""`stampede replicas`: the replicas of a channel, which become the owner if the owner is lost."""
+"""`stampede replicas`: the replicas of a channel or queue, which become the owner if the owner is lost."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import print_rows
-from stampede_rt.values.statistics import ChannelStats
+from stampede_rt.values.proxying import CopyStats
+from stampede_rt.values.queueing import QueueStats
 from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
@@ -16,23 +18,43 @@ if TYPE_CHECKING:
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
-    text = "list the replicas of a channel, which become the owner if the owner is lost"
+    text = "list the replicas of a channel or queue, which become the owner if the owner is lost"
     verb = add_verb(subparsers, "replicas", text, run)
-    verb.add_argument("channel", help="the channel's name")
+    verb.add_argument("channel", help="the channel's name, or with --queue the queue's name")
+    verb.add_argument("--queue", action="store_true", help="list the replicas of a queue")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the replicas of a channel."""
+    """List the replicas of a channel or queue."""
+    name = arguments.channel
     with connected(arguments) as rt:
-        rows = replica_rows(rt, existing(rt, arguments.channel).stats())
+        copies = rt.queue(name, create=False).stats().replicas if arguments.queue else existing(rt, name).stats().copies
+        rows = replica_rows(rt, copies)
     if arguments.output == "table":
         rows = [_for_people(row) for row in rows]
-    print_rows(rows, arguments.output, none=f"channel {arguments.channel} has no replicas")
+    print_rows(rows, arguments.output, none=f"{'queue' if arguments.queue else 'channel'} {name} has no replicas")
     return 0
 
 
-def replica_rows(rt: Connection, stats: ChannelStats) -> list[dict[str, Any]]:
-    """Return the replicas of a channel that its owner feeds, those in sync first."""
+def replicas_text(wanted: int, rows: list[dict[str, Any]], *, behind: str = "items") -> str:
+    """Return the rows of `replica_rows` as a text for people. `wanted`: the number of replicas in the policy."""
+    shown = [
+        f"{one['host']} ({'in sync' if one['in_sync'] else 'out of sync'}, {one['waiting']} {behind} behind)"
+        for one in rows
+    ]
+    return f"{sum(one['in_sync'] for one in rows)} of {wanted} in sync" + (f": {', '.join(shown)}" if shown else "")
+
+
+def queue_replicas(rt: Connection, stats: QueueStats, form: str) -> str | list[dict[str, Any]]:
+    """Return the replicas of a queue, as a text for people or as rows for JSON."""
+    rows, wanted = replica_rows(rt, stats.replicas), stats.policy.replicas
+    if form != "table":
+        return rows
+    return replicas_text(wanted, rows, behind="changes") if wanted else "none"
+
+
+def replica_rows(rt: Connection, copies: Sequence[CopyStats]) -> list[dict[str, Any]]:
+    """Return the replicas among the copies that an owner feeds, those in sync first."""
     names = {one.host_id: one.name for one in rt.hosts()}
     rows = [
         {
@@ -41,7 +63,7 @@ def replica_rows(rt: Connection, stats: ChannelStats) -> list[dict[str, Any]]:
             "waiting": one.waiting,
             "heard_ago_nanos": one.heard_ago_nanos,
         }
-        for one in stats.copies
+        for one in copies
         if one.replica
     ]
     return sorted(rows, key=lambda one: (not one["in_sync"], one["host"]))

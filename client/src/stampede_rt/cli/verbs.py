@@ -20,7 +20,7 @@ VERBS = {
     "peers": ("mailbox", "list peers: connections with a name"),
     "mailbox": ("mailbox", "messages to peers, by their names"),
     "proxy": ("proxy", "proxies: read-only copies of channels at other hosts, which serve readers"),
-    "replicas": ("replicas", "list the replicas of a channel, which become the owner if the owner is lost"),
+    "replicas": ("replicas", "list the replicas of a channel or queue, which become the owner if the owner is lost"),
     "hz": ("rates", "print items per second, jitter and lag of channels, until Ctrl-C"),
     "bw": ("rates", "print a channel's bytes per second, in and out, until Ctrl-C"),
     "top": ("top", "show the busiest channels, live, until q or Ctrl-C"),

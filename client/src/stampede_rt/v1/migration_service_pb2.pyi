@@ -78,6 +78,40 @@ class HandOverQueueRequest(_message.Message):
     committed_epoch: int
     def __init__(self, open: _Optional[_Union[HandOverQueueOpen, _Mapping]] = ..., committed_epoch: _Optional[int] = ...) -> None: ...
 
+class FeedQueueRequest(_message.Message):
+    __slots__ = ("owner_host_id", "queue", "begins_anew", "parts")
+    OWNER_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
+    BEGINS_ANEW_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    owner_host_id: bytes
+    queue: _queue_pb2.QueueRecord
+    begins_anew: bool
+    parts: _containers.RepeatedCompositeFieldContainer[FedQueuePart]
+    def __init__(self, owner_host_id: _Optional[bytes] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., begins_anew: bool = ..., parts: _Optional[_Iterable[_Union[FedQueuePart, _Mapping]]] = ...) -> None: ...
+
+class FedQueuePart(_message.Message):
+    __slots__ = ("content", "next_step", "removed", "ago_nanos")
+    CONTENT_FIELD_NUMBER: _ClassVar[int]
+    NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
+    REMOVED_FIELD_NUMBER: _ClassVar[int]
+    AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    content: HandOverQueueResponse
+    next_step: int
+    removed: _containers.RepeatedCompositeFieldContainer[_subject_pb2.SeqRange]
+    ago_nanos: int
+    def __init__(self, content: _Optional[_Union[HandOverQueueResponse, _Mapping]] = ..., next_step: _Optional[int] = ..., removed: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., ago_nanos: _Optional[int] = ...) -> None: ...
+
+class FeedQueueResponse(_message.Message):
+    __slots__ = ("next_step", "incarnation", "owner_epoch")
+    NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    OWNER_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    next_step: int
+    incarnation: int
+    owner_epoch: int
+    def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ...) -> None: ...
+
 class HandOverQueueOpen(_message.Message):
     __slots__ = ("queue_id", "epoch", "host_id")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
@@ -113,14 +147,16 @@ class HandOverQueueResponse(_message.Message):
     def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ..., permit: _Optional[bytes] = ...) -> None: ...
 
 class HandedQueueFacts(_message.Message):
-    __slots__ = ("next_seq", "next_delivery_id", "counters")
+    __slots__ = ("next_seq", "next_delivery_id", "counters", "next_step")
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
     next_seq: int
     next_delivery_id: int
     counters: _queue_pb2.QueueCounters
-    def __init__(self, next_seq: _Optional[int] = ..., next_delivery_id: _Optional[int] = ..., counters: _Optional[_Union[_queue_pb2.QueueCounters, _Mapping]] = ...) -> None: ...
+    next_step: int
+    def __init__(self, next_seq: _Optional[int] = ..., next_delivery_id: _Optional[int] = ..., counters: _Optional[_Union[_queue_pb2.QueueCounters, _Mapping]] = ..., next_step: _Optional[int] = ...) -> None: ...
 
 class HandedRun(_message.Message):
     __slots__ = ("first_seq", "length_bytes", "accepted_ago_nanos", "body")

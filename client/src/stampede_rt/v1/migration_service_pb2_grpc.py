@@ -52,6 +52,11 @@ class MigrationServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.FromString,
                 _registered_method=True)
+        self.FeedQueue = channel.stream_stream(
+                '/stampede_rt.v1.MigrationService/FeedQueue',
+                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueResponse.FromString,
+                _registered_method=True)
         self.DrainHost = channel.unary_unary(
                 '/stampede_rt.v1.MigrationService/DrainHost',
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.DrainHostRequest.SerializeToString,
@@ -98,6 +103,17 @@ class MigrationServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def FeedQueue(self, request_iterator, context):
+        """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
+        place of its copy. Then the owner sends either the whole queue or the next steps, and this host answers each request
+        with the place that it has reached. A queue takes a step whenever something changes. So a copy with all steps equals
+        its owner. Errors: MOVED (this host has a later epoch), OVERLOADED (no room), INVALID_ARGUMENT, PERMISSION_DENIED,
+        SHUTTING_DOWN.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def DrainHost(self, request, context):
         """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
         group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
@@ -124,6 +140,11 @@ def add_MigrationServiceServicer_to_server(servicer, server):
                     servicer.HandOverQueue,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.SerializeToString,
+            ),
+            'FeedQueue': grpc.stream_stream_rpc_method_handler(
+                    servicer.FeedQueue,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueResponse.SerializeToString,
             ),
             'DrainHost': grpc.unary_unary_rpc_method_handler(
                     servicer.DrainHost,
@@ -215,6 +236,33 @@ class MigrationService(object):
             '/stampede_rt.v1.MigrationService/HandOverQueue',
             stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def FeedQueue(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/stampede_rt.v1.MigrationService/FeedQueue',
+            stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__service__pb2.FeedQueueResponse.FromString,
             options,
             channel_credentials,
             insecure,

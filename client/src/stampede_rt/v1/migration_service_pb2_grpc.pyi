@@ -57,6 +57,13 @@ class MigrationServiceStub:
     this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
     NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
     """
+    FeedQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]
+    """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
+    place of its copy. Then the owner sends either the whole queue or the next steps, and this host answers each request
+    with the place that it has reached. A queue takes a step whenever something changes. So a copy with all steps equals
+    its owner. Errors: MOVED (this host has a later epoch), OVERLOADED (no room), INVALID_ARGUMENT, PERMISSION_DENIED,
+    SHUTTING_DOWN.
+    """
     DrainHost: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]
     """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
     group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
@@ -91,6 +98,13 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
     this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
     NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+    """
+    FeedQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]  # type: ignore[assignment]
+    """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
+    place of its copy. Then the owner sends either the whole queue or the next steps, and this host answers each request
+    with the place that it has reached. A queue takes a step whenever something changes. So a copy with all steps equals
+    its owner. Errors: MOVED (this host has a later epoch), OVERLOADED (no room), INVALID_ARGUMENT, PERMISSION_DENIED,
+    SHUTTING_DOWN.
     """
     DrainHost: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]  # type: ignore[assignment]
     """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
@@ -141,6 +155,19 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
         this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
         NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+        """
+
+    @_abc_1.abstractmethod
+    def FeedQueue(
+        self,
+        request_iterator: _MaybeAsyncIterator[_migration_service_pb2.FeedQueueRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.FeedQueueResponse], _abc.AsyncIterator[_migration_service_pb2.FeedQueueResponse]]:
+        """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
+        place of its copy. Then the owner sends either the whole queue or the next steps, and this host answers each request
+        with the place that it has reached. A queue takes a step whenever something changes. So a copy with all steps equals
+        its owner. Errors: MOVED (this host has a later epoch), OVERLOADED (no room), INVALID_ARGUMENT, PERMISSION_DENIED,
+        SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod

@@ -1,3 +1,4 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import error_pb2 as _error_pb2
 from stampede_rt.v1 import item_pb2 as _item_pb2
 from google.protobuf.internal import containers as _containers
@@ -21,7 +22,7 @@ QUEUE_ON_FULL_REJECT: QueueOnFull
 QUEUE_ON_FULL_DROP_OLDEST: QueueOnFull
 
 class QueueSpec(_message.Message):
-    __slots__ = ("max_items", "max_bytes", "on_full", "copies", "lease_nanos", "max_deliveries", "dead_letter_queue_id", "content_type", "max_item_bytes")
+    __slots__ = ("max_items", "max_bytes", "on_full", "copies", "lease_nanos", "max_deliveries", "dead_letter_queue_id", "content_type", "max_item_bytes", "replicas", "ack", "min_replicas")
     MAX_ITEMS_FIELD_NUMBER: _ClassVar[int]
     MAX_BYTES_FIELD_NUMBER: _ClassVar[int]
     ON_FULL_FIELD_NUMBER: _ClassVar[int]
@@ -31,6 +32,9 @@ class QueueSpec(_message.Message):
     DEAD_LETTER_QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     CONTENT_TYPE_FIELD_NUMBER: _ClassVar[int]
     MAX_ITEM_BYTES_FIELD_NUMBER: _ClassVar[int]
+    REPLICAS_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
+    MIN_REPLICAS_FIELD_NUMBER: _ClassVar[int]
     max_items: int
     max_bytes: int
     on_full: QueueOnFull
@@ -40,7 +44,10 @@ class QueueSpec(_message.Message):
     dead_letter_queue_id: bytes
     content_type: str
     max_item_bytes: int
-    def __init__(self, max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., on_full: _Optional[_Union[QueueOnFull, str]] = ..., copies: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., max_deliveries: _Optional[int] = ..., dead_letter_queue_id: _Optional[bytes] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ...) -> None: ...
+    replicas: int
+    ack: _channel_pb2.Ack
+    min_replicas: int
+    def __init__(self, max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., on_full: _Optional[_Union[QueueOnFull, str]] = ..., copies: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., max_deliveries: _Optional[int] = ..., dead_letter_queue_id: _Optional[bytes] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., replicas: _Optional[int] = ..., ack: _Optional[_Union[_channel_pb2.Ack, str]] = ..., min_replicas: _Optional[int] = ...) -> None: ...
 
 class QueueRecord(_message.Message):
     __slots__ = ("queue_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "mailbox_peer_id", "mailbox_peer_name", "mailbox_owner", "created_by")
@@ -109,20 +116,22 @@ class QueueCounters(_message.Message):
     def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., leased: _Optional[int] = ..., consumed: _Optional[int] = ..., dropped: _Optional[int] = ..., dead_lettered: _Optional[int] = ..., expelled: _Optional[int] = ..., delivered: _Optional[int] = ..., given_back: _Optional[int] = ..., leases_expired: _Optional[int] = ..., rejected_full: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ..., terminated: _Optional[int] = ..., duplicates: _Optional[int] = ...) -> None: ...
 
 class QueueStatus(_message.Message):
-    __slots__ = ("record", "counters", "waiting_takers", "waiting_enqueues", "oldest_accepted_unix_nano", "host_time_unix_nano")
+    __slots__ = ("record", "counters", "waiting_takers", "waiting_enqueues", "oldest_accepted_unix_nano", "host_time_unix_nano", "fed_copies")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     WAITING_TAKERS_FIELD_NUMBER: _ClassVar[int]
     WAITING_ENQUEUES_FIELD_NUMBER: _ClassVar[int]
     OLDEST_ACCEPTED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FED_COPIES_FIELD_NUMBER: _ClassVar[int]
     record: QueueRecord
     counters: QueueCounters
     waiting_takers: int
     waiting_enqueues: int
     oldest_accepted_unix_nano: int
     host_time_unix_nano: int
-    def __init__(self, record: _Optional[_Union[QueueRecord, _Mapping]] = ..., counters: _Optional[_Union[QueueCounters, _Mapping]] = ..., waiting_takers: _Optional[int] = ..., waiting_enqueues: _Optional[int] = ..., oldest_accepted_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
+    fed_copies: _containers.RepeatedCompositeFieldContainer[_channel_pb2.FedCopyStatus]
+    def __init__(self, record: _Optional[_Union[QueueRecord, _Mapping]] = ..., counters: _Optional[_Union[QueueCounters, _Mapping]] = ..., waiting_takers: _Optional[int] = ..., waiting_enqueues: _Optional[int] = ..., oldest_accepted_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., fed_copies: _Optional[_Iterable[_Union[_channel_pb2.FedCopyStatus, _Mapping]]] = ...) -> None: ...
 
 class LeasedRun(_message.Message):
     __slots__ = ("run", "delivery_ids", "deliveries", "lease_nanos")

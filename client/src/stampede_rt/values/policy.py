@@ -81,9 +81,9 @@ def parse_policy(
         overlap_nanos=duration_of("overlap", overlap, least=1),
         archive_nanos=archive_nanos_of(archive),
         archive_bytes=archive_bytes_of(archive_bytes),
-        replicas=_replicas_of("replicas", replicas),
+        replicas=replicas_of("replicas", replicas),
         ack=ack_of(ack),
-        min_replicas=_replicas_of("min_replicas", min_replicas),
+        min_replicas=replicas_of("min_replicas", min_replicas),
     )
 
 
@@ -94,7 +94,8 @@ def ack_of(value: Ack | None) -> Ack | None:
     return value
 
 
-def _replicas_of(what: str, value: int | None) -> int | None:
+def replicas_of(what: str, value: int | None) -> int | None:
+    """Return a number of replicas; None if it is None. Raises InvalidArgument above REPLICAS_MAX."""
     if value is None:
         return None
     count = whole_number_of(what, value)

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.values.model import OnFull
+from stampede_rt.values.model import Ack, OnFull
 from stampede_rt.values.payloads import text_length_bytes
-from stampede_rt.values.policy import content_type_of, count_of, duration_of, max_bytes_of
+from stampede_rt.values.policy import content_type_of, count_of, duration_of, max_bytes_of, replicas_of
+from stampede_rt.values.proxying import CopyStats
 from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
@@ -37,6 +38,9 @@ class QueuePolicy:
     dead_letter_queue_id: bytes | None = None
     content_type: str | None = None
     max_item_bytes: int | None = None
+    replicas: int | None = None
+    ack: Ack | None = None
+    min_replicas: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,6 +76,7 @@ class QueueStats:
       gave the message up.
     - `duplicates`: puts with a message id that the queue already knew. `rejected`: refused puts, by reason.
     - `oldest`: the time at which the queue accepted the oldest held message.
+    - `replicas`: the replicas, as the owner feeds them. Their `waiting` counts changes of the queue.
     """
 
     accepted: int
@@ -95,18 +100,21 @@ class QueueStats:
     incarnation: int
     host_time: int
     policy: QueuePolicy = field(default_factory=QueuePolicy)
+    replicas: tuple[CopyStats, ...] = ()
 
 
 class Enqueued(NamedTuple):
     """The place of an accepted message: its `seq` within one `incarnation` of the queue.
 
     `duplicate` is True if the queue has accepted a message with the same message id before. It then stores nothing, and
-    `seq` is the seq of the earlier message.
+    `seq` is the seq of the earlier message. `copies` is the number of hosts that have the message and may become the
+    owner; 1 without replicas.
     """
 
     seq: int
     duplicate: bool
     incarnation: int
+    copies: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -183,6 +191,9 @@ def parse_queue_policy(
     max_deliveries: int | None = None,
     dead_letter_queue_id: bytes | None = None,
     content_type: str | None = None,
+    replicas: int | None = None,
+    ack: Ack | None = None,
+    min_replicas: int | None = None,
 ) -> QueuePolicy:
     """Return the policy that the arguments state. An argument that is None is not stated.
 
@@ -199,7 +210,16 @@ def parse_queue_policy(
         max_deliveries=count_of("max_deliveries", max_deliveries, below=2**32),
         dead_letter_queue_id=dead_letter_queue_id,
         content_type=content_type_of(content_type),
+        replicas=replicas_of("replicas", replicas),
+        ack=_ack_of(ack),
+        min_replicas=replicas_of("min_replicas", min_replicas),
     )
+
+
+def _ack_of(ack: Ack | None) -> Ack | None:
+    if ack not in (None, "host", "replica"):
+        raise InvalidArgument(f'ack is {ack!r}; the ack of a queue is "host" or "replica"')
+    return ack
 
 
 def parse_lease(value: DurationLike | None) -> int | None:

@@ -10,6 +10,7 @@ from stampede_rt.v1 import directory_pb2, item_pb2, queue_pb2
 from stampede_rt.values.model import OnFull
 from stampede_rt.values.queueing import DeadLetterOrigin, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.wire.delivered import check_delivered, malformed
+from stampede_rt.wire.records import ack_from_wire, ack_to_wire, copy_stats
 
 _ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
     "block": queue_pb2.QUEUE_ON_FULL_BLOCK,
@@ -19,7 +20,7 @@ _ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
 _OPTIONAL = (
     "max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries", "dead_letter_queue_id", "content_type",
-    "max_item_bytes",
+    "max_item_bytes", "replicas", "min_replicas",
 )  # fmt: skip
 _COUNTED = (
     "accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
@@ -37,13 +38,13 @@ def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
     """Return the message for a queue's policy. A setting that was not stated stays unset."""
     stated = {name: getattr(policy, name) for name in _OPTIONAL}
     on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
-    return queue_pb2.QueueSpec(on_full=on_full, **stated)
+    return queue_pb2.QueueSpec(on_full=on_full, ack=ack_to_wire(policy.ack), **stated)
 
 
 def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
     """Return a queue's policy, from its message. A setting that was not stated is None."""
     stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
-    return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
+    return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), ack=ack_from_wire(spec.ack), **stated)
 
 
 def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | None) -> QueueInfo:
@@ -75,6 +76,7 @@ def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
         incarnation=status.record.incarnation,
         host_time=status.host_time_unix_nano,
         policy=queue_policy_from_spec(status.record.spec),
+        replicas=tuple(map(copy_stats, status.fed_copies)),
     )
 
 

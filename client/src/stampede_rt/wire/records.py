@@ -71,6 +71,11 @@ def ack_to_wire(ack: Ack | None) -> channel_pb2.Ack:
     return _ACKS[ack] if ack else channel_pb2.ACK_UNSPECIFIED
 
 
+def ack_from_wire(ack: channel_pb2.Ack) -> Ack | None:
+    """Return an ack of the contract; None if it is not stated."""
+    return _FROM_ACKS.get(ack)
+
+
 def _retention_of(policy: Policy) -> channel_pb2.RetentionPolicy:
     return channel_pb2.RetentionPolicy(
         max_age_nanos=policy.max_age_nanos,
@@ -98,7 +103,7 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
         archive_nanos=spec.archive_nanos if spec.HasField("archive_nanos") else None,
         archive_bytes=spec.archive_bytes if spec.HasField("archive_bytes") else None,
         replicas=spec.replicas if spec.HasField("replicas") else None,
-        ack=_FROM_ACKS.get(spec.ack),
+        ack=ack_from_wire(spec.ack),
         min_replicas=spec.min_replicas if spec.HasField("min_replicas") else None,
     )
 
@@ -177,21 +182,23 @@ def channel_stats(
         ],
         clock_offset_nanos=clock_offset_nanos,
         transport=transport,
-        copies=[
-            CopyStats(
-                host_id=one.host_id,
-                waiting=one.waiting,
-                subscriptions=one.subscriptions,
-                ready=one.ready,
-                replica=one.replica,
-                in_sync=one.in_sync,
-                heard_ago_nanos=one.heard_ago_nanos,
-            )
-            for one in status.fed_copies
-        ],
+        copies=[*map(copy_stats, status.fed_copies)],
         replicated=status.replicated_next_seq if status.HasField("replicated_next_seq") else None,
         not_replicated=status.counters.not_replicated,
         dropped=status.dropped,
+    )
+
+
+def copy_stats(copy: channel_pb2.FedCopyStatus) -> CopyStats:
+    """Return a copy, as the host that feeds it sees it."""
+    return CopyStats(
+        host_id=copy.host_id,
+        waiting=copy.waiting,
+        subscriptions=copy.subscriptions,
+        ready=copy.ready,
+        replica=copy.replica,
+        in_sync=copy.in_sync,
+        heard_ago_nanos=copy.heard_ago_nanos,
     )
 
 

@@ -43,7 +43,9 @@ from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.copies.owner_messages import retries_of, retries_to
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
 from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
+from stampede_rt_channel_host.copies.queue_replica_keeper import QueueReplicaKeeper
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
@@ -173,6 +175,8 @@ class ChannelHost:
     def _make_moves(self, bytes_per_second: int) -> None:
         """Make the parts for replicas and moves of channels, which use the parts for copies and groups."""
         self.replicas = ReplicaKeeper(self.identity, self.store, ReplicaDirectory(self._supernodes), self._dial)
+        self._queue_replicas = ReplicaDirectory(self._supernodes, of_queues=True)
+        self.replicas_of_queues = QueueReplicaKeeper(self.identity, self.queues, self._queue_replicas, self._dial)
         self._move_directory = MoveDirectory(self._supernodes, self.identity)
         self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory, self.copies)
         self.moves_here = IncomingMoves(
@@ -222,6 +226,7 @@ class ChannelHost:
                 QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, callers),
                 self._move_directory,
                 self.draining,
+                QueueFeeds(self.identity, self.queues, self._queue_replicas, callers),
                 self.identity,
                 self.moves_away.allowed.allow,
             ),
@@ -251,6 +256,7 @@ class ChannelHost:
         of_access = directory_service_pb2.WatchRequest(name_glob="-", include_access=True)  # no channel has that name
         self._start(watch_forever(self._supernodes, of_access, self._access), "access watch")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
+        self._start(self.replicas_of_queues.drop_unneeded_forever(), "replicas of queues")
         of_queues = directory_service_pb2.WatchRequest(include_queues=True)
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
@@ -273,6 +279,7 @@ class ChannelHost:
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
+        await self.replicas_of_queues.aclose()
         for part in (self.groups, self.replicas, self.copies, self.moves_here, self._queues_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)

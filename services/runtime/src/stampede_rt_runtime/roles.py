@@ -55,6 +55,7 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "MembershipService/CreateJoinToken": _OPERATORS,
     "MembershipService/TakeSnapshot": _OPERATORS,
     "MigrationService/DrainHost": _OPERATORS,
+    "MigrationService/FeedQueue": _HOSTS,
     "MigrationService/HandOverQueue": _HOSTS,
     "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
     "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,

@@ -31,6 +31,7 @@ class Source:
         self.record: Any = SimpleNamespace(queue_id=b"x" * 16, incarnation=5, name="jobs", policy=policy)
         self.queue = self
         self.has_dead_letters = True
+        self.replication = None
 
     def dead_letters(self, items_max: int) -> list[Any]:
         run = SimpleNamespace(

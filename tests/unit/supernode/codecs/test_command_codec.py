@@ -114,6 +114,9 @@ EVERYTHING_OF_QUEUES: dict[str, Any] = {
     "dead_letter_queue_id": id_of(9),
     "content_type": "",
     "max_item_bytes": 4,
+    "replicas": 4,
+    "ack": "replica",
+    "min_replicas": 0,
 }
 EVERYTHING_OF_PEERS: dict[str, Any] = {
     "mailbox": QueueSpec(**EVERYTHING_OF_QUEUES),
@@ -147,6 +150,9 @@ OPERATIONS: list[Operation] = [
     add_replica(id_of(2)),
     remove_replica(id_of(2), 3),
     set_in_sync(id_of(2), 3, epoch=4, boot=5),
+    replace(add_replica(id_of(2), 3, epoch=4, warm=True, acknowledged=True), is_of_queue=True),
+    replace(remove_replica(id_of(2), 3), is_of_queue=True),
+    replace(set_in_sync(id_of(2), 3, epoch=4, boot=5), is_of_queue=True),
     CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
     CommitQueueMove(queue_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
     open_queue("jobs", host="rig", create=False, **EVERYTHING_OF_QUEUES),

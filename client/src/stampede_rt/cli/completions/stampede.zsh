@@ -43,7 +43,7 @@ _shtab_stampede_commands() {
     rebalance:'show moves that would even out the loads of the hosts; with --apply perform them'
     record:'record channels to an MCAP file, until Ctrl-C'
     replay:'play an MCAP file, or channels, into channels'
-    replicas:'list the replicas of a channel, which become the owner if the owner is lost'
+    replicas:'list the replicas of a channel or queue, which become the owner if the owner is lost'
     rm:'delete channels with all their items, for everyone'
     sub:'print the items of all matching channels as one stream in the order of time, until Ctrl-C'
     supernode:'Runs one replica of the directory: alone, or with the other members, of which a majority must run. `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for supernodes that run. Each has --help.'
@@ -1197,6 +1197,9 @@ _shtab_stampede_queue_put_options=(
   "--lease[the time that a taker has to acknowledge, such as \"30s\"]:DURATION:"
   "--max-deliveries[a message leaves the queue after N deliveries]:N:"
   "--dead-letter[the queue for messages that leave after --max-deliveries]:QUEUE:"
+  "--replicas[copies that can take over if the host is lost]:N:"
+  "--ack[when the host acknowledges a put]:ack:(host replica)"
+  "--min-replicas[with --ack replica, the queue pauses with fewer in sync]:N:"
   ":the queue\'s name:"
   ":the payload as text\; default\: standard input:"
 )
@@ -1319,7 +1322,8 @@ _shtab_stampede_replicas_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":the channel\'s name:"
+  "--queue[list the replicas of a queue]"
+  ":the channel\'s name, or with --queue the queue\'s name:"
 )
 
 # guard to ensure default positional specs are added only once per session

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
 from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 from stampede_rt_channel_host.queues import refusals as queue_refusals
@@ -34,9 +35,13 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
 
     def __init__(
         self, moves: IncomingMoves, queues: QueueArrivals, handovers: QueueHandovers, directory: MoveDirectory,
-        draining: Draining, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
+        draining: Draining, feeds: QueueFeeds, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
     ) -> None:  # fmt: skip
-        """`allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`."""
+        """`feeds`: those of the replicas of queues at this host.
+
+        `allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`.
+        """
+        self._feeds = feeds
         self._identity = identity
         self._allow = allow
         self._moves = moves
@@ -122,6 +127,11 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
     async def HandOverQueue(self, requests: AsyncIterator[pb.HandOverQueueRequest], context: Context) -> None:  # type: ignore[override]
         """Hand a queue over to the calling host."""
         await self._handovers.serve(context)
+
+    @errors_as_status
+    async def FeedQueue(self, requests: AsyncIterator[pb.FeedQueueRequest], context: Context) -> None:  # type: ignore[override]
+        """Take the feed of a replica from the owner of its queue."""
+        await self._feeds.serve(context)
 
     @errors_as_status
     async def DrainHost(self, request: pb.DrainHostRequest, context: Context) -> pb.DrainHostResponse:

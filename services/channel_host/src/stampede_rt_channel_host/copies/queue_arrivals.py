@@ -26,6 +26,7 @@ from stampede_rt_channel_host.copies.queue_messages import ArrivingQueue
 from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_content import QueueContent
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.refusals import display_name, moved
 
@@ -109,7 +110,8 @@ class QueueArrivals:
                 arriving = await self._received(call, room)
                 core = await asyncio.to_thread(self._restored, record, arriving)
             room.set(0)
-            adopted = await self._take_over(record, core, arriving.permit)
+            journal = core.journal(arriving.next_step) if arriving.next_step else None
+            adopted = await self._take_over(record, QueueContent(core, journal), arriving.permit)
             await call.write(pb.HandOverQueueRequest(committed_epoch=adopted.epoch))
             await call.done_writing()
         except grpc.RpcError as error:
@@ -148,10 +150,10 @@ class QueueArrivals:
             may_serve=self._queues.may_serve,
         )
 
-    async def _take_over(self, record: RecordedQueue, core: QueueCore, permit: bytes) -> RecordedQueue:
+    async def _take_over(self, record: RecordedQueue, content: QueueContent, permit: bytes) -> RecordedQueue:
         """Become the owner. A caller that asks for the queue right after the commit gets it with its messages."""
         self._queues.check_room(record)
-        self._queues.expect(record, core)
+        self._queues.expect(record, content)
         request_id = secrets.token_bytes(16)
         commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, request_id, permit)
         adopted = await until_known(commit)

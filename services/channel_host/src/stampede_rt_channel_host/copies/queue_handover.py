@@ -76,11 +76,18 @@ class QueueHandovers:
         async with asyncio.timeout(HELD_SECONDS_MAX):
             await hosted.hold(refusals.is_moving(hosted.record))
             permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, host_id)
-            parts = parts_of(await hosted.exported(), permit)
+            state = await hosted.exported()
+            next_step = await hosted.level()
+            parts = parts_of(state, permit, next_step)
             while (part := await asyncio.to_thread(next, parts, None)) is not None:
                 await context.write(part)
+            kept = await asyncio.to_thread(self._queues.copies.restored, hosted.record, state) if next_step else None
             answer = await context.read()
-        return isinstance(answer, pb.HandOverQueueRequest) and bool(answer.committed_epoch)
+        if not isinstance(answer, pb.HandOverQueueRequest) or not answer.committed_epoch:
+            return False
+        if kept is not None:  # the new owner may have had a replica, whose place this host takes
+            self._queues.copies.begin(hosted.record, kept, next_step)
+        return True
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
         """Drop the queue if it has moved, else serve it again. Asks the directory until it is decided."""

@@ -33,10 +33,15 @@ PRODUCERS_PER_PART = 256
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
-def parts_of(state: QueueHandoff, permit: bytes = b"") -> Iterator[pb.HandOverQueueResponse]:
-    """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends` with the permit."""
+def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> Iterator[pb.HandOverQueueResponse]:
+    """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends` with the permit.
+
+    `next_step`: the number of its next step, or 0 if it has no replicas.
+    """
     counters = queue_pb2.QueueCounters(**{name: getattr(state.tally, name) for name in _COUNTS})
-    facts = pb.HandedQueueFacts(next_seq=state.next_seq, next_delivery_id=state.next_delivery_id, counters=counters)
+    facts = pb.HandedQueueFacts(
+        next_seq=state.next_seq, next_delivery_id=state.next_delivery_id, counters=counters, next_step=next_step
+    )
     yield pb.HandOverQueueResponse(facts=facts)
     for run in state.runs:
         yield from _parts_of_run(run)
@@ -95,12 +100,23 @@ class ArrivingQueue:
         """The former owner's permit for the directory. It came with the last part."""
         return self._rest.permit
 
+    @property
+    def next_step(self) -> int:
+        """The number of the next step, or 0 if the queue has no replicas."""
+        return 0 if self._facts is None else self._facts.next_step
+
     def state(self) -> QueueHandoff:
         """The whole queue, after the last part. Raises InvalidArgument if it contradicts itself."""
+        state = self.values()
+        _check(state)
+        return state
+
+    def values(self) -> QueueHandoff:
+        """As `state`, for parts that need not be a whole queue. Raises InvalidArgument if some are missing."""
         if self._facts is None or not self._rest.ends:
             raise _nonsense("no facts, or no end")
         rest, counters = self._rest, self._facts.counters
-        state = QueueHandoff(
+        return QueueHandoff(
             next_seq=self._facts.next_seq,
             next_delivery_id=self._facts.next_delivery_id,
             tally=QueueTally(**{name: getattr(counters, name) for name in _COUNTS}),
@@ -114,8 +130,6 @@ class ArrivingQueue:
             producers=[*chain.from_iterable(map(_runs_of, rest.producers))],
             message_ids=[KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in rest.message_ids],
         )
-        _check(state)
-        return state
 
 
 def _check(state: QueueHandoff) -> None:
@@ -133,6 +147,17 @@ def _check(state: QueueHandoff) -> None:
 
 def _nonsense(what: str) -> InvalidArgument:
     return InvalidArgument(f"the handed queue has {what}; install the same release on both hosts")
+
+
+def seq_ranges(seqs: Iterable[int]) -> list[SeqRange]:
+    """The ranges of seqs in any order."""
+    found: list[SeqRange] = []
+    for seq in sorted(seqs):
+        if found and found[-1].last + 1 == seq:
+            found[-1] = SeqRange(found[-1].first, seq)
+        else:
+            found.append(SeqRange(seq, seq))
+    return found
 
 
 def _some(entries: Iterable[Any], count: int) -> Iterator[list[Any]]:

@@ -13,6 +13,7 @@ from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 
 CALL_SECONDS_MAX = 4.0
+ADD_SECONDS_MAX = 1.0  # without a free host the call tries for so long, and the flags of other replicas wait meanwhile
 
 
 class FeedSource(NamedTuple):
@@ -49,15 +50,22 @@ class ReplicaDirectory:
     Unavailable.
     """
 
-    def __init__(self, supernodes: Supernodes) -> None:
+    def __init__(self, supernodes: Supernodes, *, of_queues: bool = False) -> None:
+        """`of_queues`: the ids in all calls are those of queues."""
         self._supernodes = supernodes
+        self._of_queues = of_queues
+
+    def _subject(self, thing_id: bytes) -> subject_pb2.Subject:
+        if self._of_queues:
+            return subject_pb2.Subject(queue_id=thing_id)
+        return subject_pb2.Subject(channel_id=thing_id)
 
     async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
         """The host that feeds the copy of the channel at the host `host_id`; None if the directory has no such copy.
 
         Raises ChannelNotFound.
         """
-        request = pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
+        request = pb.ListReplicasRequest(subject=self._subject(channel_id))
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
         if response.owner_host_id == host_id:
             return FeedSource(host_id, "", response.epoch)
@@ -70,7 +78,7 @@ class ReplicaDirectory:
 
     async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
         """The replicas of a channel. Raises ChannelNotFound."""
-        request = pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
+        request = pb.ListReplicasRequest(subject=self._subject(channel_id))
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
         targets = _targets(response)
         replicas = [
@@ -84,17 +92,17 @@ class ReplicaDirectory:
         """Add a replica at a host that the directory chooses. Raises Unavailable (NO_HOST) if there is none."""
         request = pb.AddReplicaRequest(
             request_id=os.urandom(ID_BYTES),
-            subject=subject_pb2.Subject(channel_id=channel_id),
+            subject=self._subject(channel_id),
             epoch=epoch,
             kind=replica_pb2.REPLICA_KIND_WARM,
             acknowledged=True,
         )
-        await self._call("AddReplica", request)
+        await self._call("AddReplica", request, ADD_SECONDS_MAX)
 
     async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
         """Remove the replica at a host."""
         request = pb.RemoveReplicaRequest(
-            request_id=os.urandom(ID_BYTES), subject=subject_pb2.Subject(channel_id=channel_id), host_id=host_id
+            request_id=os.urandom(ID_BYTES), subject=self._subject(channel_id), host_id=host_id
         )
         await self._call("RemoveReplica", request)
 
@@ -102,7 +110,7 @@ class ReplicaDirectory:
         """Set or clear a replica's flag in the log. Raises StaleBinding, HostNotFound, InvalidArgument."""
         request = pb.SetReplicaInSyncRequest(
             request_id=os.urandom(ID_BYTES),
-            subject=subject_pb2.Subject(channel_id=channel_id),
+            subject=self._subject(channel_id),
             epoch=epoch,
             host_id=change.host_id,
             boot_incarnation=change.boot_incarnation,
@@ -119,9 +127,9 @@ class ReplicaDirectory:
         response: pb.ReportReplicaLoadsResponse = await self._call("ReportReplicaLoads", request)
         return response.gone_channel_ids
 
-    async def _call(self, method: str, request: object) -> Any:
+    async def _call(self, method: str, request: object, seconds_max: float = CALL_SECONDS_MAX) -> Any:
         stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
-        return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)
+        return await self._supernodes.call(method, request, seconds_max, service=stub)
 
 
 def _targets(response: pb.ListReplicasResponse) -> dict[bytes, str]:

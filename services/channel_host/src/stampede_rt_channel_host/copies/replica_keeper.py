@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
 import grpc
 
@@ -13,6 +15,7 @@ from stampede_rt.errors import (
     ChannelNotFound,
     HostNotFound,
     InvalidArgument,
+    QueueNotFound,
     StaleBinding,
     StampedeError,
     Unavailable,
@@ -20,11 +23,10 @@ from stampede_rt.errors import (
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import gatekeeper_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
-from stampede_rt_channel_host.core.replication import ReplicaState
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicaState
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +52,7 @@ class ReplicaKeeper:
         store.on_replicated = self._begin
 
     def _begin(self, hosted: HostedChannel) -> None:
-        keeping = _Keeping(self._identity.host_id, self._store, self._directory, self._dial, hosted)
+        keeping = _KeptChannel(self._identity.host_id, self._store, self._directory, self._dial, hosted)
         task = asyncio.create_task(keeping.run(), name=f"replicas of {hosted.record.name}")
         self._tasks.add(task)
         task.add_done_callback(self._check)
@@ -72,36 +74,84 @@ class ReplicaKeeper:
             )
 
 
-class _Keeping:
-    """Keeps the replicas of one channel.
+class FlagsOfReplicas(Protocol):
+    """The replicas of a channel or queue, as their keeper sees them."""
+
+    news: asyncio.Event
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the owner knows the directory's replicas."""
+
+    def know(self, replicas: list[KnownReplica]) -> None:
+        """Take over the replicas that the directory has."""
+
+    def states(self) -> dict[bytes, ReplicaState]:
+        """The state of each replica, by its host."""
+
+    def changes(self) -> list[ReplicaChange]:
+        """The flags that the directory must set or clear now."""
+
+    def confirm(self, change: ReplicaChange) -> None:
+        """The directory's log has the change."""
+
+    def is_fed(self, host_id: bytes) -> bool:
+        """Whether the replica at this host has a feed."""
+
+
+class KeptReplicas(ABC):
+    """Keeps the replicas of one channel or queue.
 
     One task makes all requests to the directory, one after the other. So the list of replicas that it works with always
     has its own last change.
     """
 
     def __init__(
-        self, host_id: bytes, store: ChannelStore, directory: ReplicaDirectory,
-        dial: Callable[[str], grpc.aio.Channel], hosted: HostedChannel,
-    ) -> None:  # fmt: skip
-        assert hosted.replication is not None, "the store names only channels with replicas"
+        self, host_id: bytes, directory: ReplicaDirectory, replication: FlagsOfReplicas, thing_id: bytes
+    ) -> None:
+        """`thing_id`: the id of the channel or queue."""
         self._host_id = host_id
-        self._store = store
         self._directory = directory
-        self._dial = dial
-        self._hosted = hosted
-        self._replication: Replication = hosted.replication
-        self._channel_id = hosted.record.channel_id
+        self._replication = replication
+        self._thing_id = thing_id
         self._listed_s = -LIST_SECONDS
         self._lacks = True
         self._has_told = False
 
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """The name, for people."""
+
+    @property
+    @abstractmethod
+    def epoch(self) -> int:
+        """The epoch at which this host is the owner."""
+
+    @property
+    @abstractmethod
+    def wanted(self) -> int:
+        """The number of replicas that the policy asks for."""
+
+    @abstractmethod
+    def is_served(self) -> bool:
+        """Whether this host is the owner, as far as it knows."""
+
+    @abstractmethod
+    def may_serve(self) -> bool:
+        """Whether this host has its lease."""
+
+    @abstractmethod
+    async def start(self, replica: ListedReplica) -> None:
+        """Begin a replica that has no feed."""
+
     async def run(self) -> None:
-        """Keep the replicas until the host gives the channel up."""
-        while self._store.serves(self._hosted):  # paced by the wait for news
+        """Keep the replicas until the host gives the channel or queue up."""
+        while self.is_served():  # paced by the wait for news
             try:
-                if self._store.lease_held():
+                if self.may_serve():
                     await self._round()
-            except ChannelNotFound:
+            except (ChannelNotFound, QueueNotFound):
                 return
             except StampedeError as error:
                 self._listed_s = -LIST_SECONDS
@@ -117,57 +167,110 @@ class _Keeping:
         age_s = now_s - self._listed_s
         if age_s >= (MISSING_SECONDS if self._lacks else LIST_SECONDS) or not self._replication.is_known:
             listed = await self._list()
-            if listed.owner_host_id != self._host_id or listed.epoch != self._hosted.epoch:
+            if listed.owner_host_id != self._host_id or listed.epoch != self.epoch:
                 return  # the store learns of it from its next caller, or from its next registration
             self._listed_s = now_s
             await self._make_complete(listed)
         for change in self._replication.changes():
             try:
-                await self._directory.change(self._channel_id, self._hosted.epoch, change)
+                await self._directory.change(self._thing_id, self.epoch, change)
             except (HostNotFound, InvalidArgument):  # the replica is gone, or has begun anew
                 self._listed_s = -LIST_SECONDS
                 continue
             self._replication.confirm(change)
             self._note(change.in_sync, change.host_id)
-        wanted = self._hosted.record.policy.replicas or 0
+        wanted = self.wanted
         in_sync = sum(state is ReplicaState.IN for state in self._replication.states().values())
         if in_sync == wanted:
             self._has_told = False
         self._lacks = in_sync != wanted or len(self._replication.states()) != wanted
 
     async def _list(self) -> ListedReplicas:
-        listed = await self._directory.replicas_of(self._channel_id)
-        if listed.owner_host_id == self._host_id and listed.epoch == self._hosted.epoch:
+        listed = await self._directory.replicas_of(self._thing_id)
+        if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:
             self._replication.know([one.known for one in listed.replicas])
         return listed
 
     async def _make_complete(self, listed: ListedReplicas) -> None:
         """Add missing replicas, remove those too many, and begin those that have no feed."""
-        wanted, replicas = self._hosted.record.policy.replicas or 0, listed.replicas
+        wanted, replicas = self.wanted, listed.replicas
         failure: StampedeError | None = None
         if len(replicas) < wanted:
             try:
                 for _ in range(wanted - len(replicas)):
-                    await self._directory.add_replica(self._channel_id, self._hosted.epoch)
+                    await self._directory.add_replica(self._thing_id, self.epoch)
             except Unavailable as error:  # no host is left
                 failure = error
             replicas = (await self._list()).replicas
         await self._remove(sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)])
         idle = [one for one in replicas if one.target and not self._replication.is_fed(one.known.host_id)]
-        await asyncio.gather(*(self._start(one) for one in idle))
+        await asyncio.gather(*(self.start(one) for one in idle))
         if failure is not None:
             self._tell(failure)
 
     async def _remove(self, replicas: list[ListedReplica]) -> None:
         for one in replicas:
-            await self._directory.remove_replica(self._channel_id, one.known.host_id)
+            await self._directory.remove_replica(self._thing_id, one.known.host_id)
             self._listed_s = -LIST_SECONDS
 
-    async def _start(self, replica: ListedReplica) -> None:
+    def _tell(self, error: StampedeError) -> None:
+        """Log a failure, once until the next success."""
+        if not self._has_told:
+            self._has_told = True
+            logger.warning(
+                "the replicas of a channel or queue are incomplete; the host tries again",
+                extra={"event": "replicas_incomplete", "channel": self.name, "why": str(error)},
+            )
+
+    def _note(self, in_sync: bool, host_id: bytes) -> None:
+        facts = {"channel": self.name, "host_id": host_id.hex()}
+        if in_sync:
+            logger.info("a replica is in sync", extra={"event": "replica_in_sync"} | facts)
+        else:
+            logger.info("a replica is out of sync", extra={"event": "replica_out_of_sync"} | facts)
+
+
+class _KeptChannel(KeptReplicas):
+    """Keeps the replicas of one channel."""
+
+    def __init__(
+        self, host_id: bytes, store: ChannelStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel], hosted: HostedChannel,
+    ) -> None:  # fmt: skip
+        assert hosted.replication is not None, "the store names only channels with replicas"
+        super().__init__(host_id, directory, hosted.replication, hosted.record.channel_id)
+        self._store = store
+        self._dial = dial
+        self._hosted = hosted
+
+    @property
+    def name(self) -> str:
+        """The channel's name."""
+        return self._hosted.record.name
+
+    @property
+    def epoch(self) -> int:
+        """The channel's epoch."""
+        return self._hosted.epoch
+
+    @property
+    def wanted(self) -> int:
+        """The number of replicas that the policy asks for."""
+        return self._hosted.record.policy.replicas or 0
+
+    def is_served(self) -> bool:
+        """Whether this host has the channel."""
+        return self._store.serves(self._hosted)
+
+    def may_serve(self) -> bool:
+        """Whether this host has its lease."""
+        return self._store.lease_held()
+
+    async def start(self, replica: ListedReplica) -> None:
         """Have the host of a replica begin it. It answers MOVED, because it serves no readers."""
         channel = self._dial(replica.target)
         stub = gatekeeper_service_pb2_grpc.GatekeeperServiceStub(channel)
-        request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._channel_id, epoch=self._hosted.epoch)
+        request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._thing_id, epoch=self._hosted.epoch)
         try:
             await stub.BindChannel(request, timeout=BIND_SECONDS_MAX)
         except grpc.RpcError as error:
@@ -175,19 +278,3 @@ class _Keeping:
                 self._tell(from_rpc_error(error, replica.target))
         finally:
             await channel.close(None)
-
-    def _tell(self, error: StampedeError) -> None:
-        """Log a failure, once until the next success."""
-        if not self._has_told:
-            self._has_told = True
-            logger.warning(
-                "the replicas of a channel are incomplete; the host tries again",
-                extra={"event": "replicas_incomplete", "channel": self._hosted.record.name, "why": str(error)},
-            )
-
-    def _note(self, in_sync: bool, host_id: bytes) -> None:
-        facts = {"channel": self._hosted.record.name, "host_id": host_id.hex()}
-        if in_sync:
-            logger.info("a replica is in sync", extra={"event": "replica_in_sync"} | facts)
-        else:
-            logger.info("a replica is out of sync", extra={"event": "replica_out_of_sync"} | facts)

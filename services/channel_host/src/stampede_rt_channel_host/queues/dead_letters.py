@@ -29,6 +29,7 @@ from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMI
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.refusals import display_name
+from stampede_rt_channel_host.queues.replica_acks import wait_for_replicas
 
 logger = logging.getLogger(__name__)
 
@@ -105,6 +106,7 @@ class DeadLetterMover:
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
         items = hosted.queue.dead_letters(ITEMS_PER_ATTEMPT_MAX)
+        await wait_for_replicas(hosted)
         connection = self._dial(target)
         try:
             async with asyncio.timeout(ATTEMPT_SECONDS_MAX):

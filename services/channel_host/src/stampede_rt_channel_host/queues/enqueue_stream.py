@@ -18,6 +18,7 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.puts.acks import refused
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAcks
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -33,6 +34,7 @@ from stampede_rt_channel_host.queues.incoming import (
     read_request,
 )
 from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.replica_acks import AckOfQueue
 from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_not_judged, current_account, current_work, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessVerb
@@ -61,6 +63,7 @@ class EnqueueStream:
         self._queue_id, self._epoch, self._producer_id = b"", 0, 0
         self._acks: list[channel_service_pb2.PutAck] = []
         self._closed = False
+        self._held: HeldAcks | None = None  # acks that wait for replicas; made when the first one must wait
         self._news = asyncio.Event()  # there are acks to write, or the stream takes in nothing more
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
@@ -85,10 +88,14 @@ class EnqueueStream:
             raise
         finally:
             writer.cancel()
+            if self._held is not None:
+                self._held.close()
             self._requests.close()
 
     async def _finish(self, writer: asyncio.Task[None]) -> None:
         """Take in nothing more, and write the remaining acks."""
+        if self._held is not None:
+            await self._held.all_passed()
         self._closed = True
         self._news.set()
         await writer
@@ -120,7 +127,8 @@ class EnqueueStream:
         self._requests.release()  # these runs count no longer; a run that has to wait counts again
         self._work.spend_read()
         while runs:
-            await self._add(await self._enqueue(runs, received_s, failure))
+            ack = await self._enqueue(runs, received_s, failure)
+            await self._add_in_order(ack)
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
@@ -137,7 +145,7 @@ class EnqueueStream:
 
     async def _enqueue(
         self, runs: deque[EnqueueRun], received_s: float, failure: StampedeError | None
-    ) -> channel_service_pb2.PutAck:
+    ) -> channel_service_pb2.PutAck | AckOfQueue:
         """The ack of the first run. Waits while the run waits for room."""
         message = runs.popleft()
         check_number(self._producer_id, message.first_number)
@@ -158,7 +166,11 @@ class EnqueueStream:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
         await hosted.enqueue(run, lambda: self._waiting(hosted, run, runs))
-        return answer(run, self._store.now(), hosted.queue.incarnation)
+        ack = answer(run, self._store.now(), hosted.queue.incarnation)
+        if hosted.replication is None or not ack.HasField("first_seq"):
+            return ack
+        left_nanos = None if run.wait_nanos is None else max(0, run.wait_nanos)
+        return AckOfQueue(ack, hosted, hosted.replication, None if left_nanos is None else left_nanos / 1e9)
 
     @contextmanager
     def _waiting(self, hosted: HostedQueue, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
@@ -175,6 +187,19 @@ class EnqueueStream:
                 yield
         finally:
             self._rights.release(waiting)
+
+    async def _add_in_order(self, ack: channel_service_pb2.PutAck | AckOfQueue) -> None:
+        """Add an ack after all others, also after those that wait for replicas."""
+        if isinstance(ack, channel_service_pb2.PutAck) and not self._held:
+            await self._add(ack)
+            return
+        if self._held is None:
+            self._held = HeldAcks(self._pass_on, self._stream.spawn)
+        await self._held.add(ack)
+
+    async def _pass_on(self, ack: channel_service_pb2.PutAck) -> None:
+        await self._add(ack)
+        self._news.set()
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:

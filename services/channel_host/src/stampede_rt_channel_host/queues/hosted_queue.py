@@ -7,6 +7,7 @@ import itertools
 import random
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
@@ -25,7 +26,9 @@ from stampede_rt_channel_host.core.queue import (
     TakerState,
 )
 from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_channel_host.queues.queue_content import QueueContent, QueueMove
 from stampede_rt_channel_host.queues.refusals import display_name
+from stampede_rt_channel_host.queues.replicated_queue import ReplicatedQueue
 
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
@@ -48,16 +51,7 @@ class TakerStream(Protocol):
         """The host does not serve the queue any more."""
 
 
-class QueueMove:
-    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over."""
-
-    def __init__(self) -> None:
-        self.is_held = self.is_exporting = False
-        self.elsewhere: StampedeError | None = None
-        self.over = asyncio.Event()
-
-
-class HostedQueue:
+class HostedQueue(ReplicatedQueue):
     """One queue at this host.
 
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
@@ -73,23 +67,25 @@ class HostedQueue:
         on_dead_letters: Callable[[HostedQueue], None],
         deadlines: Deadlines[HostedQueue],
         may_serve: Callable[[], bool] = lambda: True,
-        core: QueueCore | None = None,
+        content: QueueContent | None = None,
     ) -> None:
-        """Set up the queue of `record`.
-
-        `deadlines`: the deadlines of all queues of the host. `may_serve` says whether the host has its lease. `core`:
-        the queue that another host has handed over. Raises InvalidArgument if the record's limits are not possible.
+        """`deadlines`: the deadlines of all queues of the host. `may_serve` says whether the host has its lease.
+        `content`: the queue, if it came from another host. Raises InvalidArgument for impossible limits.
         """
         self.record = record
         self.epoch: int = record.epoch
         self.registration = 0  # the number of the host's last registration when the store took `record` over
         self.moving: QueueMove | None = None  # the move of the queue away from this host, while one is under way
-        self.queue = core or QueueCore(
-            QueueLimits.of(record.policy),
-            incarnation=record.incarnation,
-            name=display_name(record),
-            first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
-            may_serve=may_serve,
+        self.queue = (
+            content.core
+            if content is not None
+            else QueueCore(
+                QueueLimits.of(record.policy),
+                incarnation=record.incarnation,
+                name=display_name(record),
+                first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
+                may_serve=may_serve,
+            )
         )
         self.due: int | None = None  # when the sweep looks at the queue; `Deadlines` sets it
         self.order = next(_orders)  # decides between queues that are due at the same time
@@ -103,9 +99,10 @@ class HostedQueue:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
         self._is_forgotten = False
-        if core is not None:
-            core.configure(QueueLimits.of(record.policy), now())
-            self._follow_up()
+        self.replicate(content)
+        if content is not None:
+            self.queue.configure(QueueLimits.of(record.policy), now())
+            self.follow_up()
 
     def update(self, record: RecordedQueue) -> None:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
@@ -114,12 +111,16 @@ class HostedQueue:
         if self.moving is not None and not has_failed:
             return  # nothing may change the queue now; it gets its limits when the move is over
         moving, self.moving = self.moving, None
+        if self.replication is not None:
+            self.replication.resume()
+        if has_changed:
+            self.replicate()
         if has_changed or moving is not None:
             self.queue.configure(QueueLimits.of(record.policy), self._now())
         if moving is not None:  # the move has failed
             self.queue.resume(self._now())
             moving.over.set()
-        self._follow_up()
+        self.follow_up()
 
     async def hold(self, error: StampedeError) -> None:
         """End all streams and waits with `error`, and let nothing change the queue from then on, until `update` gets a
@@ -168,7 +169,7 @@ class HostedQueue:
             self._count_overloaded(run, error)
             raise
         finally:
-            self._follow_up()  # the core may also have ended leases, even if it has refused the run
+            self.follow_up()  # the core may also have ended leases, even if it has refused the run
         if done is None:
             return
         try:
@@ -180,12 +181,12 @@ class HostedQueue:
         finally:
             if self._waiting.pop(run, None) is not None:
                 self.queue.withdraw(run, self._now())
-                self._follow_up()
+                self.follow_up()
 
     def refuse(self, run: Enqueue, error: StampedeError) -> None:
         """Refuse a run that waits for room. The call of `enqueue` that waits with the run then returns."""
         self.queue.refuse(run, error, self._now())
-        self._follow_up()
+        self.follow_up()
 
     def _count_overloaded(self, run: Enqueue, error: Overloaded) -> None:
         self.queue.reject_overloaded(len(run.lengths))
@@ -198,6 +199,10 @@ class HostedQueue:
         else:
             self.queue.reject_malformed()
 
+    def takers(self) -> list[TakerState]:
+        """The takers with a stream."""
+        return [*self._streams]
+
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
         """Add the stream of a taker. Call `leave` at its end. Raises Overloaded if there are TAKERS_MAX streams."""
         if len(self._streams) >= TAKERS_MAX:
@@ -207,37 +212,40 @@ class HostedQueue:
     def grant(self, taker: TakerState, credit: int) -> None:
         """Add `credit` messages to the credit of the taker. 0 only notes a sign of life."""
         self.queue.grant(taker, credit, self._now())
-        self._follow_up()
+        self.follow_up()
 
     def sent(self, taker: TakerState) -> None:
         """Note that the taker's last batch has been sent."""
         self.queue.sent(taker, self._now())
-        self._follow_up()
+        self.follow_up()
 
     def leave(self, taker: TakerState) -> None:
         """Remove the stream of a taker, which has ended. Its sent messages stay leased; the others go back."""
-        del self._streams[taker]
+        stream = self._streams.pop(taker)
         self._left.set()
+        if self.replication is not None:
+            self.replication.forget(taker)
+            self.replication.forget(stream)
         self.queue.leave(taker, self._now())
-        self._follow_up()
+        self.follow_up()
 
     def settle(self, taker_id: int, settlements: Sequence[Settlement]) -> list[SettlementResult]:
         """Perform settlements. Returns their results in order."""
         results = self.queue.settle(taker_id, settlements, self._now())
-        self._follow_up()
+        self.follow_up()
         return results
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
         """The first `limit` leased deliveries whose ids follow `after_delivery_id`, with their takers."""
         found = self.queue.pending(after_delivery_id, limit, self._now())
-        self._follow_up()
+        self.follow_up()
         return found
 
     def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
         if not self.is_held:  # else the next owner sends it again, and the dead-letter queue recognises it
             self.queue.dead_letter_moved(seq, self._now())
-            self._follow_up()
+            self.follow_up()
 
     def tick(self) -> None:
         """Handle everything that is due by the host's clock."""
@@ -246,28 +254,30 @@ class HostedQueue:
         now = self._now()
         self.queue.tick(now)
         self.queue.expire(now)
-        self._follow_up()
+        self.follow_up()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Refuse all waiting runs and end all takers' streams with `error`, in pieces.
 
         Meanwhile the queue accepts no messages, and gives takers none.
         """
+        if self.replication is not None:
+            self.replication.end(error)
         if self.moving is not None:  # `hold` has ended them
             return
         yield from self._stopping(error)
         if not self._is_forgotten:
             yield  # afterwards the interrupted streams do not use the queue any more
             self.queue.resume(self._now())
-            self._follow_up()
+            self.follow_up()
 
     def _stopping(self, error: StampedeError) -> Pieces[None]:
         self.queue.pause()
         streams = list(self._streams.items())
         while self.queue.refuse_waiting(error, self._now()):
-            self._follow_up()
+            self.follow_up()
             yield
-        self._follow_up()
+        self.follow_up()
         for at, (taker, stream) in enumerate(streams, 1):
             if self._streams.get(taker) is stream:
                 stream.end(error)
@@ -288,12 +298,16 @@ class HostedQueue:
         yield  # afterwards the interrupted streams do not use the queue any more
         while self.moving is not None and self.moving.is_exporting:
             yield
+        if self.replication is not None:
+            self.replication.journal.stop()
         yield from self.queue.emptying()
 
-    def _follow_up(self) -> None:
+    def follow_up(self) -> None:
         """Pass the results of a call of the core on to streams and waiting runs, and set the next deadline."""
+        if self.replication is not None:
+            self.replication.changed(self._now())
         for taker, batch in self.queue.take_batches():
-            self._streams[taker].deliver(batch)
+            self.once_replicated(taker, partial(self._streams[taker].deliver, batch))
         for taker in self.queue.take_silent():
             self._streams[taker].probe()
         for run in self.queue.take_finished():
@@ -302,7 +316,8 @@ class HostedQueue:
                 _finish(done)
         if self._is_forgotten:
             return
-        self._charge.set(self.queue.footprint_bytes)
+        steps_bytes = 0 if self.replication is None else self.replication.journal.size_bytes
+        self._charge.set(self.queue.footprint_bytes + steps_bytes)
         if self.queue.has_dead_letters:
             self._on_dead_letters(self)
         due = self.queue.next_deadline()

@@ -18,6 +18,7 @@ from stampede_rt_channel_host.queues.access import check_queue_access, check_que
 from stampede_rt_channel_host.queues.enqueue_stream import EnqueueStream
 from stampede_rt_channel_host.queues.queue_status import queue_status
 from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.replica_acks import wait_for_replicas
 from stampede_rt_channel_host.queues.requests import (
     check_queue_id,
     check_taker_id,
@@ -74,6 +75,7 @@ class QueueServicer:
         check = partial(check_queue_access, AccessVerb.TAKE, hosted.record)
         with self._store.takers.using(request.queue_id, request.taker_id, "taker", check):
             results = hosted.settle(request.taker_id, settlements)
+        await wait_for_replicas(hosted)
         return pb.SettleResponse(results=map(result_message, results))
 
     @errors_as_status

@@ -20,4 +20,5 @@ def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
         waiting_enqueues=hosted.queue.waiting_enqueues,
         oldest_accepted_unix_nano=hosted.queue.oldest_accepted_at,
         host_time_unix_nano=now,
+        fed_copies=[] if hosted.replication is None else hosted.replication.statuses(),
     )

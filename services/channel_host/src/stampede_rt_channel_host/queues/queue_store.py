@@ -18,17 +18,18 @@ from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, Stampede
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_after_another, rest_of
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue import QueueCore
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_content import QueueContent
+from stampede_rt_channel_host.queues.queue_copies import QueueCopies
+from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.queue_totals import add_counts
 from stampede_rt_channel_host.queues.refusals import display_name
 
@@ -77,13 +78,15 @@ class QueueStore:
         self.in_use = asyncio.Event()  # set once a queue is used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
-        self._arriving: dict[bytes, tuple[int, QueueCore]] = {}  # with the epoch of this host as the owner
+        self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
+        self.copies = QueueCopies(memory, now, self.may_serve)
+        self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None  # for each queue that begins to wait
         self.departed: Counter[str] = Counter()
         """The counters of the queues that this host served before, by the names in QueueCounters."""
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH) or Unavailable (SHUTTING_DOWN)."""
-        self._check_lease()
+        self.check_may_serve()
         hosted = self._queues.get(queue_id)
         if hosted is None or not hosted.epoch:
             raise refusals.not_here(self._identity.name, queue_id)
@@ -99,10 +102,10 @@ class QueueStore:
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), QueueNotFound, Overloaded, Unavailable.
         """
-        self._check_lease()
+        self.check_may_serve()
         held = self._queues.get(queue_id)
         if held is not None and held.moving is not None:
-            await _decided(held)
+            await held.moving.decided(display_name(held.record))
         if not self._knows(queue_id, epoch):
             async with self._single_flight.about(queue_id):
                 if not self._knows(queue_id, epoch):
@@ -154,13 +157,20 @@ class QueueStore:
         """Take in a change of a queue that the directory reports. Ignores queues that this host does not know."""
         hosted = self._queues.get(record.queue_id)
         if hosted is None:
-            return
-        if removed:
+            self._copy_changed(record, removed=removed)
+        elif removed:
             self.forget(record.queue_id, refusals.deleted(record))
         elif record.host_id == self._identity.host_id:
             self.adopt(record)
         elif record.epoch > hosted.record.epoch:
             self.forget(record.queue_id, refusals.moved(record))
+
+    def _copy_changed(self, record: RecordedQueue, *, removed: bool) -> None:
+        """Take in a change of a queue of which this host may hold a replica. The replica may be the owner now."""
+        if removed:
+            self.copies.drop(record.queue_id)
+        elif record.host_id == self._identity.host_id and self.copies.of(record.queue_id) is not None:
+            self.adopt(record)
 
     async def missed(self) -> None:
         """See `ChangeFollower`. Asks the directory about every queue that this host knows."""
@@ -233,9 +243,9 @@ class QueueStore:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
         self._creation_shares.check(record.created_by)
 
-    def expect(self, record: RecordedQueue, core: QueueCore) -> None:
-        """Serve a queue with these messages once the directory names this host as its owner in the next epoch."""
-        self._arriving[record.queue_id] = record.epoch + 1, core
+    def expect(self, record: RecordedQueue, content: QueueContent) -> None:
+        """Serve a queue with this content once the directory names this host as its owner in the next epoch."""
+        self._arriving[record.queue_id] = record.epoch + 1, content
 
     def give_up(self, queue_id: bytes) -> None:
         """Expect a queue no more. Idempotent."""
@@ -245,7 +255,8 @@ class QueueStore:
         """Whether the host may serve its queues."""
         return self._closing is None and self._lease_held()
 
-    def _check_lease(self) -> None:
+    def check_may_serve(self) -> None:
+        """Raises the error of all requests while the host may not serve."""
         if self._closing is not None:
             raise self._closing
         if not self._lease_held():
@@ -293,20 +304,30 @@ class QueueStore:
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self._registrations
+                replication = held.replication
                 held.update(record)
+                self._note_replicated(held, replication)
             return
         if held is not None:
             if record.epoch < held.record.epoch:
                 return
             self.forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         self.check_room(record)
-        epoch, core = self._arriving.pop(record.queue_id, (0, None))
-        core = core if epoch == record.epoch else None
-        hosted = HostedQueue(record, self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve, core)
+        epoch, arrived = self._arriving.pop(record.queue_id, (0, None))
+        inherited = self.copies.inherit(record)
+        content = arrived if epoch == record.epoch else inherited
+        queue_parts = self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve
+        hosted = HostedQueue(record, *queue_parts, content)
         hosted.registration = self._registrations
         self._queues[record.queue_id] = hosted
         self._creation_shares.note(record.created_by, +1)
+        self._note_replicated(hosted, None)
         self.in_use.set()
+
+    def _note_replicated(self, hosted: HostedQueue, before: QueueReplication | None) -> None:
+        """Have the replicas of a queue kept, if it has just begun to wait for them. `before`: what it waited for."""
+        if hosted.replication is not None and hosted.replication is not before:
+            self.on_replicated(hosted)
 
     def forget(self, queue_id: bytes, error: StampedeError) -> None:
         """Drop the queue, if it is here. Its callers get `error`."""
@@ -320,17 +341,3 @@ class QueueStore:
         self._creation_shares.note(hosted.record.created_by, -1)
         add_counts(self.departed, hosted)
         return rest_of(hosted.leaving(error))
-
-
-async def _decided(hosted: HostedQueue) -> None:
-    """Wait for the end of the queue's move. Raises StaleBinding (MOVED) if it has moved, and Overloaded."""
-    moving = hosted.moving
-    assert moving is not None, "the caller has checked it"
-    try:
-        async with asyncio.timeout(HELD_SECONDS_MAX):
-            await moving.over.wait()
-    except TimeoutError:
-        name = display_name(hosted.record)
-        raise Overloaded(f"queue {name} is moving to another host, which takes long; try again") from None
-    if moving.elsewhere is not None:
-        raise moving.elsewhere

@@ -46,6 +46,7 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
+        self._owed = 0  # the results that were not sent yet; some of them may wait for replicas
         self._owes_drained = False  # the answer to the request's `drain` is due
         self._drains = False  # the taker wants no more messages
         self._closed = False  # the caller has closed its side
@@ -110,16 +111,28 @@ class TakeStream:
         self._work.spend_read()
         settlements = settlements_of(request.settlements)
         if settlements:
-            results = hosted.settle(taker.taker_id, settlements)
-            self._results += map(result_message, results)
+            results = [*map(result_message, hosted.settle(taker.taker_id, settlements))]
+            self._owed += len(results)
+            hosted.once_replicated(self, partial(self._answer, results))
         if request.drain:
-            self._drains = self._owes_drained = True
+            self._drains = True
             hosted.queue.drain(taker)
+            hosted.once_replicated(self, self._answer_drain)
         self._grant(hosted, taker, request.credit)
         self._news.set()
-        while len(self._results) >= SETTLEMENTS_MAX:  # a taker that does not read its results must wait
+        while self._owed >= SETTLEMENTS_MAX:  # a taker that does not read its results must wait
             self._room.clear()
             await self._room.wait()
+
+    def _answer(self, results: list[queue_pb2.SettlementResult]) -> None:
+        """Send results: the replicas know of these settlements."""
+        self._results += results
+        self._news.set()
+
+    def _answer_drain(self) -> None:
+        """Tell the taker that no batch follows: all earlier ones are sent."""
+        self._owes_drained = True
+        self._news.set()
 
     def _grant(self, hosted: HostedQueue, taker: TakerState, credit: int) -> None:
         """Add the credit that the taker grants. A request without credit is a sign of life.
@@ -145,12 +158,13 @@ class TakeStream:
                 await self._write(hosted, b"")
 
     def _is_over(self, taker: TakerState) -> bool:
-        waiting = self._batch is not None or self._results or self._owes_drained
+        waiting = taker.is_busy or self._owed or self._owes_drained
         return self._closed and not taker.credit and not waiting
 
     async def _write_news(self, hosted: HostedQueue, taker: TakerState) -> None:
         batch, self._batch = self._batch, None
         results, self._results = self._results, []
+        self._owed -= len(results)
         drained, self._owes_drained = self._owes_drained, False
         probes, self._probes = self._probes, False
         self._room.set()

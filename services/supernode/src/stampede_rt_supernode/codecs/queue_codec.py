@@ -6,7 +6,7 @@ from sys import intern
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import channel_pb2, queue_pb2
 from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 
 _ON_FULL_TO_WIRE = {
@@ -25,23 +25,33 @@ _SPEC_FIELDS = (
     "dead_letter_queue_id",
     "content_type",
     "max_item_bytes",
+    "replicas",
+    "min_replicas",
 )
+_ACK_TO_WIRE = {
+    None: channel_pb2.ACK_UNSPECIFIED,
+    "host": channel_pb2.ACK_HOST,
+    "replica": channel_pb2.ACK_REPLICA,
+}
+_ACK_FROM_WIRE = {wire: name for name, wire in _ACK_TO_WIRE.items()}
 
 
 def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
-    """The policy in a message. Raises InvalidArgument for an unknown value of on_full."""
+    """The policy in a message. Raises InvalidArgument for an unknown value of on_full or ack."""
     if spec.on_full not in _ON_FULL_FROM_WIRE:
         raise InvalidArgument(
             f"on_full is {spec.on_full}, which this version does not know; see QueueOnFull for the values"
         )
+    if spec.ack not in _ACK_FROM_WIRE:
+        raise InvalidArgument(f'ack is {spec.ack}; the ack of a queue is ACK_HOST or ACK_REPLICA ("host", "replica")')
     stated: dict[str, Any] = {name: getattr(spec, name) for name in _SPEC_FIELDS if spec.HasField(name)}
-    return QueueSpec(on_full=_ON_FULL_FROM_WIRE[spec.on_full], **stated)
+    return QueueSpec(on_full=_ON_FULL_FROM_WIRE[spec.on_full], ack=_ACK_FROM_WIRE[spec.ack], **stated)
 
 
 def queue_spec_message(spec: QueueSpec) -> queue_pb2.QueueSpec:
     """The message of a policy. Leaves out fields that are None."""
     others: dict[str, Any] = {name: getattr(spec, name) for name in _SPEC_FIELDS}
-    return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], **others)
+    return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], ack=_ACK_TO_WIRE[spec.ack], **others)
 
 
 def queue_record(queue: QueueRecord) -> queue_pb2.QueueRecord:

@@ -32,26 +32,29 @@ def kind_message(kind: ReplicaKind) -> replica_pb2.ReplicaKind:
 
 
 def channel_id_of(subject: subject_pb2.Subject) -> bytes:
-    """The channel of a subject.
-
-    Raises QUEUE_NOT_FOUND for a queue, because queues have no copies yet.
-    """
+    """The channel of a subject. Raises QUEUE_NOT_FOUND for a queue, because hosts report no loads of queues."""
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()
-        text = f"queue {shown} cannot be copied: this version copies only channels; name a channel by its channel_id"
+        text = f"queue {shown} has no loads of copies, because takers use its owner alone; report only channels"
         raise StampedeError(text, reason="QUEUE_NOT_FOUND", metadata={"queue_id": shown})
     return subject.channel_id
 
 
-def subject_of(channel_id: bytes) -> subject_pb2.Subject:
-    """The subject of a channel."""
-    return subject_pb2.Subject(channel_id=channel_id)
+def copied_thing(subject: subject_pb2.Subject) -> tuple[bytes, bool]:
+    """The id of the channel or queue of a subject, and whether it is a queue."""
+    is_of_queue = subject.WhichOneof("id") == "queue_id"
+    return (subject.queue_id if is_of_queue else subject.channel_id), is_of_queue
+
+
+def subject_of(thing_id: bytes, *, is_of_queue: bool = False) -> subject_pb2.Subject:
+    """The subject of a channel or queue."""
+    return subject_pb2.Subject(queue_id=thing_id) if is_of_queue else subject_pb2.Subject(channel_id=thing_id)
 
 
 def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
     """The message of a copy."""
     return replica_pb2.ReplicaRecord(
-        subject=subject_of(replica.channel_id),
+        subject=subject_of(replica.channel_id, is_of_queue=replica.is_of_queue),
         host_id=replica.host_id,
         boot_incarnation=replica.boot_incarnation,
         kind=_KINDS_TO_WIRE[replica.kind],
@@ -65,8 +68,10 @@ def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
 
 def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
     """The copy of a record that this codec wrote."""
+    thing_id, is_of_queue = copied_thing(record.subject)
     return ReplicaRecord(
-        channel_id=channel_id_of(record.subject),
+        channel_id=thing_id,
+        is_of_queue=is_of_queue,
         host_id=record.host_id,
         boot_incarnation=record.boot_incarnation,
         kind=_KINDS_FROM_WIRE[record.kind],

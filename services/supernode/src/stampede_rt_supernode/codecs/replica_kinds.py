@@ -8,7 +8,7 @@ from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
 from stampede_rt_supernode.codecs.replica_codec import (
-    channel_id_of,
+    copied_thing,
     kind_from,
     kind_message,
     replica_from,
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.replicas.commands import (
 
 def _add_message(operation: AddReplica) -> pb.AddReplicaCommand:
     return pb.AddReplicaCommand(
-        subject=subject_of(operation.channel_id),
+        subject=subject_of(operation.channel_id, is_of_queue=operation.is_of_queue),
         epoch=operation.epoch,
         host_id=operation.host_id,
         kind=kind_message(operation.kind),
@@ -37,8 +37,10 @@ def _add_message(operation: AddReplica) -> pb.AddReplicaCommand:
 
 
 def _read_add(message: pb.AddReplicaCommand) -> AddReplica:
+    thing_id, is_of_queue = copied_thing(message.subject)
     return AddReplica(
-        channel_id=channel_id_of(message.subject),
+        channel_id=thing_id,
+        is_of_queue=is_of_queue,
         epoch=message.epoch,
         host_id=message.host_id,
         kind=kind_from(message.kind),
@@ -48,16 +50,19 @@ def _read_add(message: pb.AddReplicaCommand) -> AddReplica:
 
 
 def _remove_message(operation: RemoveReplica) -> pb.RemoveReplicaCommand:
-    return pb.RemoveReplicaCommand(subject=subject_of(operation.channel_id), host_id=operation.host_id)
+    return pb.RemoveReplicaCommand(
+        subject=subject_of(operation.channel_id, is_of_queue=operation.is_of_queue), host_id=operation.host_id
+    )
 
 
 def _read_remove(message: pb.RemoveReplicaCommand) -> RemoveReplica:
-    return RemoveReplica(channel_id=channel_id_of(message.subject), host_id=message.host_id)
+    thing_id, is_of_queue = copied_thing(message.subject)
+    return RemoveReplica(channel_id=thing_id, is_of_queue=is_of_queue, host_id=message.host_id)
 
 
 def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
     return pb.SetReplicaInSyncCommand(
-        subject=subject_of(operation.channel_id),
+        subject=subject_of(operation.channel_id, is_of_queue=operation.is_of_queue),
         epoch=operation.epoch,
         host_id=operation.host_id,
         boot_incarnation=operation.boot_incarnation,
@@ -67,8 +72,10 @@ def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
 
 
 def _read_in_sync(message: pb.SetReplicaInSyncCommand) -> SetReplicaInSync:
+    thing_id, is_of_queue = copied_thing(message.subject)
     return SetReplicaInSync(
-        channel_id=channel_id_of(message.subject),
+        channel_id=thing_id,
+        is_of_queue=is_of_queue,
         epoch=message.epoch,
         host_id=message.host_id,
         boot_incarnation=message.boot_incarnation,

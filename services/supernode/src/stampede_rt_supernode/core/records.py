@@ -158,6 +158,8 @@ class ReplicaKind(Enum):
 class ReplicaRecord:
     """A copy of a channel at `host_id`. The copy ends with that host's registration (paper, section 4.1).
 
+    `is_of_queue`: it is a copy of a queue or mailbox, and `channel_id` is the id of that queue.
+
     `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, so its host may
     become the owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync.
     `epoch`: the epoch of the channel when this copy was added or last changed. `change_number`: the owner's number of
@@ -173,13 +175,14 @@ class ReplicaRecord:
     acknowledged: bool = False
     epoch: int
     change_number: int = 0
+    is_of_queue: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueSpec:
     """The policy of a queue (paper, section 3.5). A field is None if it was not stated.
 
-    `on_full`: "block", "reject" or "drop_oldest".
+    `on_full`: "block", "reject" or "drop_oldest". `ack`: "host" or "replica".
     """
 
     max_items: int | None = None
@@ -191,6 +194,9 @@ class QueueSpec:
     dead_letter_queue_id: bytes | None = None
     content_type: str | None = None
     max_item_bytes: int | None = None
+    replicas: int | None = None
+    ack: str | None = None
+    min_replicas: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

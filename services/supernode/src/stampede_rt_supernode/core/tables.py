@@ -170,15 +170,18 @@ class Tables:
     def put_queue(self, queue: QueueRecord) -> None:
         """Add a queue or mailbox, or replace the one of that id.
 
-        Its host must be known, and may be another than before.
+        Its host must be known, and may be another than before. If its puts wait for no replicas, it has none.
         """
         before = self.queues.by_id.get(queue.queue_id)
+        if queue.spec.ack != "replica":
+            self.replicas.store(queue.queue_id, ())
         self.queues.put(queue)
         if before is not None and before.host_id != queue.host_id:
             self._drop_if_done(self.hosts[before.host_id])
 
     def remove_queue(self, queue: QueueRecord) -> None:
-        """Remove a queue or mailbox that exists."""
+        """Remove a queue or mailbox that exists, with its copies."""
+        self.replicas.store(queue.queue_id, ())
         self.queues.remove(queue)
         self._drop_if_done(self.hosts[queue.host_id])
 

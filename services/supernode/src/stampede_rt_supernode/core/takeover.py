@@ -1,4 +1,4 @@
-"""Applies the loss of a host to its channels, their copies and groups, and its mailboxes. Pure.
+"""Applies the loss of a host to its channels and queues, their copies and groups, and its mailboxes. Pure.
 
 A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the
 former owner's registration, and no other host gets the channel in between. If puts waited for the replica, it also
@@ -13,12 +13,13 @@ from dataclasses import replace
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import move_mailboxes
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind
+from stampede_rt_supernode.core.replicas.things import Copied, copied_with_id, id_of
 from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 
 
-def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> None:
-    """Replace a channel's record by `after`, which has a higher epoch, another owner or incarnation, or both.
+def give_owner(tables: Tables, before: Copied, after: Copied) -> None:
+    """Replace the record of a channel or queue by `after`, which has a higher epoch, and another owner or incarnation.
 
     The caller must then call `note_lost_cuts`, once for all channels of one log entry, because these channels may be in
     the same groups.
@@ -37,14 +38,14 @@ def forget_channel(tables: Tables, channel: ChannelRecord) -> tuple[str, ...]:
 def end_registration(tables: Tables, host_id: bytes) -> None:
     """Apply the loss of all items of a host. Its lease must have ended, or a new process of it must have registered.
 
-    The directory removes the copies that the host held. Other hosts get those of its channels of which they hold a warm
-    replica in sync. If the host is not alive, its mailboxes move to other hosts.
+    The directory removes the copies that the host held. Other hosts get those of its channels and queues of which they
+    hold a warm replica in sync. If the host is not alive, its other mailboxes move to other hosts.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
-        drop_copy(tables, tables.channels[channel_id], host_id)
+        drop_copy(tables, copied_with_id(tables, channel_id), host_id)
     inherited: list[bytes] = []
     for channel_id, _ in tables.replicas.entries():  # not over all channels of the host, because few may have a copy
-        channel = tables.channels[channel_id]
+        channel = copied_with_id(tables, channel_id)
         heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:
             incarnation = channel.incarnation
@@ -52,29 +53,29 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
                 incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
-            inherited.append(channel.channel_id)
+            inherited += [channel.channel_id] if isinstance(channel, ChannelRecord) else []
     note_lost_cuts(tables, inherited)
     host = tables.hosts.get(host_id)
     if host is None or not host.alive:
         move_mailboxes(tables, host_id)
 
 
-def _lost_nothing(tables: Tables, channel: ChannelRecord, heir: HostRecord) -> bool:
+def _lost_nothing(tables: Tables, channel: Copied, heir: HostRecord) -> bool:
     """Whether the heir has all items that were acknowledged, and all that a reader has seen.
 
     It is a replica for which puts waited, or the former owner of a channel that has just moved.
     """
-    copy = tables.replicas.at(channel.channel_id, heir.host_id)
+    copy = tables.replicas.at(id_of(channel), heir.host_id)
     return copy is not None and (copy.kind is ReplicaKind.MOVE or copy.acknowledged)
 
 
-def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
+def _heir(tables: Tables, channel: Copied) -> HostRecord | None:
     """The live host with a copy in sync that has the fewest channels; None if there is no such host.
 
     Among equals, returns the host whose copy was added first. The former owner of a channel that has just moved comes
     before all others: the present owner has acknowledged nothing yet.
     """
-    copies = [one for one in tables.replicas.of(channel.channel_id) if one.in_sync]
+    copies = [one for one in tables.replicas.of(id_of(channel)) if one.in_sync]
     former = [one for one in copies if one.kind is ReplicaKind.MOVE]
     in_sync = (tables.hosts[one.host_id] for one in former or copies)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)

@@ -30,6 +30,7 @@ from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
 from stampede_rt_supernode.codecs.record_codec import peer_change_message
 from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.cluster.feature_levels import QUEUE_REPLICAS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import peer_by_id, peer_by_name
 from stampede_rt_supernode.core.peers.checks import check_clock, check_proof
@@ -66,6 +67,8 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             await self._calls.check_thing(
                 context, AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id
             )
+        if request.mailbox.replicas:
+            await self._calls.check_level(context, "a mailbox with replicas", QUEUE_REPLICAS_LEVEL)
         clock, former = _clock_report(request), self._calls.holder_of(request.name)
         registered = await self._calls.submit(context, _registration(request), PeerRegistered, request.request_id)
         if former is not None and former.boot_incarnation != request.boot_incarnation:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import secrets
 
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
-from stampede_rt.v1 import queue_directory_service_pb2_grpc
-from stampede_rt.v1.queue_pb2 import QueueSpec
+from stampede_rt.v1 import queue_directory_service_pb2_grpc, queue_pb2
 from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known, creation_limit, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
@@ -17,6 +16,7 @@ from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
 from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.cluster.feature_levels import QUEUE_REPLICAS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import mailbox_of, queue_by_id, queue_by_name
 from stampede_rt_supernode.core.queues.commands import (
@@ -29,7 +29,7 @@ from stampede_rt_supernode.core.queues.commands import (
 )
 from stampede_rt_supernode.core.queues.queries import Position, queue_page
 from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
-from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
+from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord, QueueSpec
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_max_bytes
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
@@ -47,8 +47,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         """Open a queue. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.applied_index()
         check_known(AccessKind.QUEUE, request.name)
-        spec = queue_spec_from(request.spec)
-        check_max_bytes("queue", request.name, spec.max_bytes)
+        spec = await self._checked(context, request.name, request.spec)
         operation = OpenQueue(
             name=request.name,
             spec=spec,
@@ -90,15 +89,14 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             case "peer_name":
                 check_known(AccessKind.PEER, request.peer_name)
         queue, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        _check_known(queue)
+        check_queue_known(queue)
         return pb.ResolveQueueResponse(queue=queue_record(queue), host=host_record(host), applied_index=index)
 
     @errors_as_status
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
         await self._check_dead_letter(context, request.spec)
-        spec = queue_spec_from(request.spec)
-        check_max_bytes("queue", request.queue_id.hex(), spec.max_bytes)
+        spec = await self._checked(context, request.queue_id.hex(), request.spec)
         operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=spec)
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
@@ -143,7 +141,15 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             applied_index=page.applied_index,
         )
 
-    async def _check_dead_letter(self, context: Context, spec: QueueSpec) -> None:
+    async def _checked(self, context: Context, queue: str, stated: queue_pb2.QueueSpec) -> QueueSpec:
+        """The stated policy. Raises InvalidArgument, also for replicas below QUEUE_REPLICAS_LEVEL."""
+        spec = queue_spec_from(stated)
+        check_max_bytes("queue", queue, spec.max_bytes)
+        if (spec.replicas, spec.ack, spec.min_replicas) != (None, None, None):
+            await self._calls.check_level(context, "a queue with replicas", QUEUE_REPLICAS_LEVEL)
+        return spec
+
+    async def _check_dead_letter(self, context: Context, spec: queue_pb2.QueueSpec) -> None:
         """Check that the caller may send to the dead-letter queue.
 
         Later the host sends messages to that queue, and rules of access do not limit hosts.
@@ -152,7 +158,8 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             await self._calls.check_thing(context, AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)
 
 
-def _check_known(queue: QueueRecord) -> None:
+def check_queue_known(queue: QueueRecord) -> None:
+    """Raises an error for a queue or mailbox that the caller may not know."""
     if queue.mailbox_peer_id is None:
         check_known(AccessKind.QUEUE, queue.name, by_id=True)
     elif queue.mailbox_owner is None or queue.mailbox_owner != owner_name():

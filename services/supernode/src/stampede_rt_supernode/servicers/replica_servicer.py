@@ -8,21 +8,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt.v1 import replica_directory_service_pb2 as pb
-from stampede_rt.v1 import replica_directory_service_pb2_grpc
+from stampede_rt.v1 import replica_directory_service_pb2_grpc, subject_pb2
 from stampede_rt_runtime.access.control import check_known
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.replica_codec import (
-    channel_id_of,
+    copied_thing,
     kind_from,
     load_from,
     load_message,
     replica_record,
 )
+from stampede_rt_supernode.core.cluster.feature_levels import QUEUE_REPLICAS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.lookups import channel_by_id
-from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaRecord
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -31,12 +31,14 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
+from stampede_rt_supernode.core.replicas.things import Copied, copied_by_id
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
+from stampede_rt_supernode.servicers.queue_servicer import check_queue_known
 
 
 class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirectoryServiceServicer):
-    """One supernode's answers about copies of channels."""
+    """One supernode's answers about copies of channels and queues."""
 
     def __init__(self, calls: DirectoryCalls, loads: LoadKeeper) -> None:
         self._calls = calls
@@ -44,10 +46,10 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def AddReplica(self, request: pb.AddReplicaRequest, context: Context) -> pb.AddReplicaResponse:
-        channel_id = channel_id_of(request.subject)
-        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
+        thing_id, is_of_queue = await self._check_configures(context, request.subject)
         operation = AddReplica(
-            channel_id=channel_id,
+            channel_id=thing_id,
+            is_of_queue=is_of_queue,
             epoch=request.epoch,
             host_id=request.host_id,
             kind=kind_from(request.kind),
@@ -59,9 +61,8 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
-        channel_id = channel_id_of(request.subject)
-        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
-        operation = RemoveReplica(channel_id=channel_id, host_id=request.host_id)
+        thing_id, is_of_queue = await self._check_configures(context, request.subject)
+        operation = RemoveReplica(channel_id=thing_id, is_of_queue=is_of_queue, host_id=request.host_id)
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
@@ -69,12 +70,13 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def SetReplicaInSync(
         self, request: pb.SetReplicaInSyncRequest, context: Context
     ) -> pb.SetReplicaInSyncResponse:
-        """In a cluster with certificates only the owner of the channel may call this."""
-        channel_id = channel_id_of(request.subject)
-        owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
-        self._calls.check_host(context, owner)
+        """In a cluster with certificates only the owner of the channel or queue may call this."""
+        thing_id, is_of_queue = copied_thing(request.subject)
+        found = await self._calls.read(context, lambda one: _find(one, thing_id, is_of_queue=is_of_queue))
+        self._calls.check_host(context, found.thing.host_id)
         operation = SetReplicaInSync(
-            channel_id=channel_id,
+            channel_id=thing_id,
+            is_of_queue=is_of_queue,
             epoch=request.epoch,
             host_id=request.host_id,
             boot_incarnation=request.boot_incarnation,
@@ -96,31 +98,45 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:
-        channel_id = channel_id_of(request.subject)
-        found = await self._calls.read(context, lambda one: _find(one, channel_id), stale_ok=request.stale_ok)
-        check_known(AccessKind.CHANNEL, found.channel.name, by_id=True)
-        loads = self._loads.of(channel_id, [host.host_id for host in found.hosts])
+        thing_id, is_of_queue = copied_thing(request.subject)
+        found = await self._calls.read(
+            context, lambda one: _find(one, thing_id, is_of_queue=is_of_queue), stale_ok=request.stale_ok
+        )
+        if isinstance(found.thing, QueueRecord):
+            check_queue_known(found.thing)
+        else:
+            check_known(AccessKind.CHANNEL, found.thing.name, by_id=True)
+        loads = self._loads.of(thing_id, [host.host_id for host in found.hosts])
         return pb.ListReplicasResponse(
             replicas=[replica_record(replica) for replica in found.replicas],
             loads=[load_message(load) for load in loads],
             hosts=[host_record(host) for host in found.hosts],
-            owner_host_id=found.channel.host_id,
-            epoch=found.channel.epoch,
+            owner_host_id=found.thing.host_id,
+            epoch=found.thing.epoch,
             applied_index=found.applied_index,
         )
+
+    async def _check_configures(self, context: Context, subject: subject_pb2.Subject) -> tuple[bytes, bool]:
+        """The id of the copied thing, and whether it is a queue. Raises PermissionDenied."""
+        thing_id, is_of_queue = copied_thing(subject)
+        if is_of_queue:
+            await self._calls.check_level(context, "a replica of a queue", QUEUE_REPLICAS_LEVEL)
+        kind = AccessKind.QUEUE if is_of_queue else AccessKind.CHANNEL
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, kind, thing_id)
+        return thing_id, is_of_queue
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    channel: ChannelRecord
+    thing: Copied
     replicas: tuple[ReplicaRecord, ...]
     hosts: tuple[HostRecord, ...]  # the owner, then the hosts of the copies
     applied_index: int
 
 
-def _find(directory: Directory, channel_id: bytes) -> _Found:
+def _find(directory: Directory, thing_id: bytes, *, is_of_queue: bool) -> _Found:
     tables = directory.tables
-    channel = channel_by_id(tables, channel_id)
-    replicas = tables.replicas.of(channel_id)
-    host_ids = (channel.host_id, *(replica.host_id for replica in replicas))
-    return _Found(channel, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)
+    thing = copied_by_id(tables, thing_id, is_of_queue=is_of_queue)
+    replicas = tables.replicas.of(thing_id)
+    host_ids = (thing.host_id, *(replica.host_id for replica in replicas))
+    return _Found(thing, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)

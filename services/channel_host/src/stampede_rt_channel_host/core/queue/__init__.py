@@ -5,7 +5,7 @@ from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
 from stampede_rt_channel_host.core.queue.items import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, FailedDelivery, QueuedRun
-from stampede_rt_channel_host.core.queue.journal import QueueJournal, QueueStep
+from stampede_rt_channel_host.core.queue.journal import JOURNAL_BYTES_MAX, QueueJournal, QueueStep
 from stampede_rt_channel_host.core.queue.limits import (
     BLOCK,
     DROP_OLDEST,
@@ -38,6 +38,7 @@ __all__ = [
     "DROP_OLDEST",
     "GIVEN_BACK",
     "ITEM_OVERHEAD_BYTES",
+    "JOURNAL_BYTES_MAX",
     "LEASE_EXPIRED",
     "LEASE_NANOS_MAX",
     "REJECT",

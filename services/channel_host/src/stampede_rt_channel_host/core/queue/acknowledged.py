@@ -8,6 +8,7 @@ from __future__ import annotations
 from array import array
 from collections import OrderedDict
 from collections.abc import Iterator
+from itertools import islice
 from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000  # how long a queue remembers an acknowledgement
@@ -69,9 +70,13 @@ class AcknowledgedDeliveries:
         chunk = self._chunks.get(number)
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
-    def all(self, now: int) -> Iterator[Acknowledged]:
-        """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last."""
-        for number, chunk in self._chunks.items():
+    def all(self, now: int, chunks_max: int | None = None) -> Iterator[Acknowledged]:
+        """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last.
+
+        `chunks_max`: only those of so many chunks, the latest ones. A chunk has up to 256 acknowledgements.
+        """
+        first = 0 if chunks_max is None else max(0, len(self._chunks) - chunks_max)
+        for number, chunk in islice(self._chunks.items(), first, None):
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:
                     yield Acknowledged(number * _IDS_PER_CHUNK + offset, taker_id, chunk.times[offset])

@@ -77,7 +77,9 @@ class QueueHandoff:
     message_ids: Sequence[KnownMessage]
 
 
-def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
+def export(
+    queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int, chunks_max: int | None = None
+) -> QueueHandoff:
     """The queue as of `now`. The result shares no mutable object with the queue."""
     tracked = _ranges(item.seq for item in queue_items.tracked.values())
     fresh = (SeqRange(run.first_seq + position, run.end_seq - 1) for run, position in queue_items.fresh())
@@ -88,7 +90,7 @@ def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now:
         runs=[run_with_age(run, now) for run in _runs(queue_items)],
         held=_joined(chain(tracked, fresh)),
         items=[state_of(item, leasing, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())],
-        acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
+        acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now, chunks_max)],
         producers=[aged(kept, now) for kept in enqueuing.retries.kept(now)],
         message_ids=[known._replace(time=now - known.time) for known in enqueuing.message_ids.all(now)],
     )

@@ -58,7 +58,7 @@ class QueueJournal:
         self._queue_items = queue_items
         self._leasing = leasing
         self._enqueuing = enqueuing
-        self._bytes_max = bytes_max
+        self.bytes_max = bytes_max
         self._steps: deque[QueueStep] = deque()
         self._changes = queue_items.changes = QueueChanges()
         self._tally = replace(queue_items.tally)
@@ -156,8 +156,14 @@ class QueueJournal:
         self.next_step = step.number + 1
         self._steps.append(step)
         self.size_bytes += step.size_bytes
-        while self.size_bytes > self._bytes_max and len(self._steps) > 1:
+        while self.size_bytes > self.bytes_max and len(self._steps) > 1:
             self.size_bytes -= self._steps.popleft().size_bytes
+
+    def stop(self) -> None:
+        """Note no more changes, because the queue has no replicas any more."""
+        self._queue_items.changes = None
+        self._steps.clear()
+        self.size_bytes = 0
 
     def forget(self, next_step: int) -> None:
         """Forget the steps before `next_step`: every replica has them."""

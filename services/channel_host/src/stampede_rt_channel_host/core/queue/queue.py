@@ -63,13 +63,14 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._due_work = DueWork(self._queue_items, self._leasing, self._enqueuing, self._dispatcher, may_serve)
 
-    def export(self, now: int) -> QueueHandoff:
+    def export(self, now: int, chunks_max: int | None = None) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
 
-        The caller first calls `withdraw` for all waiting runs and `leave` for all takers.
+        For a move, the caller first calls `withdraw` for all waiting runs and `leave` for all takers. `chunks_max`: see
+        `AcknowledgedDeliveries.all`.
         """
         clock = self._due_work.tick(now)
-        return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock)
+        return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock, chunks_max)
 
     @classmethod
     def restore(
@@ -101,6 +102,15 @@ class QueueCore:
     def journal(self, next_step: int = 1) -> QueueJournal:
         """A journal of all changes of the queue from now on. The first step gets the number `next_step`."""
         return QueueJournal(self._queue_items, self._leasing, self._enqueuing, next_step)
+
+    def recall(self, taker: TakerState, now: int) -> None:
+        """Take back the taker's batch, which the host has not begun to send. The taker waits again."""
+        clock = self._due_work.tick(now)
+        if taker.unsent is not None:
+            self._leasing.recall(taker.unsent.slices)
+            taker.credit += taker.unsent.items
+            taker.unsent, taker.is_busy = None, False
+            self._dispatcher.wait(taker, clock)
 
     def postpone(self, nanos: int) -> None:
         """Let all leases last longer, because nobody has served the queue for `nanos`."""

@@ -4,7 +4,7 @@ The caller holds everything that the owner accepted, and the owner accepts nothi
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
 keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
 If the new owner held a replica, the former owner takes its place: it holds everything, so it stays in sync.
-A queue has no copies, so its former owner is no heir.
+The former owner of a queue is no heir. It stays as a replica if the new owner held one.
 
 The directory believes no host that it holds everything: the owner's permit must say so, see `move_permits`.
 """
@@ -19,7 +19,8 @@ from stampede_rt_supernode.core.groups.transitions import move_witness
 from stampede_rt_supernode.core.lookups import channel_by_id, queue_by_id
 from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from stampede_rt_supernode.core.queues.transitions import check_queue_epoch
-from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.replicas.things import Copied, id_of
 from stampede_rt_supernode.core.replicas.transitions import check_epoch, copies_after_owner_change, store
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
@@ -64,7 +65,8 @@ def commit_queue_move(tables: Tables, operation: CommitQueueMove) -> QueueMoveCo
     check_queue_epoch(queue, operation.epoch)
     _check_permit(tables.hosts[queue.host_id], host, f"queue {_name_of(queue)}", queue.queue_id, operation)
     moved = replace(queue, host_id=host.host_id, epoch=queue.epoch + 1)
-    tables.put_queue(moved)
+    former = [one for one in _former_owner(tables, queue, moved) if one.kind is ReplicaKind.WARM]
+    store(tables, moved, (*copies_after_owner_change(tables, queue, moved), *former))
     return QueueMoveCommitted(queue=moved)
 
 
@@ -103,16 +105,16 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
     return host
 
 
-def _former_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
+def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[ReplicaRecord, ...]:
     """The former owner's copy, if that host has its lease and its items. See the module for its kind."""
     host = tables.hosts[before.host_id]
     if before.host_id == after.host_id or not host.alive:
         return ()
-    there = tables.replicas.at(before.channel_id, after.host_id)
+    there = tables.replicas.at(id_of(before), after.host_id)
     swaps = there is not None and there.kind is ReplicaKind.WARM
     return (
         ReplicaRecord(
-            channel_id=after.channel_id,
+            channel_id=id_of(after),
             host_id=host.host_id,
             boot_incarnation=host.boot_incarnation,
             kind=ReplicaKind.WARM if swaps else ReplicaKind.MOVE,
@@ -120,5 +122,6 @@ def _former_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -
             in_sync=True,
             acknowledged=True,
             epoch=after.epoch,
+            is_of_queue=isinstance(after, QueueRecord),
         ),
     )

@@ -19,8 +19,8 @@ from stampede_rt_supernode.core.peers.commands import (
     PeerRegistered,
     RegisterPeer,
 )
-from stampede_rt_supernode.core.queues.placement import choose_host, with_new_incarnation
-from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, merge
+from stampede_rt_supernode.core.queues.placement import choose_host, give_queue, with_new_incarnation
+from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, check_replicas, merge
 from stampede_rt_supernode.core.queues.transitions import check_dead_letter, check_room
 from stampede_rt_supernode.core.records import PeerRecord, QueueRecord, QueueSpec
 from stampede_rt_supernode.core.registration_epochs import next_epoch
@@ -46,7 +46,9 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
     mailbox = _planned_mailbox(tables, operation, former) if operation.name else None
     for before in replaced:
         _clear_away(tables, before, operation.peer_id, kept=mailbox)
-    if mailbox is not None:
+    if mailbox is not None and former is not None:
+        give_queue(tables, former, mailbox)
+    elif mailbox is not None:
         tables.put_queue(mailbox)
     peer = replace(_peer(tables, operation, mailbox, now_unix_nano), registration_epoch=epoch)
     tables.peers.put(peer, tables.index)
@@ -89,10 +91,12 @@ def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecor
         check_room(tables, shown)
         spec = MAILBOX_UNSTATED if operation.mailbox is None else operation.mailbox
         check_dead_letter(tables, operation.new_mailbox_id, f"of peer {operation.name}", spec)
+        check_replicas(f"of peer {operation.name}", spec)
         return _new_mailbox(operation, spec, choose_host(tables, shown, operation.mailbox_host_name).host_id)
     spec = merge(former.spec, operation.mailbox or QueueSpec())
     if spec != former.spec:
         check_dead_letter(tables, former.queue_id, f"of peer {operation.name}", spec)
+        check_replicas(f"of peer {operation.name}", spec)
     version = former.spec_version + (spec != former.spec)
     mailbox = replace(former, spec=spec, spec_version=version, mailbox_peer_id=operation.peer_id)
     if operation.owner is not None:

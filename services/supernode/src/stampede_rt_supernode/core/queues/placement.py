@@ -12,6 +12,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.hosts.placement import least_loaded
 from stampede_rt_supernode.core.lookups import host_by_name
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord
+from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, store
 from stampede_rt_supernode.core.tables import Tables
 
 
@@ -55,7 +56,15 @@ def with_new_incarnation(queue: QueueRecord, host: HostRecord, incarnation: int)
 def reset_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
     """Give the queues and mailboxes of a host a new incarnation there, because its restart has lost their messages."""
     for queue in tables.queues.at(host.host_id):
-        tables.put_queue(with_new_incarnation(queue, host, incarnation))
+        give_queue(tables, queue, with_new_incarnation(queue, host, incarnation))
+
+
+def give_queue(tables: Tables, before: QueueRecord, after: QueueRecord) -> None:
+    """Replace a queue's record by `after`. If its owner or incarnation differs, its copies follow."""
+    if before.epoch == after.epoch:
+        tables.put_queue(after)
+        return
+    store(tables, after, copies_after_owner_change(tables, before, after))
 
 
 def move_mailboxes(tables: Tables, host_id: bytes) -> None:
@@ -64,7 +73,7 @@ def move_mailboxes(tables: Tables, host_id: bytes) -> None:
         host = _least_loaded(tables)
         if queue.mailbox_peer_id is not None and host is not None:
             # The first incarnation of a mailbox is random; later ones count up.
-            tables.put_queue(with_new_incarnation(queue, host, queue.incarnation))
+            give_queue(tables, queue, with_new_incarnation(queue, host, queue.incarnation))
 
 
 def move_waiting_mailboxes(tables: Tables) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt.values.policy import REPLICAS_MAX
 from stampede_rt.values.timeline import format_duration
 from stampede_rt_supernode.core.channels.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX, out_of_range
 from stampede_rt_supernode.core.records import QueueSpec
@@ -25,6 +26,9 @@ IN_EFFECT_UNSTATED = {
     "copies": 1,
     "lease_nanos": 30 * 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
+    "replicas": 0,
+    "ack": "host",
+    "min_replicas": 1,
 }
 _RANGES = {  # by field: the least and the greatest value, and the text of this range
     "max_items": (1, 2**64 - 1, "at least 1"),
@@ -33,6 +37,8 @@ _RANGES = {  # by field: the least and the greatest value, and the text of this 
     "lease_nanos": (1, 2**63 - 1, "more than 0"),
     "max_deliveries": (1, 2**32 - 1, "at least 1"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
+    "replicas": (0, REPLICAS_MAX, f"0 to {REPLICAS_MAX}"),
+    "min_replicas": (0, REPLICAS_MAX, f"0 to {REPLICAS_MAX}"),
 }
 
 
@@ -47,6 +53,20 @@ def check_queue_spec(queue: str, spec: QueueSpec) -> None:
     if spec.dead_letter_queue_id is not None:
         check_id(spec.dead_letter_queue_id, "dead_letter_queue_id")
     _check_content_type(queue, spec.content_type)
+
+
+def check_replicas(queue: str, spec: QueueSpec) -> None:
+    """Raises InvalidArgument unless the replicas of the whole policy `spec` agree with its ack."""
+    replicas, waits = spec.replicas or 0, spec.ack == "replica"
+    if waits and not replicas:
+        text = 'ack="replica" waits for replicas, and the queue has none; state replicas of 1 or more with it'
+        raise _invalid(queue, "ack", text)
+    if replicas and not waits:
+        text = 'a replica takes over without a loss only if puts wait for it; state ack="replica" with replicas'
+        raise _invalid(queue, "replicas", text)
+    if waits and spec.min_replicas is not None and spec.min_replicas > replicas:
+        text = f"min_replicas is {spec.min_replicas}, and the queue has {replicas}; state at most {replicas}"
+        raise _invalid(queue, "min_replicas", text)
 
 
 def _check_content_type(queue: str, content_type: str | None) -> None:

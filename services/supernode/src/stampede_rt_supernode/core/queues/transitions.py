@@ -18,8 +18,8 @@ from stampede_rt_supernode.core.queues.commands import (
     QueueUpdated,
     UpdateQueue,
 )
-from stampede_rt_supernode.core.queues.placement import choose_host, with_new_incarnation
-from stampede_rt_supernode.core.queues.specs import agree, check_queue_spec, merge
+from stampede_rt_supernode.core.queues.placement import choose_host, give_queue, with_new_incarnation
+from stampede_rt_supernode.core.queues.specs import agree, check_queue_spec, check_replicas, merge
 from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
@@ -58,7 +58,7 @@ def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
     if not tables.hosts[queue.host_id].alive:
         host = choose_host(tables, f"queue {queue.name}", operation.host_name, tables.hosts[queue.host_id].name)
         opened = with_new_incarnation(opened, host, operation.new_incarnation)
-    tables.put_queue(opened)
+    give_queue(tables, queue, opened)
     return QueueOpened(queue=opened, host=tables.hosts[opened.host_id], created=False)
 
 
@@ -88,6 +88,7 @@ def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueReco
     if spec == queue.spec:
         return queue
     check_dead_letter(tables, queue.queue_id, queue.name or queue.queue_id.hex(), spec)
+    check_replicas(queue.name or queue.queue_id.hex(), spec)
     return replace(queue, spec=spec, spec_version=queue.spec_version + 1)
 
 
@@ -97,6 +98,7 @@ def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
     tables.queues.creators.check(operation, "queues")
     check_room(tables, f"queue {operation.name}")
     check_dead_letter(tables, operation.new_queue_id, operation.name, operation.spec)
+    check_replicas(operation.name, operation.spec)
     host = choose_host(tables, f"queue {operation.name}", operation.host_name)
     queue = QueueRecord(
         queue_id=operation.new_queue_id,

@@ -13,7 +13,7 @@ class AddReplica(Operation):
     """Add a copy of a channel at a host. `epoch`: the channel's present epoch, as the caller knows it.
 
     If `host_id` is empty, the directory chooses the host. If `source_host_id` is empty, the owner feeds the copy.
-    `acknowledged`: see ReplicaRecord.
+    `acknowledged`, `is_of_queue`: see ReplicaRecord.
     """
 
     channel_id: bytes
@@ -22,14 +22,16 @@ class AddReplica(Operation):
     kind: ReplicaKind
     source_host_id: bytes = b""
     acknowledged: bool = False
+    is_of_queue: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveReplica(Operation):
-    """Remove the copy of a channel at a host."""
+    """Remove the copy of a channel or queue at a host."""
 
     channel_id: bytes
     host_id: bytes
+    is_of_queue: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +47,7 @@ class SetReplicaInSync(Operation):
     boot_incarnation: int
     in_sync: bool
     change_number: int = 0
+    is_of_queue: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

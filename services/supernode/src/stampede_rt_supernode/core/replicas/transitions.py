@@ -1,4 +1,4 @@
-"""Adds, changes and removes copies of channels in the tables (paper, section 4.1). Pure.
+"""Adds, changes and removes copies of channels and queues in the tables (paper, section 4.1). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. For the effects
 of a lost host or a new owner, see `takeover`.
@@ -11,8 +11,7 @@ from dataclasses import replace
 from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.placement import least_loaded
-from stampede_rt_supernode.core.lookups import channel_by_id
-from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -21,6 +20,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
+from stampede_rt_supernode.core.replicas.things import Copied, about, copied_by_id, id_of, shown
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
 
@@ -37,6 +37,11 @@ def check_add_replica(operation: AddReplica) -> None:
     if operation.acknowledged and operation.kind is not ReplicaKind.WARM:
         text = "acknowledged is set for a proxy, but puts wait only for warm replicas; leave it out, or state kind WARM"
         raise InvalidArgument(text, metadata={"field": "acknowledged"})
+    if operation.is_of_queue and operation.kind is not ReplicaKind.WARM:
+        raise InvalidArgument(
+            "a queue has no proxies, because a proxy gives messages to nobody; state kind WARM for a replica",
+            metadata={"field": "kind"},
+        )
 
 
 def check_remove_replica(operation: RemoveReplica) -> None:
@@ -52,44 +57,48 @@ def check_set_in_sync(operation: SetReplicaInSync) -> None:
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
 
 
-def check_epoch(channel: ChannelRecord, epoch: int) -> None:
+def check_epoch(channel: Copied, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH if the channel has another epoch."""
     if epoch != channel.epoch:
         raise StaleBinding(
-            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: its host has changed or restarted; "
+            f"{shown(channel)} is at epoch {channel.epoch}, not {epoch}: its host has changed or restarted; "
             "resolve it again",
             reason="WRONG_EPOCH",
-            metadata={"channel": channel.name, "epoch": str(channel.epoch)},
+            metadata=about(channel) | {"epoch": str(channel.epoch)},
         )
 
 
 def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     """Add a copy. If the host has a copy of the same kind already, returns that copy."""
     check_add_replica(operation)
-    channel = channel_by_id(tables, operation.channel_id)
+    channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
     check_epoch(channel, operation.epoch)
-    held = tables.replicas.of(channel.channel_id)
+    if isinstance(channel, QueueRecord) and channel.spec.ack != "replica":
+        text = f'{shown(channel)} waits for no replicas; change its policy to ack="replica" and replicas first'
+        raise InvalidArgument(text, metadata=about(channel))
+    held = tables.replicas.of(id_of(channel))
     host = _choose_host(tables, channel, operation.host_id)
-    there = tables.replicas.at(channel.channel_id, host.host_id)
+    there = tables.replicas.at(id_of(channel), host.host_id)
     if there is not None or host.host_id == channel.host_id:
         return ReplicaAdded(replica=_same_kind(channel, host, there, operation.kind), host=host)
     if len(held) >= REPLICAS_MAX:
-        text = f"channel {channel.name} has {REPLICAS_MAX} copies, the limit; remove one first"
-        raise InvalidArgument(text, metadata={"channel": channel.name})
+        text = f"{shown(channel)} has {REPLICAS_MAX} copies, the limit; remove one first"
+        raise InvalidArgument(text, metadata=about(channel))
     replica = ReplicaRecord(
-        channel_id=channel.channel_id,
+        channel_id=id_of(channel),
         host_id=host.host_id,
         boot_incarnation=host.boot_incarnation,
         kind=operation.kind,
         source_host_id=_source(tables, channel, operation),
         acknowledged=operation.acknowledged,
         epoch=channel.epoch,
+        is_of_queue=operation.is_of_queue,
     )
     store(tables, channel, (*held, replica))
     return ReplicaAdded(replica=replica, host=host)
 
 
-def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
+def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
     """The host for a copy: the live host `host_id`, if the caller names one.
 
     Else it is, of the live hosts that hold nothing of this channel, the least loaded; among equals the one with the
@@ -99,63 +108,61 @@ def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> Host
         host = tables.hosts.get(host_id)
         if host is None or not host.alive:
             raise HostNotFound(
-                f"host {host_id.hex()} cannot hold a copy of channel {channel.name}: it never registered, or its lease "
+                f"host {host_id.hex()} cannot hold a copy of {shown(channel)}: it never registered, or its lease "
                 "has ended; list the hosts for others",
                 metadata={"host_id": host_id.hex()},
             )
         return host
-    holders = {channel.host_id, *(one.host_id for one in tables.replicas.of(channel.channel_id))}
+    holders = {channel.host_id, *(one.host_id for one in tables.replicas.of(id_of(channel)))}
     free = (host for host in tables.live_hosts() if host.host_id not in holders)
     least = least_loaded(tables, free, lambda host: host.channels + tables.replicas.count_at(host.host_id))
     if least is None:
         raise Unavailable(
-            f"every live host holds channel {channel.name} already; start another with `stampede host` to hold a copy",
+            f"every live host holds {shown(channel)} already; start another with `stampede host` to hold a copy",
             reason="NO_HOST",
-            metadata={"channel": channel.name},
+            metadata=about(channel),
         )
     return least
 
 
-def _same_kind(
-    channel: ChannelRecord, host: HostRecord, there: ReplicaRecord | None, kind: ReplicaKind
-) -> ReplicaRecord:
+def _same_kind(channel: Copied, host: HostRecord, there: ReplicaRecord | None, kind: ReplicaKind) -> ReplicaRecord:
     if there is not None and there.kind is kind:
         return there
     holds = "owns it" if there is None else f"holds a {there.kind.value} copy of it"
     raise ChannelExists(
-        f"host {host.name} cannot hold a {kind.value} copy of channel {channel.name}: it {holds}; choose another host, "
+        f"host {host.name} cannot hold a {kind.value} copy of {shown(channel)}: it {holds}; choose another host, "
         "or remove that copy first",
-        metadata={"channel": channel.name, "host": host.name},
+        metadata=about(channel) | {"host": host.name},
     )
 
 
-def _source(tables: Tables, channel: ChannelRecord, operation: AddReplica) -> bytes:
+def _source(tables: Tables, channel: Copied, operation: AddReplica) -> bytes:
     source = operation.source_host_id or channel.host_id
     if source == channel.host_id:
         return source
     if operation.kind is ReplicaKind.WARM:
-        text = f"a warm replica of channel {channel.name} is fed by the owner only; leave source_host_id out"
-    elif (there := tables.replicas.at(channel.channel_id, source)) is None or there.kind is not ReplicaKind.PROXY:
-        text = f"host {source.hex()} holds no proxy of channel {channel.name} to feed another; leave source_host_id out"
+        text = f"a warm replica of {shown(channel)} is fed by the owner only; leave source_host_id out"
+    elif (there := tables.replicas.at(id_of(channel), source)) is None or there.kind is not ReplicaKind.PROXY:
+        text = f"host {source.hex()} holds no proxy of {shown(channel)} to feed another; leave source_host_id out"
     else:
         return source
-    raise InvalidArgument(text, metadata={"channel": channel.name, "field": "source_host_id"})
+    raise InvalidArgument(text, metadata=about(channel) | {"field": "source_host_id"})
 
 
 def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
     """Remove a copy, if there is one. The owner then feeds the copies that the removed copy fed."""
     check_remove_replica(operation)
-    channel = channel_by_id(tables, operation.channel_id)
+    channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
     drop_copy(tables, channel, operation.host_id)
     return ReplicaRemoved()
 
 
-def drop_copy(tables: Tables, channel: ChannelRecord, host_id: bytes) -> None:
+def drop_copy(tables: Tables, channel: Copied, host_id: bytes) -> None:
     """Remove the copy of `channel` at a host, if there is one."""
-    held = tables.replicas.of(channel.channel_id)
+    held = tables.replicas.of(id_of(channel))
     left = tuple(one for one in held if one.host_id != host_id)
     if any(one.kind is ReplicaKind.MOVE for one in held if one not in left):
-        note_lost_cuts(tables, [channel.channel_id])  # that host is no longer a witness, unless it owns a member
+        note_lost_cuts(tables, [id_of(channel)])  # that host is no longer a witness, unless it owns a member
     if left != held:
         store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
 
@@ -165,14 +172,14 @@ def _fed(replica: ReplicaRecord, gone: set[bytes], owner: bytes) -> ReplicaRecor
     return replace(replica, source_host_id=owner) if replica.source_host_id in gone else replica
 
 
-def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
+def copies_after_owner_change(tables: Tables, before: Copied, after: Copied) -> tuple[ReplicaRecord, ...]:
     """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
     fed. If the incarnation is new, no copy is in sync any more. Else a copy that was in sync stays so: it holds all
     items that were acknowledged or shown.
     """
-    held = tables.replicas.of(before.channel_id)
+    held = tables.replicas.of(id_of(before))
     left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
     goes_on = before.incarnation == after.incarnation
@@ -182,12 +189,15 @@ def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: Chan
     )
 
 
-def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
-    """Store `channel` and its copies. Notes a change for watchers if the channel's record differs."""
-    tables.replicas.store(channel.channel_id, replicas)
+def store(tables: Tables, channel: Copied, replicas: tuple[ReplicaRecord, ...]) -> None:
+    """Store `channel` and its copies. Notes a change for watchers if the record differs."""
+    tables.replicas.store(id_of(channel), replicas)
+    if isinstance(channel, QueueRecord):
+        tables.put_queue(channel)
+        return
     host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # these serve nobody
     changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
-    if changed != tables.channels[channel.channel_id]:
+    if changed != tables.channels[id_of(channel)]:
         tables.replace_channel(changed)
 
 
@@ -199,38 +209,36 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     replica that becomes the owner has all acknowledged items.
     """
     check_set_in_sync(operation)
-    channel = channel_by_id(tables, operation.channel_id)
+    channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
     check_epoch(channel, operation.epoch)
-    replica = tables.replicas.at(channel.channel_id, operation.host_id)
+    replica = tables.replicas.at(id_of(channel), operation.host_id)
     if replica is None or replica.boot_incarnation != operation.boot_incarnation:
         raise _no_copy(channel, operation.host_id, "holds no copy of it since its last start; add the replica again")
     if replica.kind is not ReplicaKind.WARM:
-        text = (
-            f"the copy of channel {channel.name} at host {operation.host_id.hex()} is a proxy, which is never in sync"
-        )
-        raise InvalidArgument(f"{text}; add a warm replica", metadata={"channel": channel.name})
+        text = f"the copy of {shown(channel)} at host {operation.host_id.hex()} is a proxy, which is never in sync"
+        raise InvalidArgument(f"{text}; add a warm replica", metadata=about(channel))
     if operation.in_sync and not tables.hosts[channel.host_id].alive:
         raise _no_copy(
             channel, channel.host_id, "owns it without a lease, so its report does not count; register again"
         )
     if operation.change_number < replica.change_number:
-        text = f"channel {channel.name}: a later change of the replica is in the log; report its present state"
-        raise InvalidArgument(text, metadata={"channel": channel.name, "field": "change_number"})
+        text = f"{shown(channel)}: a later change of the replica is in the log; report its present state"
+        raise InvalidArgument(text, metadata=about(channel) | {"field": "change_number"})
     number = operation.change_number
     changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch, change_number=number)
-    held = tables.replicas.of(channel.channel_id)
+    held = tables.replicas.of(id_of(channel))
     store(tables, channel, tuple(changed if one is replica else one for one in held))
     return ReplicaInSyncSet(replica=changed)
 
 
-def end_replicas(tables: Tables, channel: ChannelRecord) -> None:
+def end_replicas(tables: Tables, channel: Copied) -> None:
     """Remove the replicas of a channel, because its owner did not wait for them until now, or waits no more."""
-    held = tables.replicas.of(channel.channel_id)
+    held = tables.replicas.of(id_of(channel))
     gone = {one.host_id for one in held if one.kind is ReplicaKind.WARM}
     left = (one for one in held if one.host_id not in gone)
     store(tables, channel, tuple(_fed(one, gone, channel.host_id) for one in left))
 
 
-def _no_copy(channel: ChannelRecord, host_id: bytes, what: str) -> HostNotFound:
-    text = f"channel {channel.name}: host {host_id.hex()} {what}"
-    return HostNotFound(text, metadata={"channel": channel.name, "host_id": host_id.hex()})
+def _no_copy(channel: Copied, host_id: bytes, what: str) -> HostNotFound:
+    text = f"{shown(channel)}: host {host_id.hex()} {what}"
+    return HostNotFound(text, metadata=about(channel) | {"host_id": host_id.hex()})

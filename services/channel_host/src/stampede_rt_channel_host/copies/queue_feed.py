@@ -1,0 +1,172 @@
+"""The owner's side of the replicas of queues: keeps them, and feeds each over a stream of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import Overloaded, StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.cluster.records import queue_message
+from stampede_rt_channel_host.copies.queue_steps import PART_BYTES, STEPS_PER_REQUEST, step_parts, whole_parts
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_replication import QueueReplication
+from stampede_rt_channel_host.queues.refusals import display_name
+
+logger = logging.getLogger(__name__)
+
+REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
+ANSWER_SECONDS_MAX = 3.0
+WRITE_SECONDS_MAX = 10.0
+
+
+class QueueFeedStream:
+    """Feeds one replica of a queue over one stream. `target`: the gatekeeper of the replica's host."""
+
+    def __init__(
+        self, hosted: HostedQueue, replication: QueueReplication, now: Callable[[], int], owner_host_id: bytes,
+        host_id: bytes, target: str,
+    ) -> None:  # fmt: skip
+        self._hosted = hosted
+        self._replication = replication
+        self._now = now
+        self._owner_host_id = owner_host_id
+        self._host_id = host_id
+        self._target = target
+        self._news = asyncio.Event()
+        self._sent_record = b""
+        self.next_step = replication.journal.next_step
+
+    def wake(self) -> None:
+        """The queue has a new step."""
+        self._news.set()
+
+    async def run(self, channel: grpc.aio.Channel) -> None:
+        """Feed the replica until the stream ends. Raises StampedeError."""
+        call = migration_service_pb2_grpc.MigrationServiceStub(channel).FeedQueue()
+        try:
+            place = await self._open(call)
+            async with asyncio.TaskGroup() as sides:
+                self._replication.add(self._host_id, self)
+                sides.create_task(self._read(call))
+                await self._begin(call, place)
+                await self._send_steps(call)
+        except BaseExceptionGroup as group:
+            raise self._plain(group.exceptions[0]) from group
+        except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
+            raise self._plain(error) from error
+        finally:
+            self._replication.discard(self._host_id, self)
+            call.cancel()
+
+    async def _open(self, call: Any) -> pb.FeedQueueResponse:
+        async with asyncio.timeout(ANSWER_SECONDS_MAX):
+            await call.write(self._request(owner_host_id=self._owner_host_id))
+            return self._answer(await call.read())
+
+    def _answer(self, response: object) -> pb.FeedQueueResponse:
+        if not isinstance(response, pb.FeedQueueResponse):
+            raise Unavailable(f"the host at {self._target} has ended the feed of a replica")
+        return response
+
+    def _request(self, **fields: Any) -> pb.FeedQueueRequest:
+        request = pb.FeedQueueRequest(**fields)
+        record = self._hosted.record
+        if record.message != self._sent_record:
+            self._sent_record = record.message
+            request.queue.CopyFrom(queue_message(record))
+        return request
+
+    async def _begin(self, call: Any, place: pb.FeedQueueResponse) -> None:
+        """Continue at the place of the copy, or send the whole queue."""
+        replication = self._replication
+        if self._continues(place):
+            self.next_step = place.next_step
+            replication.report(self._host_id, self, place.next_step)
+            return
+        if not await replication.begin_anew(self._host_id):
+            raise Unavailable("the directory has not noted yet that the replica begins anew")
+        state, self.next_step = self._hosted.snapshot()
+        parts, begins_anew = whole_parts(state, self.next_step), True
+        while (part := await asyncio.to_thread(next, parts, None)) is not None:
+            await self._write(call, self._request(begins_anew=begins_anew, parts=[part]))
+            begins_anew = False
+
+    def _continues(self, place: pb.FeedQueueResponse) -> bool:
+        """Whether the copy has a part of this owner's steps and nothing else, and the journal has the rest."""
+        replication, hosted = self._replication, self._hosted
+        if not place.next_step or place.incarnation != hosted.queue.incarnation:
+            return False
+        since = replication.since_epoch
+        is_later = place.owner_epoch + 1 < since or place.next_step > replication.start
+        if place.owner_epoch < since and is_later:
+            return False
+        return replication.journal.steps_from(place.next_step, 1) is not None
+
+    async def _send_steps(self, call: Any) -> None:
+        while True:  # until an error ends the stream, or the caller cancels it
+            self._news.clear()
+            steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
+            if steps is None:
+                name = display_name(self._hosted.record)
+                raise Overloaded(f"a replica of queue {name} cannot catch up: it lacks steps that are forgotten")
+            steps = steps[:STEPS_PER_REQUEST]
+            parts = [part for step in steps for part in step_parts(step, self._now())]
+            if sum(part.ByteSize() for part in parts) > 2 * PART_BYTES:  # a large step, in many parts
+                for part in parts:
+                    await self._write(call, self._request(parts=[part]))
+            else:
+                await self._write(call, self._request(parts=parts))
+            if steps:
+                self.next_step = steps[-1].number + 1
+                continue
+            try:
+                async with asyncio.timeout(REQUEST_SECONDS):
+                    await self._news.wait()
+            except TimeoutError:
+                pass
+
+    async def _write(self, call: Any, request: pb.FeedQueueRequest) -> None:
+        async with asyncio.timeout(WRITE_SECONDS_MAX):
+            await call.write(request)
+
+    async def _read(self, call: Any) -> None:
+        while True:  # until an error ends the stream, or the caller cancels it
+            async with asyncio.timeout(ANSWER_SECONDS_MAX):
+                answer = self._answer(await call.read())
+            if answer.next_step:
+                self._replication.report(self._host_id, self, answer.next_step)
+
+    def _plain(self, error: BaseException) -> BaseException:
+        """The product's error for a broken stream; any other error stays as it is."""
+        if isinstance(error, grpc.RpcError):
+            return from_rpc_error(error, self._target)
+        if isinstance(error, TimeoutError):
+            return Unavailable(f"the replica at {self._target} was silent for {ANSWER_SECONDS_MAX:g} s")
+        if isinstance(error, asyncio.InvalidStateError):  # grpc raises this for a write after the end of the call
+            return Unavailable(f"the stream to {self._target} is broken")
+        return error
+
+
+async def feed_until_gone(
+    make: Callable[[], QueueFeedStream | None], dial: Callable[[], grpc.aio.Channel], name: str
+) -> None:
+    """Feed a replica again after each break, until `make` returns None."""
+    pause_s = 0.05
+    while (feed := make()) is not None:  # paced by the sleep
+        channel = dial()
+        try:
+            await feed.run(channel)
+        except StampedeError as error:
+            extra = {"event": "copy_feed_broken", "channel": name, "why": str(error)}
+            logger.info("the feed of a copy is broken; the host tries again", extra=extra)
+        finally:
+            await channel.close(None)
+        pause_s = min(2 * pause_s, 0.3)
+        await asyncio.sleep(pause_s)

@@ -1,0 +1,114 @@
+"""The replica's side of `MigrationService.FeedQueue`: the owner of a queue feeds the copy at this host."""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.cluster.records import recorded_queue
+from stampede_rt_channel_host.copies.feed_callers import FeedCallers
+from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue
+from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
+from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_channel_host.queues import refusals
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_runtime.rpc import Context
+
+
+class QueueFeeds:
+    """Serves the feeds of the replicas at this host. `directory`: that of queues."""
+
+    def __init__(
+        self, identity: HostIdentity, queues: QueueStore, directory: ReplicaDirectory, callers: FeedCallers
+    ) -> None:
+        self._identity = identity
+        self._queues = queues
+        self._directory = directory
+        self._callers = callers
+        self._latest: dict[bytes, _Feed] = {}  # by queue: the feed that may change the copy
+
+    async def serve(self, context: Context) -> None:
+        """Take one feed until it ends. Raises the errors of MigrationService.FeedQueue."""
+        first = await context.read()
+        if not isinstance(first, pb.FeedQueueRequest) or len(first.owner_host_id) != ID_BYTES:
+            raise InvalidArgument("the first request has no owner_host_id of 16 bytes; state it")
+        if len(first.queue.queue_id) != ID_BYTES:
+            raise InvalidArgument("the first request has no queue; state its record")
+        await self._callers.check(context, first.owner_host_id)
+        record = recorded_queue(first.queue)
+        await self._check(record, first.owner_host_id)
+        feed = self._latest[record.queue_id] = _Feed(self._queues, record)
+        try:
+            await context.write(feed.place())
+            while isinstance(request := await context.read(), pb.FeedQueueRequest):
+                if self._latest.get(record.queue_id) is not feed:
+                    raise refusals.moved(record)
+                await feed.take(request)
+                await context.write(feed.place())
+        finally:
+            if self._latest.get(record.queue_id) is feed:
+                del self._latest[record.queue_id]
+
+    async def _check(self, record: RecordedQueue, owner_host_id: bytes) -> None:
+        """Raises StaleBinding (MOVED) unless the caller owns the queue, and this host has a replica of it."""
+        self._queues.check_may_serve()
+        source = await self._directory.source_of(record.queue_id, self._identity.host_id)
+        is_owner = source is not None and source.host_id == owner_host_id and source.epoch == record.epoch
+        if not is_owner or (self._queues.known(record.queue_id) is not None and not self._gives_away(record)):
+            raise refusals.moved(record)
+
+    def _gives_away(self, record: RecordedQueue) -> bool:
+        """Drop the queue, if this host is its former owner. Returns whether it is."""
+        hosted = self._queues.known(record.queue_id)
+        if hosted is None or hosted.record.epoch >= record.epoch:
+            return False
+        self._queues.forget(record.queue_id, refusals.moved(record))
+        return True
+
+
+class _Feed:
+    """One feed. `record`: the queue as its owner knows it."""
+
+    def __init__(self, queues: QueueStore, record: RecordedQueue) -> None:
+        self._queues = queues
+        self._copies = queues.copies
+        self._record = record
+        self._parts = ArrivingParts()
+        self._room = queues.memory.charge_for(record.created_by)
+
+    def place(self) -> pb.FeedQueueResponse:
+        """The place of the copy."""
+        copy = self._copies.of(self._record.queue_id)
+        if copy is None:
+            return pb.FeedQueueResponse()
+        return pb.FeedQueueResponse(
+            next_step=copy.journal.next_step, incarnation=copy.record.incarnation, owner_epoch=copy.owner_epoch
+        )
+
+    async def take(self, request: pb.FeedQueueRequest) -> None:
+        """Apply a request."""
+        if request.HasField("queue"):
+            self._record = recorded_queue(request.queue)
+        queue_id = self._record.queue_id
+        if request.begins_anew:
+            self._copies.drop(queue_id)
+            self._parts.begin_anew()
+        elif self._queues.known(queue_id) is not None:
+            raise refusals.moved(self._record)
+        self._room.claim(request.ByteSize())
+        for arrived in self._parts.add(request.parts):
+            if isinstance(arrived, WholeQueue):
+                core = await asyncio.to_thread(self._copies.restored, self._record, arrived.state)
+                self._copies.begin(self._record, core, arrived.next_step)
+            elif (copy := self._copies.of(queue_id)) is not None:
+                self._copies.apply(copy, *arrived)
+        self._note(queue_id)
+
+    def _note(self, queue_id: bytes) -> None:
+        copy = self._copies.of(queue_id)
+        if copy is not None:
+            self._copies.heard(copy, self._record)
+            self._queues.in_use.set()  # so that this host watches who owns its queues
+        self._room.set(self._parts.size_bytes)

@@ -1,0 +1,150 @@
+"""Keeps the replicas of the queues that one host owns. The rules are those of `replica_keeper`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from functools import partial
+
+import grpc
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream, feed_until_gone
+from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
+from stampede_rt_channel_host.copies.replica_keeper import KeptReplicas
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_replication import QueueReplication
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.refusals import display_name
+
+logger = logging.getLogger(__name__)
+
+UNHEARD_SECONDS = 5.0  # a copy whose owner was silent for so long may be needed no more
+
+
+class QueueReplicaKeeper:
+    """Keeps the replicas of the queues of one host, with a task for each of these queues."""
+
+    def __init__(
+        self, identity: HostIdentity, queues: QueueStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel],
+    ) -> None:  # fmt: skip
+        """`directory`: that of queues. `dial` opens connections to other hosts."""
+        self._identity = identity
+        self._queues = queues
+        self._directory = directory
+        self._dial = dial
+        self._tasks: set[asyncio.Task[None]] = set()
+        queues.on_replicated = self._begin
+
+    def _begin(self, hosted: HostedQueue) -> None:
+        assert hosted.replication is not None, "the store names only queues with replicas"
+        kept = _KeptQueue(self._queues, self._directory, self._dial, hosted, hosted.replication, self._identity.host_id)
+        task = asyncio.create_task(kept.run(), name=f"replicas of queue {display_name(hosted.record)}")
+        self._tasks.add(task)
+        task.add_done_callback(self._check)
+
+    def _check(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (failure := task.exception()) is not None:
+            extra = {"event": "task_defect", "task": task.get_name()}
+            logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
+
+    async def drop_unneeded_forever(self) -> None:
+        """Ask the directory about copies whose owners are silent: drop those that are gone, serve those that it gives
+        to this host.
+        """
+        while True:  # paced by the sleep
+            await asyncio.sleep(UNHEARD_SECONDS)
+            for copy in self._queues.copies.unheard(UNHEARD_SECONDS):
+                queue_id = copy.record.queue_id
+                try:
+                    source = await self._directory.source_of(queue_id, self._identity.host_id)
+                    if source is None:
+                        self._queues.copies.drop(queue_id)
+                    elif source.host_id == self._identity.host_id:
+                        await self._queues.use(queue_id, None)
+                except StampedeError as error:
+                    if error.reason == "QUEUE_NOT_FOUND":
+                        self._queues.copies.drop(queue_id)
+
+    async def aclose(self) -> None:
+        """End all tasks."""
+        tasks = [*self._tasks]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+class _KeptQueue(KeptReplicas):
+    """Keeps the replicas of one queue, and feeds them."""
+
+    def __init__(
+        self, queues: QueueStore, directory: ReplicaDirectory, dial: Callable[[str], grpc.aio.Channel],
+        hosted: HostedQueue, replication: QueueReplication, host_id: bytes,
+    ) -> None:  # fmt: skip
+        super().__init__(host_id, directory, replication, hosted.record.queue_id)
+        self._queues = queues
+        self._dial = dial
+        self._hosted = hosted
+        self._feeding: dict[bytes, asyncio.Task[None]] = {}
+        self._targets: dict[bytes, str] = {}
+        self._steps = replication
+
+    @property
+    def name(self) -> str:
+        """The queue's name, for people."""
+        return display_name(self._hosted.record)
+
+    @property
+    def epoch(self) -> int:
+        """The queue's epoch."""
+        return self._hosted.epoch
+
+    @property
+    def wanted(self) -> int:
+        """The number of replicas that the policy asks for."""
+        return self._hosted.record.policy.replicas or 0
+
+    def is_served(self) -> bool:
+        """Whether this host still has the queue, with these replicas."""
+        return self._queues.serves(self._hosted) and self._hosted.replication is self._steps
+
+    def may_serve(self) -> bool:
+        """Whether this host has its lease."""
+        self._hosted.check_stalled()
+        return self._queues.may_serve()
+
+    async def run(self) -> None:
+        """Keep and feed the replicas until the host gives the queue up."""
+        try:
+            await super().run()
+        finally:
+            for task in self._feeding.values():
+                task.cancel()
+
+    async def _list(self) -> ListedReplicas:
+        listed = await super()._list()
+        self._targets = {one.known.host_id: one.target for one in listed.replicas}
+        for one in listed.replicas:
+            await self.start(one)  # at once: a new owner answers nothing before it has heard of the other replicas
+        return listed
+
+    async def start(self, replica: ListedReplica) -> None:
+        """Feed a replica, unless the host feeds it already."""
+        host_id = replica.known.host_id
+        running = self._feeding.get(host_id)
+        if replica.target and (running is None or running.done()):
+            feeding = feed_until_gone(
+                partial(self._feed, host_id), lambda: self._dial(self._targets[host_id]), self.name
+            )
+            self._feeding[host_id] = asyncio.create_task(feeding, name=f"feed of {self.name}")
+
+    def _feed(self, host_id: bytes) -> QueueFeedStream | None:
+        target = self._targets.get(host_id, "")
+        if not target or not self.is_served():
+            return None
+        now = self._queues.now
+        return QueueFeedStream(self._hosted, self._steps, now, self._host_id, host_id, target)

@@ -1,0 +1,43 @@
+"""The content of a queue that came from another host, and the state of one on its way to another host."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import NamedTuple
+
+from stampede_rt.errors import Overloaded, StampedeError
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
+from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
+
+
+class QueueContent(NamedTuple):
+    """A queue that came from another host. `journal`: its steps; None: the former owner had no replicas.
+
+    `is_replicated`: the replicas in sync have all its steps.
+    """
+
+    core: QueueCore
+    journal: QueueJournal | None = None
+    is_replicated: bool = True
+
+
+class QueueMove:
+    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over."""
+
+    def __init__(self) -> None:
+        self.is_held = self.is_exporting = False
+        self.elsewhere: StampedeError | None = None
+        self.over = asyncio.Event()
+
+    async def decided(self, queue: str) -> None:
+        """Wait for the end of the move, for HELD_SECONDS_MAX at most. `queue`: its name, for people.
+
+        Raises StaleBinding (MOVED) if the queue has moved, and Overloaded.
+        """
+        try:
+            async with asyncio.timeout(HELD_SECONDS_MAX):
+                await self.over.wait()
+        except TimeoutError:
+            raise Overloaded(f"queue {queue} is moving to another host, which takes long; try again") from None
+        if self.elsewhere is not None:
+            raise self.elsewhere

@@ -1,0 +1,64 @@
+"""The feed of a queue's replica on the wire: steps and whole queues, in parts of any size."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.copies import queue_steps
+from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
+from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits, QueueStep
+from tests.support.channel_host.queue_cores import Core
+
+
+def sent(parts: list[pb.FedQueuePart]) -> list[pb.FedQueuePart]:
+    return [pb.FedQueuePart.FromString(part.SerializeToString()) for part in parts]
+
+
+def test_a_step_with_much_content_goes_in_several_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queue_steps, "PART_BYTES", 64)
+    core = Core()
+    journal = core.queue.journal()
+    for length in (100, 1, 100):
+        core.put(length)
+    core.taker(1, credit=2)
+    assert journal.note(core.now)
+    (step,) = journal.steps_from(1, 10**9) or ()
+    parts = sent([*step_parts(step, core.now + 5)])
+    assert len(parts) > 1
+    arriving = ArrivingParts()
+    found = [one for part in parts for one in arriving.add([part])]
+    assert len(found) == 1
+    assert not isinstance(found[0], WholeQueue)
+    arrived, ago_nanos = found[0]
+    assert (arrived.number, ago_nanos, arriving.size_bytes) == (1, 5, 0)
+    copy = QueueCore(QueueLimits(), incarnation=7)
+    copy.journal().apply(arrived, core.now)
+    assert copy.latest_counters() == core.queue.latest_counters()
+
+
+def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:
+    core = Core()
+    journal = core.queue.journal(5)
+    core.put(1)
+    journal.note(core.now)
+    whole = [*whole_parts(core.queue.export(core.now), journal.next_step)]
+    core.put(2)
+    journal.note(core.now)
+    (step,) = journal.steps_from(6, 10**9) or ()
+    arriving = ArrivingParts()
+    arriving.begin_anew()
+    first, second = [*arriving.add(sent([*whole, *step_parts(step, core.now)]))]
+    assert isinstance(first, WholeQueue)
+    assert (first.next_step, first.state.next_seq) == (6, 2)
+    assert not isinstance(second, WholeQueue)
+    assert isinstance(second[0], QueueStep)
+    assert second[0].number == 6
+
+
+def test_parts_that_are_no_whole_queue_are_refused() -> None:
+    arriving = ArrivingParts()
+    arriving.begin_anew()
+    with pytest.raises(InvalidArgument, match="no facts"):
+        [*arriving.add([pb.FedQueuePart(content=pb.HandOverQueueResponse(ends=True), next_step=3)])]
