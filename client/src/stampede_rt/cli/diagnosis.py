@@ -62,7 +62,9 @@ def _state(one: Observation) -> tuple[str, str]:
         return "no leader", "it runs, but knows no leader; see the line on the quorum"
     if not one.lease_held:
         return "fenced", "it cannot renew its lease; check the network between it and the supernodes"
-    return _archive(one) if one.archive_failure else _load(one)
+    if one.archive_failure:
+        return _archive(one)
+    return _archive_store(one) if one.archive_store_failure else _load(one)
 
 
 def _archive(one: Observation) -> tuple[str, str]:
@@ -73,6 +75,16 @@ def _archive(one: Observation) -> tuple[str, str]:
         'stay in memory up to max_bytes, puts with ack="disk" are refused, and readers go on'
     )
     return "archive fails", advice
+
+
+def _archive_store(one: Observation) -> tuple[str, str]:
+    """Return the state of a host whose object store fails, and advice."""
+    advice = (
+        f"{one.archive_store_failure}. Look at the network to the store, its bucket and the credentials in the host's "
+        "environment; the host tries again at least every minute. Until then closed files stay on its disk, up to "
+        "--archive-bytes-max, reads of moved files fail, and live readers go on"
+    )
+    return "store fails", advice
 
 
 def _lost(one: Observation) -> tuple[str, str]:

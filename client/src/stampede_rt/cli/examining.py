@@ -256,6 +256,7 @@ def _load(response: Any) -> dict[str, Any]:
         "refused_calls": response.refused_calls,
         "archive_failure": response.archive_failure,
         "archive_failing_channels": response.archive_failing_channels,
+        "archive_store_failure": response.archive_store_failure,
         "refused_call_ago_nanos": _optional(response, "refused_call_ago_nanos"),
     }
 

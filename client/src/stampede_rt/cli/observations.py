@@ -30,6 +30,7 @@ class Observation:
     - `limits_caller`: whether rules of access limit the caller, so that listings may leave out things.
     - `is_member`: whether the supernodes list this supernode as a member.
     - `archive_failure`: why the archive of a host takes no items of `archive_failing_channels` channels now.
+    - `archive_store_failure`: why the object store of the archive of a host failed last.
     - `in_memory`: whether a supernode keeps the directory in memory alone.
     - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's certificate, is wrong.
     - `refused_because`: why other supernodes refuse the store of this supernode.
@@ -62,6 +63,7 @@ class Observation:
     memory_bytes_max: int = 0
     archive_failure: str = ""
     archive_failing_channels: int = 0
+    archive_store_failure: str = ""
     in_memory: bool = False
     refuses_caller: bool = False
     refused_because: str = ""

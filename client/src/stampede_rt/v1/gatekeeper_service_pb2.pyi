@@ -25,7 +25,7 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access", "archive_failure", "archive_failing_channels")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access", "archive_failure", "archive_failing_channels", "archive_store_failure")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -40,6 +40,7 @@ class GatekeeperServicePingResponse(_message.Message):
     ACCESS_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_FAILURE_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_FAILING_CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_STORE_FAILURE_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
@@ -54,7 +55,8 @@ class GatekeeperServicePingResponse(_message.Message):
     access: _access_pb2.AccessStatus
     archive_failure: str
     archive_failing_channels: int
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ..., archive_failure: _Optional[str] = ..., archive_failing_channels: _Optional[int] = ...) -> None: ...
+    archive_store_failure: str
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ..., archive_failure: _Optional[str] = ..., archive_failing_channels: _Optional[int] = ..., archive_store_failure: _Optional[str] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target", "ticket")

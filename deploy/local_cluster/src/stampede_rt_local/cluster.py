@@ -13,6 +13,7 @@ from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
+from stampede_rt_runtime.archive_places import default_folder
 from stampede_rt_runtime.auth import Secret, make_secret_file
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.values import Address, parse_address
@@ -32,7 +33,8 @@ class LocalCluster:
     certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each
-    host has a folder for recorded channels. `on_line` and `on_exit`: see ServiceProcess.
+    host has a folder for recorded channels, or the URL of an object store; then the folders are in `archive_folder`.
+    `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -52,20 +54,20 @@ class LocalCluster:
         log_format: str = "text",
         reflection: bool = False,
         metrics: str = "",
-        archive: Path | None = None,
+        archive: Path | str | None = None,
+        archive_folder: Path | None = None,
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
         _check_counts(hosts, supernodes, frontends)
         if tls and host_namespaces:
-            raise ValueError(
-                "certificates are of one address, and host_namespaces have several; leave out one of the two"
-            )
+            raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")
         # A cluster in memory with the user's own secret writes no files. So even after SIGKILL no folder is left.
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen, self._archive = parse_address(listen), archive
+        self._archive_folder = archive_folder or default_folder()
         self._durable, self._host_namespaces = durable, tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
@@ -206,8 +208,10 @@ class LocalCluster:
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
         arguments += ["--drain-seconds", "0"]  # all hosts end together, so there is nowhere to go
-        if self._archive is not None:
+        if isinstance(self._archive, Path):
             arguments += ["--archive", str(self._archive / name)]
+        elif self._archive is not None:
+            arguments += ["--archive", self._archive, "--archive-folder", str(self._archive_folder / name)]
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)
 
 

@@ -71,6 +71,7 @@ def _run(settings: DevSettings, began: float) -> int:
         reflection=settings.reflection,
         metrics=settings.metrics,
         archive=settings.archive,
+        archive_folder=settings.archive_folder,
         on_line=pass_on,
         on_exit=ended.put,
     )
@@ -158,7 +159,7 @@ In Python:
 {metrics}Ctrl-C stops it."""
 
 
-def _kept(archive: Path | None) -> str:
+def _kept(archive: Path | str | None) -> str:
     if archive is None:
         return "Everything is held in memory."
     return f"Archives of channels are in {escaped(str(archive))}; everything else is held in memory."

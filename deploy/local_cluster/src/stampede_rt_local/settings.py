@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
+from stampede_rt_runtime.archive_places import check_archive, parse_archive
 from stampede_rt_runtime.logs import FORMATS, LEVELS
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text
@@ -57,9 +58,22 @@ class DevSettings:
         default=False,
         metadata=setting(help="describe the services of each port to callers with a credential, as for grpcurl"),
     )
-    archive: Path | None = field(
+    archive: Path | str | None = field(
         default=None,
-        metadata=setting(metavar="FOLDER", help="the folder in which the hosts keep recorded channels over restarts"),
+        metadata=setting(
+            metavar="PLACE",
+            parse=parse_archive,
+            help="the folder in which the hosts keep recorded channels over restarts, or an object store: "
+            "s3://BUCKET/PREFIX, gs://, az:// or file:// (extra [objects])",
+        ),
+    )
+    archive_folder: Path | None = field(
+        default=None,
+        metadata=setting(
+            metavar="FOLDER",
+            help="with a URL in --archive: the folder of files that have not moved to the object store; default: "
+            "~/.local/state/stampede/archive",
+        ),
     )
     log_format: str = field(
         default="text",
@@ -80,6 +94,7 @@ class DevSettings:
     )
 
     def __post_init__(self) -> None:
+        check_archive(self.archive, self.archive_folder)
         if self.web and find_spec(PAGE_MODULE) is None:
             raise ValueError("--web needs the extra [web] of stampede-rt; install it from where stampede-rt came from")
         if parse_address(self.listen).host in _WILDCARDS:

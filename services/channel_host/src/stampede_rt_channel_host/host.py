@@ -13,9 +13,11 @@ from typing import Any
 import grpc
 
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, migration_service_pb2_grpc
+from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
@@ -79,13 +81,16 @@ def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
     return access
 
 
-def _archive(folder: ArchiveFolder, accounts: Accounts, now: Callable[[], int]) -> HostArchive:
-    """The archive in a folder. Blocks."""
+def _archive(
+    folder: ArchiveFolder, objects: ObjectSettings | None, accounts: Accounts, now: Callable[[], int]
+) -> HostArchive:
+    """The archive in a folder, and perhaps in an object store. Blocks."""
     found = [*folder.of_channels()]
     disk = DiskUse(folder.limit_bytes(sum(one.bytes for one in found)), accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, disk.bytes_max * 7 // 8)
     disk.update(found)
-    return HostArchive(folder, run_of, disk, now)
+    stored = None if objects is None else ObjectArchive(objects, folder, slice_run, now)
+    return HostArchive(folder, run_of, disk, now, stored)
 
 
 class ChannelHost:
@@ -97,7 +102,10 @@ class ChannelHost:
     starts to serve, and False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the
     host. `explain`: see `Supernodes`. `home` is the cluster of the host. `copy_bytes_per_second`: the most that each
     copy at this host takes from its source; 0: without a limit. `archive`: the folder for recorded channels, open.
+    `objects`: the object store to which closed files of recorded channels move; None: they stay in the folder.
     """
+
+    _entering: asyncio.Future[None] | None = None
 
     def __init__(
         self,
@@ -117,6 +125,7 @@ class ChannelHost:
         refused_calls: RefusedCalls | None = None,
         copy_bytes_per_second: int = 0,
         archive: ArchiveFolder | None = None,
+        objects: ObjectSettings | None = None,
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
@@ -131,7 +140,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
-        self._set_up_archive(archive, access.accounts)
+        self._set_up_archive(archive, objects, access.accounts)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
@@ -143,11 +152,10 @@ class ChannelHost:
         self._make_moves(copy_bytes_per_second)
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
-        self._entering: asyncio.Future[None] | None = None
 
-    def _set_up_archive(self, folder: ArchiveFolder | None, accounts: Accounts) -> None:
+    def _set_up_archive(self, folder: ArchiveFolder | None, objects: ObjectSettings | None, accounts: Accounts) -> None:
         recordings, now = self.store.recordings, self.store.now
-        recordings.archive = None if folder is None else _archive(folder, accounts, now)
+        recordings.archive = None if folder is None else _archive(folder, objects, accounts, now)
         recordings.write_retries = lambda window: retries_to(window, now())
         recordings.read_retries = lambda encoded: retries_of(encoded, now())
 
@@ -247,6 +255,7 @@ class ChannelHost:
         await self._entering
         self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them
         self._start(self._lease.keep(), "lease")
+        self.store.recordings.start()
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
         self._start(self.copies.report_forever(), "copies")

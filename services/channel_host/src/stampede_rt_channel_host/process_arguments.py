@@ -33,9 +33,11 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
         own["--advertise"] = _with_own_port(settings.advertise, number)
     if settings.data_dir is not None:
         own["--data-dir"] = str(settings.data_dir / f"process-{number}")
-    if settings.archive is not None:
-        own["--archive"] = str(settings.archive / f"process-{number}")
+    if (folder := settings.folder_of_archive) is not None:
+        flag = "--archive" if isinstance(settings.archive, Path) else "--archive-folder"
+        own[flag] = str(folder / f"process-{number}")
         own["--archive-bytes-max"] = str(settings.archive_bytes_max // settings.processes)
+        own["--archive-cache-bytes"] = str(settings.archive_cache_bytes // settings.processes)
     for flag, path in (("--tls-certificate", settings.tls_certificate), ("--tls-key", settings.tls_key)):
         if path is not None:
             own[flag] = str(_of_process(path, number))

@@ -14,6 +14,8 @@ from collections.abc import Callable, Sequence
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.transports.machine import this_machine
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError, check_store
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -57,12 +59,15 @@ class ServedHost:
         )
         # kept here, because the loop keeps only weak references to its tasks
         self._health: asyncio.Task[None] | None = None
+        self._objects = _objects_of(settings)
         self.host = self._make_host()
         self.address = self.advertise = self.local = ""
 
     async def listen(self) -> None:
         """Listen, at a Unix socket, too. Raises CannotListen, NotAllowed, SettingsError, PermissionDenied."""
         settings, tls = self._settings, self._credentials.tls
+        if self._objects is not None:
+            await check_store(self._objects.store)
         self.host.add_to(self.server.grpc)
         self.server.sockets.register(self.host.add_to)
         own = settings.listen or where_to_listen(settings, secured=tls is not None)
@@ -88,8 +93,9 @@ class ServedHost:
 
     def _make_host(self) -> ChannelHost:
         settings = self._settings
-        host_id = load_host_id(settings.data_dir or settings.archive)
-        archive = None if settings.archive is None else ArchiveFolder(settings.archive, settings.archive_bytes_max)
+        folder = settings.folder_of_archive
+        host_id = load_host_id(settings.data_dir or folder)
+        archive = None if folder is None else ArchiveFolder(folder, settings.archive_bytes_max)
         if archive is not None:
             archive.open(host_id)
         identity = HostIdentity(
@@ -111,6 +117,7 @@ class ServedHost:
             memory_bytes_max=settings.memory_bytes_max,
             copy_bytes_per_second=settings.copy_bytes_per_second,
             archive=archive,
+            objects=self._objects,
             on_serving=self._serving_changed,
             on_defect=self._on_defect,
             home=self._home,
@@ -132,6 +139,19 @@ class ServedHost:
     def _serving_changed(self, serving: bool) -> None:
         if not self.server.stopping.is_set():
             self._health = asyncio.create_task(self.server.set_serving(serving))
+
+
+def _objects_of(settings: HostSettings) -> ObjectSettings | None:
+    """The object store of the settings, or None. Raises SettingsError if its URL or its environment is not valid."""
+    if not isinstance(settings.archive, str):
+        return None
+    from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore  # needs the extra `objects`
+
+    try:
+        store = OpenedStore(settings.archive)
+    except StoreError as error:
+        raise SettingsError(f"--archive: {error.strerror}") from error
+    return ObjectSettings(store, settings.archive_cache_bytes, settings.archive_move_seconds)
 
 
 def where_to_listen(settings: HostSettings, *, secured: bool) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stampede_rt.cluster.addresses import ADDRESSES_MAX
 from stampede_rt.values.policy import NAME_GRAMMAR
+from stampede_rt_runtime.archive_places import check_archive, folder_of, parse_archive
 from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_list, parse_size, parse_target
@@ -77,12 +78,43 @@ class HostSettings(ServiceSettings):
             help="the folder that keeps the host's identity over restarts; default: none, each start makes a new host",
         ),
     )
-    archive: Path | None = field(
+    archive: Path | str | None = field(
+        default=None,
+        metadata=setting(
+            metavar="PLACE",
+            parse=parse_archive,
+            help="the folder in which the host keeps recorded channels (those opened with `archive`), and, without "
+            "--data-dir, its identity; or an object store, the same for all hosts of the cluster: s3://BUCKET/PREFIX, "
+            "gs://, az:// or file:// (extra [objects]); default: none, the host records no channel",
+        ),
+    )
+    archive_folder: Path | None = field(
         default=None,
         metadata=setting(
             metavar="FOLDER",
-            help="the folder in which the host keeps recorded channels (those opened with `archive`), and, without "
-            "--data-dir, its identity; default: none, the host records no channel",
+            help="with a URL in --archive: the folder of files that have not moved to the object store, of cached "
+            "parts of objects, and, without --data-dir, of the host's identity; default: `archive` in --data-dir, or "
+            "~/.local/state/stampede/archive",
+        ),
+    )
+    archive_cache_bytes: int = field(
+        default=2**30,
+        metadata=setting(
+            metavar="SIZE",
+            parse=parse_size,
+            minimum=0,
+            help="the most bytes of objects that the host keeps in --archive-folder for reads that come again; several "
+            "processes have equal parts of it",
+        ),
+    )
+    archive_move_seconds: int = field(
+        default=600,
+        metadata=setting(
+            metavar="SECONDS",
+            minimum=1,
+            maximum=7 * 86400,
+            help="after so long, and after 64 MiB, the host closes a file of a channel and moves it to the object "
+            "store; so much of a channel is lost if the machine is lost",
         ),
     )
     archive_bytes_max: int = field(
@@ -151,8 +183,14 @@ class HostSettings(ServiceSettings):
             raise ValueError(f"--frontend names {len(self.frontend)} front-ends; allowed: 1 to {ADDRESSES_MAX}")
         if self.name and not re.fullmatch(NAME_GRAMMAR, self.name):
             raise ValueError(f"--name is {self.name!r}; allowed: {NAME_GRAMMAR}")
+        check_archive(self.archive, self.archive_folder)
         if self.processes > 1:
             self._check_processes()
+
+    @property
+    def folder_of_archive(self) -> Path | None:
+        """The folder of the archive on this machine; None: the host has no archive."""
+        return folder_of(self.archive, self.archive_folder, self.data_dir)
 
     def _check_processes(self) -> None:
         """Check that each of the processes can have settings of its own. Raises ValueError."""

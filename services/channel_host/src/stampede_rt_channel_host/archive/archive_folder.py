@@ -83,9 +83,14 @@ class ArchiveFolder:
         """This process has archived all items of all recorded channels, and stops. Raises OSError."""
         _write(self.path / _STOPPED_FILE, str(boot_incarnation))
 
+    @property
+    def channels(self) -> Path:
+        """The folder with a folder for each channel."""
+        return self.path / _CHANNELS
+
     def of_channel(self, channel_id: bytes) -> Path:
         """The folder of one channel's segments."""
-        return self.path / _CHANNELS / channel_id.hex()
+        return self.channels / channel_id.hex()
 
     def of_channels(self) -> Iterator[FoundFolder]:
         """The folders of all channels, those of deleted channels included. Blocks. Raises OSError."""

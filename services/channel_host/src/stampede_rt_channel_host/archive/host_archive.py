@@ -8,16 +8,19 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from typing import TypeVar
 
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse, FoundFolder
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 
+Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 READERS = 2  # threads
@@ -41,8 +44,11 @@ class HostArchive:
         decode: Callable[[bytes], Run],
         disk: DiskUse | None = None,
         now: Callable[[], int] = time.time_ns,
+        objects: ObjectArchive | None = None,
     ) -> None:
+        """`objects`: the part in an object store; None: all files stay in the folder."""
         self.folder = folder
+        self.objects = objects
         self.disk = disk or DiskUse()
         self.disk.on_full = self._make_room
         self._decode, self._now = decode, now
@@ -51,6 +57,8 @@ class HostArchive:
         self._making_room: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="archive-reader")
+        if objects is not None:
+            objects.mover.writer = self._writer
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with the function to call after the write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
@@ -64,6 +72,17 @@ class HostArchive:
         return next(iter(self._failing.values()), "")
 
     @property
+    def store_failure(self) -> str:
+        """Why the object store has failed last; empty: it works, or there is none."""
+        return "" if self.objects is None else self.objects.mover.failure
+
+    @property
+    def place(self) -> str:
+        """The folder, and the URL of the object store."""
+        folder = str(self.folder.path)
+        return folder if self.objects is None else f"{self.objects.store.url} and {folder}"
+
+    @property
     def failing_channels(self) -> int:
         """The number of channels whose last write failed."""
         return len(self._failing)
@@ -72,9 +91,11 @@ class HostArchive:
         """The files of a channel, after a look at them. Raises OSError."""
         channel_id, name = record.channel_id, record.name
         facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
-        files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
-        loop = asyncio.get_running_loop()
-        found = await loop.run_in_executor(self._writer, files.open, record.epoch, record.incarnation)
+        if self.objects is None:
+            files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
+            found = await self._in_writer(files.open, record.epoch, record.incarnation)
+        else:
+            files, found = await self._open_stored(self.objects, record, facts)
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
                 "the archive of a channel was damaged",
@@ -87,13 +108,36 @@ class HostArchive:
             )
         return files, found
 
+    async def _open_stored(
+        self, objects: ObjectArchive, record: RecordedChannel, facts: dict[str, str | int]
+    ) -> tuple[SegmentFiles, OpenedArchive]:
+        """The files of a channel, with those in the object store. Raises OSError."""
+        files = objects.files_of(record.channel_id, facts, self._kept)
+        stored = await asyncio.get_running_loop().run_in_executor(self._readers, files.stored.find, record.epoch)
+        objects.mover.reopening(record.channel_id)
+        return files, await self._in_writer(
+            lambda: files.open(record.epoch, record.incarnation, files.stored.adopt(stored))
+        )
+
+    async def _in_writer(self, call: Callable[..., Result], *arguments: object) -> Result:
+        return await asyncio.get_running_loop().run_in_executor(self._writer, call, *arguments)
+
     def give_up(self, files: SegmentFiles) -> None:
         """Close the files of a channel that is not recorded here after all."""
         self._writer.submit(files.close, None)
 
-    def record(self, recorder: ChannelRecorder) -> None:
-        """A channel is recorded from now on, until `forget`."""
+    def start(self) -> None:
+        """Move closed files to the object store from now on, if there is one. Idempotent."""
+        if self.objects is not None:
+            self.objects.mover.start()
+
+    def record(self, recorder: ChannelRecorder, *, has_moved: bool = False) -> None:
+        """A channel is recorded from now on, until `forget`. `has_moved`: another host recorded it until now."""
         self._recorders.add(recorder)
+        if self.objects is not None:
+            self.objects.mover.record(recorder)
+            if has_moved:
+                self.objects.mover.expect_former(recorder)
 
     def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         """There are items of this channel to write."""
@@ -114,6 +158,13 @@ class HostArchive:
         self._failing.pop(recorder, None)
         self._recorders.discard(recorder)
         self._writer.submit(recorder.files.close, None)
+        if self.objects is not None:
+            self.objects.mover.forget(recorder)
+
+    def delete(self, channel_id: bytes) -> None:
+        """The channel was deleted. Deletes its objects and its files; without an object store its files stay."""
+        if self.objects is not None:
+            self.objects.mover.delete(channel_id)
 
     async def _write_on(self) -> None:
         """Write while there is something to write, until the archive closes."""
@@ -252,6 +303,8 @@ class HostArchive:
         for task in late:
             task.cancel()
             logger.error("the host stops before its archive is written", extra={"event": "archive_cut_short"})
+        if self.objects is not None:
+            await self.objects.mover.close(0 if late else CLOSE_SECONDS_MAX)
         self._writer.shutdown(wait=False)
         self._readers.shutdown(wait=False)
         self.folder.close()

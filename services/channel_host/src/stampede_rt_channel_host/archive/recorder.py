@@ -64,7 +64,8 @@ class ChannelRecorder:
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
         self._channel = channel
-        self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
+        lacks_from = _lacks_from(channel, segments, is_shared=files.is_shared) if from_memory else channel.next_seq
+        self.archived_to = lacks_from
         """All seqs below this one are on stable storage, or lost to the archive."""
         # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
         self._ends: list[int] = []
@@ -193,7 +194,7 @@ class ChannelRecorder:
     def keep(self, segments: tuple[Segment, ...]) -> None:
         """Note the segments that the archive has now."""
         self.segments, self.span = segments, span_of(segments)
-        self.disk.keep(FOLDER_BYTES + sum(one.length for one in segments) if segments else 0)
+        self.disk.keep(FOLDER_BYTES + self.files.local_bytes() if segments else 0)
 
     def limit(self, limits: ArchiveLimits) -> None:
         """Set the limits of the channel's archive."""
@@ -253,12 +254,16 @@ class ChannelRecorder:
         return "max_bytes collected items before they were written" if is_lost else ""
 
 
-def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
-    """The first seq that an archive lacks: after its last item, or of the first item that the channel holds."""
-    if segments:
-        return max(one.end_seq for one in segments)
+def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...], *, is_shared: bool) -> int:
+    """The first seq that an archive lacks: after its last item, or of the first item that the channel holds.
+
+    If the archive is shared, the former owner adds the items between the two.
+    """
+    archived = max((one.end_seq for one in segments), default=0)
+    if archived and not is_shared:
+        return archived
     held = next(iter(channel.accepted_from(0)), None)
-    return channel.next_seq if held is None else held.first_seq
+    return max(archived, channel.next_seq if held is None else held.first_seq)
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:

@@ -31,6 +31,7 @@ from stampede_rt_channel_host.core.archive import (
     scan,
     summary,
 )
+from stampede_rt_channel_host.core.archive.stored_segment import below, first_number
 
 BLOCK_BYTES = 2**18
 SEGMENT_BYTES = 64 * 2**20
@@ -80,13 +81,23 @@ class SegmentFiles(SegmentReads):
     a block, a gap before it, and the beginning of a segment.
     """
 
-    def __init__(self, folder: Path, facts: dict[str, str | int], kept: KeptBlocks | None = None) -> None:
-        """`facts` go into each new segment, for people who look into the file. `kept`: see `SegmentReads`."""
-        self._files = SegmentFolder(folder)
+    def __init__(
+        self,
+        folder: Path,
+        facts: dict[str, str | int],
+        kept: KeptBlocks | None = None,
+        files: SegmentFolder | None = None,
+    ) -> None:
+        """`facts` go into each new segment, for people who look into the file. `kept`: see `SegmentReads`. `files`: the
+        segments in `folder`.
+        """
+        self._files = files or SegmentFolder(folder)
         super().__init__(self._files, kept)
         self._folder = folder
         self.run_bytes_max = ROW_BYTES + 4 * HEAD_BYTES + ADVANCE_BYTES + len(json.dumps(facts))
         self._facts = facts
+        self.is_shared = False
+        """Whether the other hosts of the cluster read the closed segments, too."""
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._begun_at = 0  # the acceptance instant of its first block
@@ -94,8 +105,11 @@ class SegmentFiles(SegmentReads):
         self._advance: ArchivedAdvance | None = None  # the latest one
         self._epoch = 0
 
-    def open(self, epoch: int, incarnation: int = 0) -> OpenedArchive:
-        """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now."""
+    def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
+        """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now.
+
+        `stored`: the segments in an object store, which are none of the folder's.
+        """
         self._epoch = epoch
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         stop = read_stop(self._folder)
@@ -103,8 +117,12 @@ class SegmentFiles(SegmentReads):
             stop = None
         found, torn_bytes, damaged = [], 0, 0
         following: int | None = None
-        for number in reversed(self._files.numbers()):
-            segment, torn, bad = self._open_one(number, following)
+        others, numbers = {one.number: one for one in stored}, self._files.numbers()
+        for number in sorted((*numbers, *others), reverse=True):
+            if number in others:
+                segment, torn, bad = self._below(others[number], following), 0, 0
+            else:
+                segment, torn, bad = self._open_one(number, following, is_last=number == numbers[-1])
             torn_bytes, damaged = torn_bytes + torn, damaged + bad
             if segment is not None:
                 found.append(segment)
@@ -113,11 +131,21 @@ class SegmentFiles(SegmentReads):
         self._segments = tuple(reversed(found))
         return OpenedArchive(self._segments, None if torn_bytes else stop, torn_bytes, damaged)
 
-    def _open_one(self, number: int, following: int | None) -> tuple[Segment | None, int, int]:
-        """Open a segment. `following`: the first seq of the next segment. Blocks from this seq on do not count: a write
-        that failed left them behind, and their items were written again. None: the segment is the last one.
+    def _below(self, segment: Segment, following: int | None) -> Segment | None:
+        """A closed segment without the items from the seq `following` on, which the next segment has."""
+        if following is None or segment.end_seq <= following:
+            return segment
+        blocks = below(self._files.blocks(segment), segment.length, following)
+        short = summary(segment.number, blocks[-1].end if blocks else 0, blocks)
+        if short is None:
+            self._files.remove(segment.number)
+        return short
+
+    def _open_one(self, number: int, following: int | None, *, is_last: bool) -> tuple[Segment | None, int, int]:
+        """Open a segment of the folder. `following`: the first seq of the next segment, or None. Blocks from this seq
+        on do not count: a write that failed left them behind, and their items were written again.
         """
-        path, is_last = self._files.file_of(number), following is None
+        path = self._files.file_of(number)
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
         try:
             length = os.fstat(file).st_size
@@ -128,7 +156,7 @@ class SegmentFiles(SegmentReads):
         finally:
             os.close(file)
         torn = length - scanned.end if is_last else 0
-        blocks = [one for one in scanned.blocks if following is None or one.head.first_seq < following]
+        blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
         segment = summary(number, blocks[-1].end if blocks else 0, blocks)
         if segment is None:
             path.unlink()
@@ -199,7 +227,7 @@ class SegmentFiles(SegmentReads):
     def _begin_segment(self, head: BlockHead) -> None:
         """End the present segment, and begin the next one, whose name no other segment has had."""
         self._end_segment()
-        number = self._segments[-1].number + 1 if self._segments else 1
+        number = self._next_number()
         self._delete_leftovers(number)
         self._file = os.open(self._files.file_of(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
         sync_folder(self._folder)
@@ -235,7 +263,11 @@ class SegmentFiles(SegmentReads):
             if before:
                 os.truncate(self._files.file_of(before[-1].number), before[-1].length)
         with suppress(OSError):
-            self._delete_leftovers(before[-1].number + 1 if before else 1)
+            self._delete_leftovers(self._next_number())
+
+    def _next_number(self) -> int:
+        """The number of the next segment: the owners of a channel, one after the other, never use the same one."""
+        return max(self._segments[-1].number + 1 if self._segments else 1, first_number(self._epoch))
 
     def _delete_leftovers(self, number: int) -> None:
         """Delete the segments from this number on, which failed writes have left. Raises OSError."""
@@ -255,11 +287,15 @@ class SegmentFiles(SegmentReads):
             if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
                 return
             try:
-                self._files.file_of(oldest.number).unlink(missing_ok=True)
+                self._files.remove(oldest.number)
             except OSError:
                 return
             size -= oldest.length
             self._segments = self._segments[1:]
+
+    def local_bytes(self) -> int:
+        """The bytes of the segments in the folder."""
+        return sum(one.length for one in self._segments)
 
     def raise_epoch(self, epoch: int) -> None:
         """The channel has a higher epoch now, at the same host."""
@@ -273,6 +309,6 @@ class SegmentFiles(SegmentReads):
         self._end_segment()
         if stop is not None and self._folder.is_dir():
             write_stop(self._folder, stop._replace(epoch=self._epoch))
-        elif not self._segments:
-            with suppress(OSError):
+        else:
+            with suppress(OSError):  # it has files
                 self._folder.rmdir()

@@ -33,6 +33,10 @@ class SegmentPlace(Protocol):
         """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
         ...
 
+    def read_again(self, number: int, offset: int, size: int) -> bytes | None:
+        """Bytes of a segment that were damaged, from a better copy; None: there is none."""
+        ...
+
 
 class SegmentFolder:
     """The segments of one channel as files of a folder."""
@@ -64,6 +68,18 @@ class SegmentFolder:
         """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
         with self.opened(segment.number) as read_at:
             return scan(read_at, segment.length, check_contents=False, begin=begin).blocks
+
+    def read_again(self, number: int, offset: int, size: int) -> bytes | None:
+        """See `SegmentPlace`: a folder has one copy."""
+        return None
+
+    def is_stored(self, number: int) -> bool:
+        """Whether the segment is in an object store, and not in the folder."""
+        return False
+
+    def remove(self, number: int) -> None:
+        """Delete a segment, because it leaves the archive. Raises OSError."""
+        self.file_of(number).unlink(missing_ok=True)
 
 
 def _read_at_hand(file: int, offset: int, size: int) -> bytes:

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRun,
     ArchiveWindow,
     BlocksOf,
+    CutRun,
     Hole,
     NotAtHand,
     Past,
@@ -48,6 +49,8 @@ class SegmentReads:
         """`kept`: the blocks that the reads of all channels have found."""
         self.place = place
         self._kept = KeptBlocks() if kept is None else kept
+        self.cut: CutRun | None = None
+        """Cuts the last run of a block whose later items are in the next segment, too; None: there is no such block."""
         self.damaged_blocks = 0
         """The blocks that reads found damaged."""
 
@@ -144,7 +147,12 @@ class SegmentReads:
     ) -> list[ArchivedRun] | None:
         """The runs of a block that a read of these times needs, or None if the block is damaged."""
         content = self._content_of(segment, block, opened or self.place.opened)
-        return None if content is None else decode_items(block.head, content, decode, within)
+        if content is None:
+            return None
+        runs = decode_items(block.head, content, decode, within)
+        if runs and self.cut is not None:
+            runs[-1] = runs[-1].below(block.head.end_seq, self.cut)
+        return runs
 
     def _content_of(self, segment: Segment, block: PlacedBlock, opened: Opened) -> bytes | None:
         """The content of a block, or None if it is damaged."""
@@ -152,6 +160,11 @@ class SegmentReads:
             content = read_at(block.offset + HEAD_BYTES, block.head.content_bytes)
         if is_whole(block.head, content):
             return content
+        waits = opened == self.place.opened
+        at = block.offset + HEAD_BYTES
+        again = self.place.read_again(segment.number, at, block.head.content_bytes) if waits else None
+        if again is not None and is_whole(block.head, again):
+            return again
         self.damaged_blocks += 1
         return None
 

@@ -43,6 +43,7 @@ class ChannelChanges:
             )
         self._deletions.note(request_id, own_name())
         self._store.forget(channel_id, refusals.deleted(hosted.record.name))
+        self._store.recordings.deleted(hosted.record)
 
     async def configure(
         self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float

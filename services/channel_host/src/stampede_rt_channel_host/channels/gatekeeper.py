@@ -64,6 +64,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             access=status_message(self._access),
             archive_failure="" if archive is None else archive.failure,
             archive_failing_channels=0 if archive is None else archive.failing_channels,
+            archive_store_failure="" if archive is None else archive.store_failure,
         )
 
     @errors_as_status

@@ -73,8 +73,9 @@ async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedC
             newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
     except OSError as error:
         raise Unavailable(
-            f"the archive of channel {record.name} in {archive.folder.path} cannot be used ({error.strerror}); free "
-            "the disk, or give the host a folder that it can write, and open the channel again"
+            f"the archive of channel {record.name} in {archive.place} cannot be used ({error.strerror}); free the "
+            "disk, or give the host a folder that it can write, or an object store that it can reach, and open the "
+            "channel again"
         ) from error
     return OpenedChannelArchive(files, found, newest, archive.disk.of_channel(record.channel_id, record.created_by))
 
@@ -102,7 +103,7 @@ class Recording:
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
-        archive.record(self.recorder)
+        archive.record(self.recorder, has_moved=from_memory)
 
     def set_policy(self, policy: Policy, epoch: int = 0) -> None:
         """Take over the limits of the archive, and the epoch of the channel at this host."""

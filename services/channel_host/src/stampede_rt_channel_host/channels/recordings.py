@@ -142,6 +142,16 @@ class Recordings:
             for run in self.read_retries(stop.retries):
                 retries.adopt(run)
 
+    def start(self) -> None:
+        """Move closed files to the object store from now on, if there is one."""
+        if self.archive is not None:
+            self.archive.start()
+
+    def deleted(self, record: RecordedChannel) -> None:
+        """The channel was deleted in the directory: delete its archive, if an object store has it."""
+        if self.archive is not None and record.policy.is_recorded:
+            self.archive.delete(record.channel_id)
+
     def counts(self) -> ArchiveCounts:
         """The sums over all channels that were recorded since the host started."""
         self._drop_stopped()

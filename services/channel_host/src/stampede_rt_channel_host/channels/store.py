@@ -261,6 +261,7 @@ class ChannelStore:
         except ChannelNotFound:
             if held is not None:
                 self.forget(channel_id, refusals.deleted(held.record.name))
+                self.recordings.deleted(held.record)
             raise
         if record.host_id != self._identity.host_id and is_given_away(held):
             raise elsewhere(held) or refusals.moved(record.name, record.host_id)

@@ -57,6 +57,24 @@ ARCHIVE_FAILING = gauge("stampede_archive_failing", "1 while the archive cannot 
 ARCHIVE_DAMAGED = counter(
     "stampede_archive_damaged_blocks_total", "Damaged blocks that reads of the archive have found."
 )
+STORE_OBJECTS = gauge(
+    "stampede_archive_store_objects", "Objects that the object store has of the channels that the host records."
+)
+STORE_BYTES = gauge("stampede_archive_store_bytes", "Bytes of these objects.")
+STORE_WAITING = gauge(
+    "stampede_archive_store_waiting_bytes", "Bytes of closed files that have not moved to the object store."
+)
+STORE_MOVED = counter(
+    "stampede_archive_store_moved_bytes_total", "Bytes of closed files that moved to the object store."
+)
+STORE_FETCHED = counter("stampede_archive_store_fetched_bytes_total", "Bytes that reads fetched from the object store.")
+STORE_FAILURES = counter(
+    "stampede_archive_store_failures_total", "Looks of the host at its closed files in which the object store failed."
+)
+STORE_CACHE = gauge("stampede_archive_cache_bytes", "Bytes of objects that the host keeps on its disk for reads.")
+OF_OBJECT_STORES = (
+    STORE_OBJECTS, STORE_BYTES, STORE_WAITING, STORE_MOVED, STORE_FETCHED, STORE_FAILURES, STORE_CACHE,
+)  # fmt: skip
 SUBSCRIPTIONS = gauge("stampede_subscriptions_open", "Open subscriptions to channels and groups.")
 GETS_WAITING = gauge("stampede_gets_waiting", "Gets that wait for an item.")
 PUTS_WAITING = gauge("stampede_puts_waiting", "Puts that wait for room.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from stampede_rt.values.peering import ClockOffset
+from stampede_rt_channel_host.archive.objects.segment_mover import MovedCounts
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -63,7 +64,19 @@ class HostMetrics:
             yield catalog.ARCHIVE_LIMIT.of(archive.disk.bytes_max)
         yield catalog.ARCHIVE_FAILING.of(archive is not None and bool(archive.failure))
         yield catalog.ARCHIVE_DAMAGED.of(counts.damaged_blocks)
+        if archive is not None and archive.objects is not None:
+            yield from _of_store(archive.objects.mover.counts())
 
 
 def _no_name(name: str) -> bool:
     return False
+
+
+def _of_store(counts: MovedCounts) -> Iterator[Family]:
+    yield catalog.STORE_OBJECTS.of(counts.objects)
+    yield catalog.STORE_BYTES.of(counts.bytes)
+    yield catalog.STORE_WAITING.of(counts.waiting_bytes)
+    yield catalog.STORE_MOVED.of(counts.moved_bytes)
+    yield catalog.STORE_FETCHED.of(counts.fetched_bytes)
+    yield catalog.STORE_FAILURES.of(counts.failures)
+    yield catalog.STORE_CACHE.of(counts.cache_bytes)

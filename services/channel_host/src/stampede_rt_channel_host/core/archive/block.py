@@ -12,7 +12,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
-from stampede_rt_channel_host.core.channel.run import Run
+from stampede_rt_channel_host.core.channel.run import Run, make_run
 
 MAGIC = b"SRTA"
 ITEMS, GAP, OPENING, ADVANCES = 1, 2, 3, 4
@@ -25,6 +25,10 @@ _ROW = struct.Struct("<qIqq")  # for each run: when it was accepted, the length 
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
 HEAD_BYTES, ROW_BYTES, ADVANCE_BYTES = _SUM.size + _HEAD.size, _ROW.size, _ADVANCE.size
 PACKED_HEAD_BYTES = _HEAD.size
+
+
+CutRun = Callable[[bytes, int, int], bytes]
+"""Returns the body of a run with some of the items of a body, from one place up to another, exclusive."""
 
 
 class BlockHead(NamedTuple):
@@ -66,6 +70,15 @@ class ArchivedRun(NamedTuple):
 
     accepted: int
     run: Run
+
+    def below(self, end_seq: int, cut: CutRun) -> ArchivedRun:
+        """The run without its items from `end_seq` on. At least one item is below."""
+        run, items = self.run, end_seq - self.run.first_seq
+        if len(run) <= items:
+            return self
+        durations = None if run.durations is None else run.durations[:items]
+        body = cut(bytes(run.body), 0, items)
+        return self._replace(run=make_run(run.first_seq, run.times[:items], durations, run.lengths[:items], body))
 
 
 def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:

@@ -1,0 +1,90 @@
+"""The parts of objects that reads fetched last, on the disk of the host, up to a number of bytes. Blocks."""
+
+from __future__ import annotations
+
+import shutil
+from collections import OrderedDict
+from contextlib import suppress
+from pathlib import Path
+from threading import Lock
+
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
+from stampede_rt_channel_host.archive.stable_writes import make_folder
+
+CHUNK_BYTES = 2**20
+Place = tuple[str, int]  # an object's name, and the number of the chunk
+
+
+class ChunkCache:
+    """Reads objects of a store in chunks, and keeps the chunks in a folder. Any threads use it.
+
+    It begins empty: `open` deletes the chunks of a former process. A chunk that the disk does not take is not kept.
+    """
+
+    def __init__(self, store: SegmentStore, folder: Path, bytes_max: int) -> None:
+        self.used_bytes = 0
+        self.fetched_bytes = 0
+        """The bytes that came from the store since the start."""
+        self._store, self._folder, self._bytes_max = store, folder, bytes_max
+        self._lock = Lock()
+        self._kept: OrderedDict[Place, tuple[Path, int]] = OrderedDict()  # the file and its bytes, the latest read last
+        self._files = 0
+
+    def open(self) -> None:
+        """Make the folder. Raises OSError if it cannot be written."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        make_folder(self._folder)
+
+    def read(self, name: str, offset: int, size: int) -> bytes:
+        """Bytes of an object; fewer at its end. Raises StoreError, and FileNotFoundError if there is no such object."""
+        parts = []
+        for number in range(offset // CHUNK_BYTES, (offset + size + CHUNK_BYTES - 1) // CHUNK_BYTES):
+            chunk = self._chunk((name, number))
+            begin = max(0, offset - number * CHUNK_BYTES)
+            parts.append(chunk[begin : offset + size - number * CHUNK_BYTES])
+        return b"".join(parts)
+
+    def forget(self, name: str, offset: int, size: int) -> None:
+        """Forget some bytes of an object: they were damaged, perhaps only here."""
+        for number in range(offset // CHUNK_BYTES, (offset + size) // CHUNK_BYTES + 1):
+            self._drop((name, number))
+
+    def _chunk(self, place: Place) -> bytes:
+        with self._lock:
+            kept = self._kept.get(place)
+            if kept is not None:
+                self._kept.move_to_end(place)
+        if kept is not None:
+            with suppress(OSError):
+                chunk = kept[0].read_bytes()
+                if len(chunk) == kept[1]:
+                    return chunk
+        fetched = self._store.read(place[0], place[1] * CHUNK_BYTES, CHUNK_BYTES)
+        self._keep(place, fetched)
+        return fetched
+
+    def _keep(self, place: Place, chunk: bytes) -> None:
+        with self._lock:
+            self.fetched_bytes += len(chunk)
+            self._files += 1
+            path = self._folder / f"{self._files}.chunk"
+        if len(chunk) > self._bytes_max:
+            return
+        try:
+            path.write_bytes(chunk)
+        except OSError:  # a full disk
+            path.unlink(missing_ok=True)
+            return
+        self._drop(place)  # another thread may have fetched it meanwhile
+        with self._lock:
+            self._kept[place] = path, len(chunk)
+            self.used_bytes += len(chunk)
+        while self.used_bytes > self._bytes_max:
+            self._drop(next(iter(self._kept)))
+
+    def _drop(self, place: Place) -> None:
+        with self._lock:
+            path, size = self._kept.pop(place, (None, 0))
+            self.used_bytes -= size
+        if path is not None:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,51 @@
+"""The last files of former owners: they come to the object store after a channel has moved here."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import NamedTuple
+
+from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
+
+WAIT_SECONDS_MIN, WAIT_SECONDS_MAX = 0.5, 600.0
+
+
+class _Expected(NamedTuple):
+    due: float  # by the clock of the event loop
+    wait_s: float
+
+
+class FormerOwners:
+    """Looks again and again, less and less often, until the archive of the channel has no hole."""
+
+    def __init__(self) -> None:
+        self._expected: dict[MovingFiles, _Expected] = {}
+
+    def expect(self, files: MovingFiles) -> None:
+        """The former owner of a channel still has items on its disk."""
+        self._expected[files] = _Expected(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN)
+
+    def forget(self, files: MovingFiles) -> None:
+        """Look no more for a channel."""
+        self._expected.pop(files, None)
+
+    def due_s(self) -> float:
+        """In how many seconds to look again."""
+        return min((one.due for one in self._expected.values()), default=float("inf")) - _clock()
+
+    def take_due(self) -> list[MovingFiles]:
+        """The channels for which the caller looks now."""
+        found = [files for files, one in self._expected.items() if one.due <= _clock()]
+        for files in found:
+            wait_s = min(2 * self._expected[files].wait_s, WAIT_SECONDS_MAX)
+            self._expected[files] = _Expected(_clock() + wait_s, wait_s)
+        return found
+
+    def found(self, files: MovingFiles) -> None:
+        """The caller has looked. Goes on if the archive has a hole."""
+        if not files.lacks_items():
+            self.forget(files)
+
+
+def _clock() -> float:
+    return asyncio.get_running_loop().time()

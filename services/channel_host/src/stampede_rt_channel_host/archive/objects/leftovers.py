@@ -1,0 +1,113 @@
+"""The folders of channels that this host does not record now: their closed files go to the store, or are deleted."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Protocol
+
+from stampede_rt_channel_host.archive.clean_stop import has_stop
+from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
+from stampede_rt_channel_host.archive.objects.stored_segments import OBJECTS
+from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
+from stampede_rt_channel_host.archive.stable_writes import sync_folder
+from stampede_rt_channel_host.core.archive.stored_segment import segment_named
+
+OPENED_AT_ONCE = 8
+DELETED_AT_ONCE = 100
+EPOCH_MAX = 2**63
+_DELETED_FILE = "deleted"
+
+
+class InThread(Protocol):
+    """Has a thread do something."""
+
+    def __call__(self, call: Callable[[], list[str]]) -> Awaitable[list[str]]:
+        """Return what the call returns."""
+        ...
+
+
+class Leftovers:
+    """The folders that were in `folder` when the host started, and the channels that were deleted since.
+
+    A channel that stopped cleanly is left alone until the host serves it again, because its folder has the note of this
+    stop. `open_files` makes the files of a folder.
+    """
+
+    def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:
+        self._folder, self._store, self._open_files = folder, store, open_files
+        self._taken: set[bytes] = set()
+        self._condemned: list[bytes] = []
+        self._found: list[bytes] = []
+
+    def take(self, channel_id: bytes) -> None:
+        """The host serves the channel from now on."""
+        self._taken.add(channel_id)
+
+    def is_taken(self, channel_id: bytes) -> bool:
+        """Whether the host has served the channel since it started."""
+        return channel_id in self._taken
+
+    def look(self) -> None:
+        """Look what is there. Blocks. Raises OSError."""
+        for path in self._folder.iterdir() if self._folder.is_dir() else ():
+            channel_id = _channel_of(path)
+            if channel_id is None:
+                continue
+            if (path / _DELETED_FILE).exists():
+                self._condemned.append(channel_id)
+            else:
+                self._found.append(channel_id)
+
+    def open_next(self) -> list[MovingFiles]:
+        """Open some of the folders, for their closed files to be moved. Blocks. Raises OSError."""
+        opened: list[MovingFiles] = []
+        while self._found and len(opened) < OPENED_AT_ONCE:
+            channel_id = self._found.pop()
+            path = self._folder / channel_id.hex()
+            if SegmentFolder(path).numbers() and not has_stop(path) and not self.is_taken(channel_id):
+                files = self._open_files(channel_id)
+                files.open(EPOCH_MAX)
+                files.look(0, EPOCH_MAX, None)
+                opened.append(files)
+        return opened
+
+    def condemn(self, channel_id: bytes) -> None:
+        """The channel was deleted."""
+        self._condemned.append(channel_id)
+
+    async def delete_condemned(self, in_thread: InThread) -> None:
+        """Delete the objects and folders of deleted channels. Raises OSError."""
+        while self._condemned:
+            channel_id = self._condemned[0]
+            while await in_thread(lambda channel_id=channel_id: self._delete_some(channel_id)):  # type: ignore[misc]
+                pass  # each step deletes some objects
+            self._condemned.pop(0)
+
+    def _delete_some(self, channel_id: bytes) -> list[str]:
+        """Delete some objects of a channel, and the folder after the last one. Returns the names. Blocks."""
+        path = self._folder / channel_id.hex()
+        if not (path / _DELETED_FILE).exists():  # the next process goes on with it
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            (path / _DELETED_FILE).touch(mode=0o600)
+            sync_folder(path)
+        names = []
+        for one in self._store.find(f"{OBJECTS}/{path.name}/"):
+            if segment_named(one.name.rpartition("/")[2]) is None:  # an object of somebody else
+                continue
+            names.append(one.name)
+            if len(names) == DELETED_AT_ONCE:
+                break
+        self._store.delete(names)
+        if not names:
+            shutil.rmtree(path)
+        return names
+
+
+def _channel_of(path: Path) -> bytes | None:
+    try:
+        return bytes.fromhex(path.name) if path.is_dir() else None
+    except ValueError:
+        return None

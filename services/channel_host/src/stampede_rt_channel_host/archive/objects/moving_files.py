@@ -1,0 +1,113 @@
+"""The segments of a channel whose closed ones move to an object store. Blocks, as `SegmentFiles` does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError
+from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.core.archive import CutRun, Segment
+from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
+
+
+class MovingFiles(SegmentFiles):
+    """`is_left`: another object goes on with the folder, or the channel was deleted. The thread of writes calls all
+    methods.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        facts: dict[str, str | int],
+        place: StoredSegments,
+        cut: CutRun,
+        kept: KeptBlocks | None = None,
+    ) -> None:
+        """`facts` and `kept`: see `SegmentFiles`."""
+        super().__init__(folder, facts, kept, place)
+        self.stored, self.cut = place, cut
+        self.is_shared = True
+        self.is_left = False
+        self.waiting: tuple[Segment, ...] = ()
+        """The closed segments that have not moved yet, as of the last `look`."""
+
+    def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
+        """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:
+        drop none. Find out what is waiting. Raises OSError.
+        """
+        if self.is_left:
+            self.waiting = ()
+            return
+        if self._file is not None and now - self._begun_at >= seal_nanos:
+            self._end_segment()
+        if limits is not None:
+            self.drop_outdated(limits, now)
+        local = self._local()
+        self.waiting = local if self._file is None else local[:-1]
+
+    def _local(self) -> tuple[Segment, ...]:
+        """The segments in the folder: the last ones, because they move in their order."""
+        segments = self._segments
+        at = len(segments)
+        while at and not self.stored.is_stored(segments[at - 1].number):
+            at -= 1
+        return segments[at:]
+
+    def settle(self, packed: Packed) -> tuple[Segment, ...]:
+        """Note that a segment is in the store, and delete its file. Returns all segments. Raises OSError."""
+        number = packed.segment.number
+        if not self.is_left:
+            self.stored.settle(packed)
+            if all(one.number != number for one in self._segments):  # the limits have dropped it meanwhile
+                self.stored.remove(number)
+        return self._segments
+
+    def find_again(self, found: Mapping[int, StoredSegment]) -> tuple[Segment, ...]:
+        """Take over segments of the former owner, which came to the store after this host took the channel.
+
+        `found`: a listing. Returns all segments. Raises OSError.
+        """
+        kept = {one.number: one for one in self._segments}
+        latest = max(kept, default=0)
+        for one in self.stored.adopt({number: one for number, one in found.items() if number not in kept}):
+            if one.number < latest or not kept:
+                kept[one.number] = one
+        ordered: list[Segment] = []
+        following: int | None = None
+        for number in sorted(kept, reverse=True):
+            segment = self._below(kept[number], following)
+            if segment is not None:
+                ordered.append(segment)
+                following = segment.first_seq
+        self._segments = tuple(reversed(ordered))
+        return self._segments
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """All segments of the archive, as they are now."""
+        return self._segments
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the channel at this host."""
+        return self._epoch
+
+    def lacks_items(self) -> bool:
+        """Whether there is a hole between two segments, or nothing but segments of this owner."""
+        pairs = pairwise(self._segments)
+        own = first_number(self._epoch)
+        is_alone = not self._segments or self._segments[0].number >= own
+        return is_alone or any(before.end_seq < after.first_seq for before, after in pairs)
+
+    def local_bytes(self) -> int:
+        """The bytes of the segments in the folder."""
+        return sum(one.length for one in self._local())
+
+    def check_same(self, packed: Packed) -> None:
+        """Check that the object that is there already is this segment. Raises StoreError. Any thread may call it."""
+        if not self.stored.has_object(packed.name, len(packed.content)):
+            raise StoreError(f"the object {packed.name} exists with other bytes; move it away, and look who wrote it")

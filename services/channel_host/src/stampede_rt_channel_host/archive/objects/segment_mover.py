@@ -1,0 +1,259 @@
+"""Moves the closed segments of recorded channels to an object store, on the event loop, with work in threads."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
+
+from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
+from stampede_rt_channel_host.archive.objects.former_owners import FormerOwners
+from stampede_rt_channel_host.archive.objects.leftovers import Leftovers
+from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.core.archive import Segment
+
+logger = logging.getLogger(__name__)
+Result = TypeVar("Result")
+
+LOOK_SECONDS_MIN, LOOK_SECONDS_MAX = 0.05, 5.0
+BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
+DELETED_AT_ONCE = 100
+LOOKS_PER_DROP = 12  # every so many looks, outdated segments of idle channels leave the archive
+
+
+class MovedCounts(NamedTuple):
+    """The objects of the channels that this host records, and the events since the start.
+
+    `waiting_bytes` are in closed segments that have not moved yet. `moved_bytes` and `failures` count since the start.
+    """
+
+    objects: int
+    bytes: int
+    waiting_bytes: int
+    moved_bytes: int
+    failures: int
+    cache_bytes: int
+    fetched_bytes: int
+
+
+class SegmentMover:
+    """Moves one segment at a time. While the store fails, tries again after 1 to 60 s; the files stay in their folders.
+
+    A segment goes through three steps: `pack` reads its file, `create`
+    makes the object, and `settle` notes it and deletes the file. A host that is killed between two of them moves it
+    again, and finds the object.
+    """
+
+    def __init__(
+        self, store: SegmentStore, cache: ChunkCache, leftovers: Leftovers, seal_nanos: int, now: Callable[[], int]
+    ) -> None:
+        """`seal_nanos`: after so long an open segment is closed."""
+        self.store, self.cache = store, cache
+        self.failure = ""
+        """Why the store has failed last; empty: it works."""
+        self._leftovers, self._seal_nanos, self._now = leftovers, seal_nanos, now
+        self._recorders: dict[MovingFiles, ChannelRecorder] = {}
+        # the files of channels that are not recorded here any more, and whether a look has found their waiting segments
+        self._leaving: dict[MovingFiles, bool] = {}
+        self._former = FormerOwners()
+        self._moved_bytes = self._failures = self._looks = 0
+        self._threads = ThreadPoolExecutor(1, thread_name_prefix="archive-mover")
+        self.writer: Executor = self._threads
+        """The thread of the archive's writes, which alone changes files."""
+        self._task: asyncio.Task[None] | None = None
+        self._wake = asyncio.Event()
+
+    def start(self) -> None:
+        """Move from now on. Idempotent."""
+        if self._task is None:
+            self._task = asyncio.create_task(self._run(), name="archive-mover")
+            self._task.add_done_callback(_log_defect)
+
+    def record(self, recorder: ChannelRecorder) -> None:
+        """Move the closed segments of a channel that this host records."""
+        if isinstance(recorder.files, MovingFiles):
+            self._recorders[recorder.files] = recorder
+
+    def expect_former(self, recorder: ChannelRecorder) -> None:
+        """The channel has moved here, and its former owner still moves its last files to the store."""
+        if isinstance(recorder.files, MovingFiles):
+            self._former.expect(recorder.files)
+            self._wake.set()
+
+    def forget(self, recorder: ChannelRecorder) -> None:
+        """The host records the channel no more. Its segments go to the store all the same."""
+        if isinstance(recorder.files, MovingFiles) and self._recorders.pop(recorder.files, None) is not None:
+            self._former.forget(recorder.files)
+            self._leaving[recorder.files] = False
+            self._wake.set()
+
+    def reopening(self, channel_id: bytes) -> None:
+        """Another object opens the folder of a channel now."""
+        self._leftovers.take(channel_id)
+        for files in [one for one in self._leaving if one.stored.channel_id == channel_id]:
+            files.is_left = True
+            del self._leaving[files]
+
+    def delete(self, channel_id: bytes) -> None:
+        """The channel was deleted: delete its files and objects, now or after the next start."""
+        for files in (*self._recorders, *self._leaving):
+            if files.stored.channel_id == channel_id:
+                files.is_left = True
+        self.reopening(channel_id)
+        self._leftovers.condemn(channel_id)
+        self._wake.set()
+
+    def counts(self) -> MovedCounts:
+        """The numbers for the metrics."""
+        places = [one.stored for one in self._recorders]
+        waiting = sum(one.length for files in (*self._recorders, *self._leaving) for one in files.waiting)
+        return MovedCounts(
+            sum(one.stored_objects for one in places), sum(one.stored_bytes for one in places), waiting,
+            self._moved_bytes, self._failures, self.cache.used_bytes, self.cache.fetched_bytes,
+        )  # fmt: skip
+
+    async def _run(self) -> None:
+        back_off = BACK_OFF_SECONDS_MIN
+        while True:
+            failure = await self.move_all()
+            self._note(failure)
+            wait_s, back_off = self._pause(failure, back_off)
+            try:
+                async with asyncio.timeout(wait_s):
+                    await self._wake.wait()
+            except TimeoutError:
+                pass
+            self._wake.clear()
+            if failure:
+                await asyncio.sleep(BACK_OFF_SECONDS_MIN)
+
+    def _pause(self, failure: str, back_off: float) -> tuple[float, float]:
+        """How long to wait before the next look, and after the next failure."""
+        if failure:
+            return back_off, min(2 * back_off, BACK_OFF_SECONDS_MAX)
+        look_s = min(LOOK_SECONDS_MAX, self._seal_nanos / 4e9, self._former.due_s())
+        return max(LOOK_SECONDS_MIN, look_s), BACK_OFF_SECONDS_MIN
+
+    def _note(self, failure: str) -> None:
+        if failure and not self.failure:
+            logger.error(
+                "the object store of the archive fails; closed files stay on the disk of the host",
+                extra={"event": "archive_store_failed", "why": failure},
+            )
+        if self.failure and not failure:
+            logger.warning("the object store of the archive works again", extra={"event": "archive_store_recovered"})
+        self._failures += bool(failure)
+        self.failure = failure
+
+    async def move_all(self) -> str:
+        """Do all that is to do now. Returns why something failed, or an empty text."""
+        failures = [await self._tried(self._look())]
+        for files in (*self._recorders, *self._leaving):
+            for segment in files.waiting:
+                failures.append(await self._tried(self._move(files, segment)))
+                if failures[-1]:
+                    break
+            failures.append(await self._tried(self._delete_outdated(files)))
+            if self._leftovers_done(files):
+                del self._leaving[files]
+        for files in self._former.take_due():
+            failures.append(await self._tried(self._find_again(files)))
+        failures.append(await self._tried(self._leftovers.delete_condemned(self.in_thread)))
+        return next((one for one in failures if one), "")
+
+    def _leftovers_done(self, files: MovingFiles) -> bool:
+        return self._leaving.get(files, False) and (files.is_left or not (files.waiting or files.stored.outdated))
+
+    async def _tried(self, work: Awaitable[None]) -> str:
+        try:
+            await work
+        except OSError as error:
+            return error.strerror or str(error)
+        return ""
+
+    async def _look(self) -> None:
+        self._looks += 1
+        drops = self._looks % LOOKS_PER_DROP == 0
+        recorders, leaving = [*self._recorders.items()], [*self._leaving]
+
+        def look() -> list[MovingFiles]:
+            for files, recorder in recorders:
+                files.look(self._now(), self._seal_nanos, recorder.limits if drops else None)
+            for files in leaving:
+                files.look(self._now(), 0, None)
+            return self._leftovers.open_next()
+
+        opened = await self.in_writer(look)
+        for files, recorder in recorders if drops else ():
+            recorder.keep(files.segments)
+        for files in leaving:
+            if files in self._leaving:
+                self._leaving[files] = True
+        for files in opened:
+            if not self._leftovers.is_taken(files.stored.channel_id):  # it was opened meanwhile
+                self._leaving[files] = True
+                self._wake.set()
+
+    async def _move(self, files: MovingFiles, segment: Segment) -> None:
+        """Move one segment. Raises OSError."""
+        if files.is_left:
+            return
+        packed = await self.in_thread(lambda: files.stored.pack(segment))
+        if not await self.store.create(packed.name, packed.content):
+            await self.in_thread(lambda: files.check_same(packed))
+        segments = await self.in_writer(lambda: files.settle(packed))
+        self._moved_bytes += segment.length
+        files.waiting = tuple(one for one in files.waiting if one.number != segment.number)
+        recorder = self._recorders.get(files)
+        if recorder is not None:
+            recorder.keep(segments)
+
+    async def _find_again(self, files: MovingFiles) -> None:
+        """Look for files of the former owner. Raises OSError."""
+        epoch = files.epoch
+        found = await self.in_thread(lambda: files.stored.find(epoch))
+        segments = await self.in_writer(lambda: files.find_again(found))
+        recorder = self._recorders.get(files)
+        if recorder is not None:
+            recorder.keep(segments)
+            self._former.found(files)
+
+    async def _delete_outdated(self, files: MovingFiles) -> None:
+        names = files.stored.outdated[:DELETED_AT_ONCE]
+        if names and not files.is_left:
+            await self.in_thread(lambda: self.store.delete(names))
+            del files.stored.outdated[: len(names)]
+
+    async def in_thread(self, call: Callable[[], Result]) -> Result:
+        """Have a thread ask the store."""
+        return await asyncio.get_running_loop().run_in_executor(self._threads, call)
+
+    async def in_writer(self, call: Callable[[], Result]) -> Result:
+        """Have the thread of writes do something with the files."""
+        return await asyncio.get_running_loop().run_in_executor(self.writer, call)
+
+    async def close(self, seconds_max: float) -> None:
+        """Move what is closed, for `seconds_max` at most, and end."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait([self._task])
+        try:
+            async with asyncio.timeout(seconds_max):
+                await self.move_all()
+        except TimeoutError:
+            logger.warning("closed files of the archive stay on the disk", extra={"event": "archive_store_unfinished"})
+        self._threads.shutdown(wait=False)
+
+
+def _log_defect(task: asyncio.Task[None]) -> None:
+    """The moves have ended with a defect: closed files stay in their folders."""
+    if not task.cancelled() and (failure := task.exception()) is not None:
+        logger.error(
+            "a task of the host ended with a defect",
+            exc_info=failure,
+            extra={"event": "task_defect", "task": task.get_name()},
+        )

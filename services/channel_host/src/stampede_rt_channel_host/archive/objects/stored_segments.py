@@ -1,0 +1,181 @@
+"""The segments of one channel that are in an object store, beside those in its folder. Blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
+from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
+from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
+from stampede_rt_channel_host.core.archive.stored_segment import (
+    StoredSegment,
+    below,
+    decode_index,
+    encode_index,
+    first_number,
+    object_name,
+    segment_named,
+)
+
+OBJECTS = "channels"
+
+
+class Packed(NamedTuple):
+    """A closed segment as it goes to the store. `name`: of the object."""
+
+    segment: Segment
+    name: str
+    content: bytearray
+
+
+class StoredSegments(SegmentFolder):
+    """The segments of one channel in a folder and in an object store. A segment in both counts as in the folder.
+
+    Any threads read at the same time. One thread, that of the archive's writes, calls `find`, `settle` and `remove`.
+    """
+
+    def __init__(self, path: Path, cache: ChunkCache, store: SegmentStore) -> None:
+        super().__init__(path)
+        self.prefix = f"{OBJECTS}/{path.name}/"
+        self.outdated: list[str] = []
+        """The objects that have left the archive, and that the store still has."""
+        self._cache, self._store = cache, store
+        self.stored_bytes = 0
+        """The bytes of the channel's objects."""
+        self._stored: dict[int, StoredSegment] = {}
+        self._dropped_to = 0  # all segments up to this number have left the archive
+
+    @property
+    def channel_id(self) -> bytes:
+        """The id of the channel."""
+        return bytes.fromhex(self.path.name)
+
+    def find(self, epoch: int) -> dict[int, StoredSegment]:
+        """List the segments in the store, by their numbers. `epoch`: of the channel now. Raises StoreError.
+
+        It is an error if there are segments of a later epoch: then another host owns the channel. Ignores objects that
+        are no segments. Any thread may call it.
+        """
+        found = {}
+        for one in self._store.find(self.prefix):
+            segment = segment_named(one.name.removeprefix(self.prefix))
+            if segment is not None:
+                found[segment.number] = StoredSegment(segment, one.name, one.bytes)
+        latest = max(found, default=0)
+        if latest >= first_number(epoch + 1):
+            raise StoreError(
+                f"the object store {self._store.url} has files of a later owner of the channel ({found[latest].name}); "
+                "open the channel again"
+            )
+        return found
+
+    def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
+        """Take over the segments of a listing that are new. Returns them.
+
+        A segment that is in the folder, too, was moved before its file could be deleted, so its file is deleted. If the
+        object is too short, the file counts. Raises OSError.
+        """
+        new = []
+        for number, one in found.items():
+            if number in self._stored or number <= self._dropped_to:
+                continue
+            if self.file_of(number).exists():
+                if one.bytes <= one.segment.length:
+                    continue
+                self.file_of(number).unlink()
+            self._add(one)
+            new.append(one.segment)
+        return new
+
+    def _add(self, stored: StoredSegment) -> None:
+        self._stored[stored.segment.number] = stored
+        self.stored_bytes += stored.bytes
+
+    def is_stored(self, number: int) -> bool:
+        """Whether the store has the segment."""
+        return number in self._stored
+
+    @property
+    def stored_objects(self) -> int:
+        """The number of the channel's segments in the store."""
+        return len(self._stored)
+
+    def pack(self, segment: Segment) -> Packed:
+        """A closed segment of the folder with its index. Raises OSError."""
+        with self.opened(segment.number) as read_at:
+            content = bytearray(read_at(0, segment.length))
+        if len(content) < segment.length:
+            raise FileNotFoundError(f"the file of segment {segment.number} is shorter than it was")
+        blocks = scan(lambda at, size: bytes(content[at : at + size]), segment.length, check_contents=False).blocks
+        content += encode_index(below(blocks, segment.length, segment.end_seq))
+        return Packed(segment, self.prefix + object_name(segment), content)
+
+    def settle(self, packed: Packed) -> None:
+        """Note that the store has a segment, and delete its file. Raises OSError."""
+        segment = packed.segment
+        if segment.number not in self._stored:
+            self._add(StoredSegment(segment, packed.name, len(packed.content)))
+        self.file_of(segment.number).unlink(missing_ok=True)
+
+    def remove(self, number: int) -> None:
+        """Delete the file of a segment, and let its object be `outdated`. Raises OSError."""
+        super().remove(number)
+        stored = self._stored.pop(number, None)
+        self._dropped_to = max(self._dropped_to, number)
+        if stored is not None:
+            self.stored_bytes -= stored.bytes
+            self.outdated.append(stored.name)
+
+    @contextmanager
+    def opened(self, number: int) -> Iterator[ReadAt]:
+        """Open a segment: within the context the function reads its bytes."""
+        stored = self._stored.get(number)
+        if stored is not None and not self.file_of(number).exists():
+            yield self._reads(stored)
+            return
+        try:
+            with super().opened(number) as read_at:
+                yield read_at
+        except FileNotFoundError:
+            if (stored := self._stored.get(number)) is None:
+                raise
+            yield self._reads(stored)
+
+    def _reads(self, stored: StoredSegment) -> Callable[[int, int], bytes]:
+        end = stored.bytes
+        return lambda at, size: self._cache.read(stored.name, at, max(0, min(size, end - at)))
+
+    def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
+        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
+        stored = self._stored.get(segment.number)
+        if stored is None or self.file_of(segment.number).exists():
+            found = super().blocks(segment, begin)
+        else:
+            found = [one for one in self._indexed(stored) if one.offset >= begin]
+        return below(found, segment.length, segment.end_seq)
+
+    def _indexed(self, stored: StoredSegment) -> Sequence[PlacedBlock]:
+        """The blocks of an object, by its index, or, if this is damaged, by their heads."""
+        length = stored.segment.length
+        index = self._cache.read(stored.name, length, max(0, stored.bytes - length))
+        found = decode_index(index, length)
+        if found is not None:
+            return found
+        self._cache.forget(stored.name, length, stored.bytes - length)
+        return scan(self._reads(stored), min(length, stored.bytes), check_contents=False).blocks
+
+    def read_again(self, number: int, offset: int, size: int) -> bytes | None:
+        """Bytes of a segment from the store, past the cache; None: the segment is not there. Raises OSError."""
+        stored = self._stored.get(number)
+        if stored is None:
+            return None
+        self._cache.forget(stored.name, offset, size)
+        return self._cache.read(stored.name, offset, size)
+
+    def has_object(self, name: str, size: int) -> bool:
+        """Whether the store has this object of so many bytes. Raises StoreError."""
+        return any(one.name == name and one.bytes == size for one in self._store.find(self.prefix))

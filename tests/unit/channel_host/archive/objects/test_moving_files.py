@@ -1,0 +1,206 @@
+"""Segments that move to an object store: crashes between the steps, several hosts, and damaged and foreign objects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.core.archive import ArchivedRun, Hole, Segment
+from tests.support.channel_host.object_stores import PREFIX, FakeStore, move, moving_files, opened_files
+from tests.unit.channel_host.archive.test_archive_files import ALL, decode, seqs, write
+
+
+def cut(body: bytes, begin: int, end: int) -> bytes:
+    return b"%d cut" % (int(body.split(b" ")[0]) + begin)
+
+
+def found_by(files: MovingFiles) -> list[int]:
+    return seqs(files, files.segments)
+
+
+def host(tmp_path: Path, name: str, store: FakeStore, epoch: int) -> MovingFiles:
+    return opened_files(tmp_path / name, store, epoch, cut)
+
+
+def write_closed(files: MovingFiles, first: int, blocks: int = 2) -> tuple[Segment, ...]:
+    """Write a segment, and close it."""
+    segments = write(files, first, blocks)
+    files.look(2**62, 0, None)
+    return segments
+
+
+def local(tmp_path: Path, name: str) -> list[str]:
+    return sorted(path.name for path in (tmp_path / name / "channels").rglob("*.segment"))
+
+
+@pytest.mark.parametrize("steps", range(4))
+@pytest.mark.asyncio
+async def test_a_host_that_is_killed_between_any_steps_of_a_move_loses_and_doubles_nothing(
+    tmp_path: Path, steps: int
+) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    write_closed(files, 1)
+    write_closed(files, 5)
+    await move(files, store, steps=steps)
+    assert len(local(tmp_path, "a")) == (0 if steps == 3 else 2)
+    files = host(tmp_path, "a", store, 2)  # the process was killed and starts again
+    assert found_by(files) == [1, 2, 3, 4, 5, 6, 7, 8]
+    write_closed(files, 9)
+    await move(files, store)
+    assert local(tmp_path, "a") == []
+    assert len(store.objects) == 3
+    assert found_by(files) == [*range(1, 13)]
+    assert found_by(host(tmp_path, "b", store, 3)) == [*range(1, 13)]
+
+
+@pytest.mark.asyncio
+async def test_the_next_owner_reads_what_had_moved_and_the_former_one_cannot_disturb_it(tmp_path: Path) -> None:
+    store = FakeStore()
+    former = host(tmp_path, "a", store, 1)
+    write_closed(former, 1)
+    await move(former, store)
+    write_closed(former, 5)  # this one is not moved before the host loses its lease
+    owner = host(tmp_path, "b", store, 2)
+    assert found_by(owner) == [1, 2, 3, 4]
+    write_closed(owner, 5, 1)
+    await move(owner, store)
+    before = dict(store.objects)
+    await move(former, store)  # the former owner goes on, and does not know better
+    assert {name: store.objects[name] for name in before} == before
+    assert found_by(owner) == [1, 2, 3, 4, 5, 6]
+    assert found_by(host(tmp_path, "c", store, 3)) == [1, 2, 3, 4, 5, 6]
+    with pytest.raises(StoreError, match="later owner"):
+        host(tmp_path, "a", store, 1)
+
+
+@pytest.mark.asyncio
+async def test_the_new_host_of_a_moved_channel_takes_over_the_last_files_of_the_former_one(tmp_path: Path) -> None:
+    store = FakeStore()
+    former = host(tmp_path, "a", store, 1)
+    write_closed(former, 1)
+    await move(former, store)
+    write(former, 5, 3)
+    new = host(tmp_path, "b", store, 2)
+    new.write([[ArchivedRun(9, decode(cut(b"7", 1, 2)))]], ArchiveLimits(None, None))  # memory began amid a run
+    assert found_by(new) == [1, 2, 3, 4, 8, 9]
+    assert new.lacks_items()
+    window = new.load(new.segments, ALL, decode, lambda: None)
+    assert window.holes == [Hole(5, 7, 3)]
+    former.close(None)
+    await move(former, store)
+    assert seqs(new, new.find_again(new.stored.find(2))) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert not new.lacks_items()
+    new.close(None)
+    await move(new, store)
+    assert found_by(host(tmp_path, "c", store, 3)) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+
+
+@pytest.mark.asyncio
+async def test_limits_remove_objects_and_only_those_of_the_channel(tmp_path: Path) -> None:
+    store = FakeStore()
+    foreign = {PREFIX + "notes.txt": b"mine", "channels/ff/1.segment": b"x", "other": b"y", PREFIX + "a/b": b"z"}
+    store.objects.update(foreign)
+    files = host(tmp_path, "a", store, 1)
+    for first in (1, 5, 9):
+        write_closed(files, first)
+    await move(files, store)
+    files.look(10**18, 10**18, ArchiveLimits(10, None))
+    assert len(files.stored.outdated) == 2
+    assert found_by(files) == [9, 10, 11, 12]
+    again = files.find_again(files.stored.find(1))  # the objects are still there
+    assert seqs(files, again) == [9, 10, 11, 12]
+    store.delete(files.stored.outdated)
+    assert len(store.objects) == len(foreign) + 1
+    assert {name: store.objects[name] for name in foreign} == foreign
+
+
+@pytest.mark.asyncio
+async def test_a_flipped_bit_in_an_object_costs_its_block_only_and_a_flipped_index_nothing(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    segments = write_closed(files, 1, 3)
+    await move(files, store)
+    [(name, good)] = store.objects.items()
+    for at, expected in ((good.index(b"3 "), [1, 2, 5, 6]), (segments[0].length + 3, [1, 2, 3, 4, 5, 6])):
+        store.objects[name] = good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :]
+        other = host(tmp_path, "b", store, 2)
+        assert found_by(other) == expected
+        assert other.damaged_blocks == (1 if len(expected) == 4 else 0)
+
+
+@pytest.mark.asyncio
+async def test_an_object_cut_at_any_byte_answers_with_the_whole_blocks_and_no_error(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    write_closed(files, 1, 3)
+    await move(files, store)
+    [(name, good)] = store.objects.items()
+    for size in range(0, len(good), 29):
+        store.objects[name] = good[:size]
+        found = found_by(host(tmp_path, "b", store, 2))
+        assert found == list(range(1, len(found) + 1))
+
+
+@pytest.mark.asyncio
+async def test_damage_in_the_cache_on_disk_is_found_and_the_object_is_read_again(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    write_closed(files, 1, 3)
+    await move(files, store)
+    other = host(tmp_path, "b", store, 2)
+    assert found_by(other) == [1, 2, 3, 4, 5, 6]
+    for path in (tmp_path / "b" / "cache").iterdir():
+        path.write_bytes(bytes(path.stat().st_size))
+    assert found_by(other) == [1, 2, 3, 4, 5, 6]
+    assert other.damaged_blocks == 0
+
+
+@pytest.mark.asyncio
+async def test_an_object_of_the_same_name_with_other_bytes_is_neither_overwritten_nor_believed(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    write_closed(files, 1)
+    packed = files.stored.pack(files.waiting[0])
+    store.objects[packed.name] = b"something else"
+    with pytest.raises(StoreError, match="other bytes"):
+        await move(files, store)
+    assert store.objects == {packed.name: b"something else"}
+    assert found_by(host(tmp_path, "a", store, 2)) == [1, 2, 3, 4]  # the file counts
+
+
+@pytest.mark.asyncio
+async def test_an_archive_of_10_000_objects_opens_with_one_listing(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    write_closed(files, 1, 1)
+    await move(files, store)
+    [(name, content)] = store.objects.items()
+    fields = name.removeprefix(PREFIX).split("_")
+    for number in range(2, 10_001):
+        seq = 2 * number - 1
+        fields[0], fields[3:] = (
+            f"{10**9 + number:018}",
+            [str(seq), str(seq + 2), f"{seq}.{seq}", f"{seq + 1}.{seq + 1}"],
+        )
+        store.objects[f"{PREFIX}{'_'.join(fields)}_0.segment"] = content
+    store.calls.clear()
+    other = host(tmp_path, "b", store, 2)
+    segments = other.segments
+    assert len(segments) == 10_000
+    assert segments[-1].end_seq == 20_001
+    assert store.calls == [f"find {PREFIX}"]
+
+
+def test_a_store_that_is_away_refuses_to_open_a_channel_with_a_reason(tmp_path: Path) -> None:
+    store = FakeStore()
+    store.failure = "the network is down"
+    with pytest.raises(StoreError, match="network is down"):
+        host(tmp_path, "a", store, 1)
+    assert moving_files(tmp_path / "a", store).waiting == ()

@@ -1,0 +1,275 @@
+"""The archive of a host with an object store: moves in the background, a store that fails, and what a host leaves."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, DiskUse
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.objects import segment_mover
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Run, make_run
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.records import RecordedChannel
+from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore
+from tests.support.waiting import until
+from tests.unit.channel_host.archive.test_archive_files import ALL
+
+SECONDS_MAX = 10
+
+
+def record(epoch: int) -> RecordedChannel:
+    return RecordedChannel(
+        channel_id=CHANNEL, name="cam", policy=Policy(archive_nanos=10**18), host_id=b"h" * 16, epoch=epoch,
+        incarnation=epoch, spec_version=1, message=b"",
+    )  # fmt: skip
+
+
+def decode(body: bytes) -> Run:
+    seq = int(body)
+    return make_run(seq, [seq], None, [7], body)
+
+
+class Host:
+    """One host with its archive, which writes items of one payload byte. `seal_seconds`: see ObjectSettings."""
+
+    def __init__(self, path: Path, store: FakeStore, bytes_max: int = 2**30) -> None:
+        folder = ArchiveFolder(path)
+        folder.open(b"h" * 16)
+        self.path, self.clock = path, 0
+        objects = ObjectArchive(ObjectSettings(store, 2**20, 60), folder, slice_run, lambda: self.clock)
+        self.disk = DiskUse(bytes_max)
+        self.archive = HostArchive(folder, decode, self.disk, lambda: self.clock, objects)
+        self.mover = objects.mover
+
+    async def serve(self, epoch: int) -> ChannelRecorder:
+        """Record the channel here from now on."""
+        files, found = await self.archive.open(record(epoch))
+        channel = ChannelCore(Policy(max_items=4), incarnation=epoch)
+        channel.restore((), after=None, next_seq=max((one.end_seq for one in found.segments), default=1), loss=(0, 0))
+        disk = self.disk.of_channel(CHANNEL, "")
+        recorder = ChannelRecorder(channel, files, found.segments, disk)
+        self.archive.record(recorder)
+        self.channel, self.recorder = channel, recorder
+        return recorder
+
+    async def write(self, count: int = 1) -> None:
+        """Accept items, write them, and let so much time pass that the host closes the file."""
+        for _ in range(count):
+            self.clock += 1
+            self.recorder.check_room(7)
+            offer = Offer(times=[self.channel.next_seq], durations=None, lengths=[7])
+            self.channel.put(offer, self.clock, lambda first_seq, kept, stamped: b"%d" % first_seq)
+            self.recorder.note(self.clock)
+        self.archive.touch(self.recorder, lambda: None)
+        await self.archive.write_all()
+        self.clock += 61 * 10**9
+
+    def read(self) -> list[int]:
+        window = self.recorder.files.load(self.recorder.segments, ALL, decode, lambda: None)
+        return [one.first_seq for one in window.items.slices(FIRST_KEY, LAST_KEY)]
+
+    def local(self) -> list[str]:
+        return [path.name for path in (self.path / "channels").rglob("*.segment")]
+
+    async def close(self) -> None:
+        await self.archive.close([self.recorder] if hasattr(self, "recorder") else [], 0)
+
+
+@pytest.fixture(autouse=True)
+def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MIN", 0.01)
+    monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MAX", 0.05)
+
+
+@asynccontextmanager
+async def host(path: Path, store: FakeStore, bytes_max: int = 2**30) -> AsyncIterator[Host]:
+    one = Host(path, store, bytes_max)
+    try:
+        yield one
+    finally:
+        await one.close()
+
+
+async def fill(one: Host) -> None:
+    """Write until the limit of the disk refuses an item."""
+    while True:  # each write takes some of the room
+        await one.write()
+
+
+@pytest.mark.asyncio
+async def test_closed_files_move_and_give_their_room_on_the_disk_back(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        for _ in range(3):
+            await one.write()
+            assert not await one.mover.move_all()
+        assert len(store.objects) == 3
+        assert one.local() == []
+        assert one.disk.used_bytes == FOLDER_BYTES
+        counts = one.mover.counts()
+        assert (counts.objects, counts.waiting_bytes, counts.failures) == (3, 0, 0)
+        assert counts.bytes == sum(map(len, store.objects.values()))
+        assert one.read()[:3] == [1, 2, 3]
+        assert one.mover.counts().fetched_bytes > 0
+
+
+@pytest.mark.asyncio
+async def test_while_the_store_is_away_files_stay_up_to_the_limit_of_the_disk_and_move_afterwards(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store, bytes_max=FOLDER_BYTES + 5000) as one:
+        await one.serve(1)
+        one.archive.start()
+        store.failure = "connection refused"
+        await one.write()
+        await until(lambda: one.mover.failure)
+        assert one.mover.counts().waiting_bytes > 0
+        assert one.archive.store_failure == "connection refused"
+        with pytest.raises(Overloaded, match="--archive-bytes-max"):
+            await fill(one)
+        assert one.read()[:4] == [1, 2, 3, 4], "live and archived reads go on"
+        store.failure = ""
+        await until(lambda: one.local() == [] and not one.mover.failure)
+        await one.write()
+        assert one.mover.counts().failures > 0
+    events = [getattr(line, "event", "") for line in caplog.records]
+    assert [events.count(f"archive_store_{what}") for what in ("failed", "recovered")] == [1, 1]
+
+
+@pytest.mark.asyncio
+async def test_a_host_that_stops_moves_what_it_has_closed(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write(3)
+    assert one.local() == []
+    assert len(store.objects) == 1
+
+
+@pytest.mark.asyncio
+async def test_a_store_that_does_not_answer_does_not_keep_a_host_from_stopping(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Hanging(FakeStore):
+        async def create(self, name: str, content: bytes | bytearray) -> bool:
+            await asyncio.Event().wait()
+            return True
+
+    monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.CLOSE_SECONDS_MAX", 0.2)
+    async with asyncio.timeout(SECONDS_MAX), host(tmp_path, Hanging()) as one:
+        await one.serve(1)
+        await one.write()
+        one.archive.start()
+    assert "stay on the disk" in caplog.text
+    assert len(one.local()) == 1
+
+
+@pytest.mark.asyncio
+async def test_the_files_of_a_channel_that_moved_away_follow_it_now_or_after_a_restart(tmp_path: Path) -> None:
+    store = FakeStore()
+    store.failure = "away"
+    async with host(tmp_path, store) as one:
+        store.failure = ""
+        await one.serve(1)
+        await one.write()
+        one.archive.forget(one.recorder)
+        del one.recorder
+        store.failure = "away"
+        assert await one.mover.move_all() == "away"
+    store.failure = ""
+    assert len(one.local()) == 1
+    async with host(tmp_path, store) as again:
+        again.archive.start()
+        await until(lambda: again.local() == [])
+        assert len(store.objects) == 1
+
+
+@pytest.mark.asyncio
+async def test_a_channel_that_moved_here_gets_the_last_files_of_its_former_owner(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write()
+        recorder = await new.serve(2)
+        new.mover.expect_former(recorder)
+        new.archive.start()
+        former.archive.forget(former.recorder)
+        del former.recorder
+        assert not await former.mover.move_all()
+        await until(lambda: recorder.segments)
+        assert new.read()[:1] == [1]
+
+
+@pytest.mark.asyncio
+async def test_deleting_a_channel_removes_its_files_and_objects_and_nothing_else_even_after_a_restart(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    foreign = {"channels/ff/x": b"1", PREFIX + "notes": b"2"}
+    store.objects.update(foreign)
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        for _ in range(2):
+            await one.write()
+            await one.mover.move_all()
+        await one.write()
+        store.failure = "away"
+        one.archive.forget(one.recorder)
+        del one.recorder
+        one.archive.delete(CHANNEL)
+        assert await one.mover.move_all() == "away"
+    store.failure = ""
+    async with host(tmp_path, store) as again:
+        assert not await again.mover.move_all()
+    assert store.objects == foreign
+    assert [*(tmp_path / "channels").iterdir()] == []
+
+
+@pytest.mark.asyncio
+async def test_the_limits_of_an_idle_channel_remove_its_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(segment_mover, "LOOKS_PER_DROP", 1)
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        for _ in range(3):
+            await one.write()
+            await one.mover.move_all()
+        one.recorder.limit(ArchiveLimits(10**9, None))
+        assert not await one.mover.move_all()
+        assert len(store.objects) == 1  # the last one stays
+        assert len(one.recorder.segments) == 1
+
+
+@pytest.mark.asyncio
+async def test_no_call_of_the_store_runs_on_the_event_loop(tmp_path: Path) -> None:
+    class Watching(FakeStore):
+        def _call(self, what: str) -> None:
+            super()._call(what)
+            if not what.startswith("create"):
+                with pytest.raises(RuntimeError):
+                    asyncio.get_running_loop()
+
+    store = Watching()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write()
+        assert not await one.mover.move_all()
+        one.archive.delete(CHANNEL)
+        assert not await one.mover.move_all()
+    assert {what.split()[0] for what in store.calls} == {"find", "create", "delete"}
