@@ -23,6 +23,7 @@ from stampede_rt_channel_host.core.archive import (
     WantedWindow,
 )
 from stampede_rt_channel_host.core.channel import (
+    FIRST_KEY,
     AllCursor,
     ChannelCore,
     ChannelSnapshot,
@@ -36,7 +37,7 @@ from stampede_rt_channel_host.core.channel import (
     make_run,
     run_to_end,
 )
-from stampede_rt_channel_host.core.group import Horizon, RecordedView
+from stampede_rt_channel_host.core.group import Horizon, RecordedStep, RecordedView, VisibleAll
 
 
 class ArchivedChannel:
@@ -58,6 +59,7 @@ class ArchivedChannel:
         self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
         self._files: dict[int, bytes] = {}
         self.segments: list[Segment] = []
+        self.step: RecordedStep | None = None  # of the subscription through a group
 
     def put(self, offer: Offer, now: int) -> PutOutcome:
         self.now = max(self.now, now)
@@ -130,6 +132,38 @@ class ArchivedChannel:
         finally:
             moment.close()
 
+    def take_in_group(self, place: VisibleAll, horizon: Horizon, limit_bytes: int) -> SubscriptionBatch:
+        """The next part of a subscription through a group, from the archive if memory does not have it."""
+        step = self.step = self.step or place.unheld_step(horizon, self.now)
+        if step is None:
+            return place.take(horizon, self.now, limit_bytes)
+        if step.late is not None:
+            self._find_late(step, limit_bytes)
+        elif not step.is_read:
+            view = self.view(step.query, Horizon(step.target, lambda: "the step"))
+            step.take_page(view.answer, continues=view.continues, lacks=view.lacks)
+        batch = step.batch(limit_bytes)
+        if step.is_over and batch.is_empty:
+            self.step = None
+            place.skip_to(step, self.now)
+        return replace(batch, more=True)
+
+    def _find_late(self, step: RecordedStep, limit_bytes: int) -> None:
+        assert step.late is not None
+        held, _ = self.channel.look(self.now)
+        end = held.held_up_to(*step.late, 4)
+        if end == step.late[0] and end < self._archived_to:
+            part = self._load_part((end, min(step.late[1], self._archived_to)), limit_bytes)
+            found = part.items.slices_by_seq(*step.late, FIRST_KEY)
+            step.take_late(found, lambda time: archive.next_time_of(part, held.next_time, time), part.end_seq)
+        else:
+            step.take_late(held.slices_by_seq(step.late[0], end), held.next_time, end)
+
+    def _load_part(self, missing: tuple[int, int], limit_bytes: int) -> archive.ArchivedPart:
+        chosen = archive.choose_part(self.segments, self._blocks_of, missing, bytes_max=limit_bytes)
+        runs = [run for segment, block in (*chosen.blocks, *chosen.among) for run in self._runs_of(segment, block)]
+        return archive.part_of(runs, chosen)
+
     def read_in_group(self, query: Query, horizon: Horizon) -> ReadAnswer:
         """The answer before a cut, in as many requests as a host would need."""
         within, left, answers = None, query, []
@@ -184,10 +218,8 @@ class ArchivedChannel:
         missing = self.channel.missing(cursor, self.now)
         if missing is None:
             return self.channel.since(cursor, self.now, limit_bytes)
-        chosen = archive.choose_part(self.segments, self._blocks_of, missing, bytes_max=limit_bytes)
-        runs = [run for segment, block in (*chosen.blocks, *chosen.among) for run in self._runs_of(segment, block)]
+        part = self._load_part(missing, limit_bytes)
         held, _ = self.channel.look(self.now)
-        part = archive.part_of(runs, chosen)
         return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:

@@ -122,6 +122,18 @@ def test_a_long_read_through_a_group_comes_in_pages_of_one_cut(rt: st.Connection
     assert items.cut == began + 9 * MS
 
 
+def test_a_subscription_through_a_group_begins_in_the_archive_and_goes_on_live(rt: st.Connection) -> None:
+    rig = Rig(rt, "subscribed")
+    with rig.group[rig.camera].subscribe(start=rig.began + 20 * MS) as items:
+        assert [int(next(items).payload) for _ in range(100)] == list(range(20, 120))
+        for channel in (rig.camera, rig.imu):
+            rig.put(channel, ITEMS, ITEMS + 100)  # memory loses items that the reader has not taken yet
+        assert [int(next(items).payload) for _ in range(ITEMS - 21)] == list(range(120, ITEMS + 99))
+        assert items.dropped == 0
+    with rig.group[rig.camera].subscribe(start=st.OLDEST) as items:
+        assert [int(next(items).payload) for _ in range(3)] == [0, 1, 2]
+
+
 def test_a_cross_section_of_the_past_is_read_from_the_archives(rt: st.Connection) -> None:
     rig = Rig(rt, "section")
     for camera, imu in ((rig.camera, rig.imu), (rig.group[rig.camera], rig.group[rig.imu])):

@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor, SubscriptionBatch
 
 
@@ -46,6 +47,11 @@ class Cursor(Protocol):
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         """Take the next items, about `limit_bytes` bytes. Returns an empty batch if there are no new items."""
+
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        """As `take`, if memory does not have the next items any more; else None. Raises Unavailable."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """The progress of the subscription, as the reader gets it."""

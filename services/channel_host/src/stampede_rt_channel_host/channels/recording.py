@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 from stampede_rt.errors import Unavailable
@@ -24,6 +25,7 @@ from stampede_rt_channel_host.core.archive import (
     Wanted,
     WantedWindow,
     deliver,
+    next_time_of,
     reaches,
     resolved,
     resolved_now,
@@ -44,6 +46,7 @@ from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_a
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 RESTORED_BYTES = 2**20
+ENTRIES_PER_LOOK = 1024
 _NOT_ARCHIVED = Reason(
     "COLLECTED",
     "the archive does not have the items: its limits have removed them, max_bytes collected them before they were "
@@ -200,6 +203,21 @@ class Recording:
         part = await self._load_part(missing, limit_bytes)
         held, _ = self._channel.look(now())
         return deliver(cursor, missing, part, held.next_time, _NOT_ARCHIVED, limit_bytes)
+
+    async def items_from(
+        self, seqs: tuple[int, int], bytes_max: int, now: Callable[[], int]
+    ) -> tuple[Iterable[Slice], Callable[[int], int | None], int]:
+        """The first of these seqs that memory or the archive has: the items, a function that gives the time of the next
+        bucket after a time, and the seq up to which these are all. Raises Unavailable if the archive cannot be read.
+        """
+        held, _ = self._channel.look(now())
+        end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
+        if end == seqs[0] and end < self.recorder.archived_to:
+            part = await self._load_part((end, min(seqs[1], self.recorder.archived_to)), bytes_max)
+            held, _ = self._channel.look(now())
+            return part.items.slices_by_seq(*seqs, FIRST_KEY), partial(next_time_of, part, held.next_time), part.end_seq
+        end = seqs[1] if end == seqs[0] else end
+        return held.slices_by_seq(seqs[0], end), held.next_time, end
 
     async def _load_part(self, missing: tuple[int, int], limit_bytes: int) -> ArchivedPart:
         for tries_left in reversed(range(TRIES)):

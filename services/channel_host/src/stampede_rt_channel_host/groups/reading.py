@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -19,7 +20,9 @@ from stampede_rt_channel_host.channels.gets.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
+from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import (
     Pending,
     Pieces,
@@ -35,6 +38,7 @@ from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, Visi
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroup, CopiedGroups
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.recorded_gets import is_over, read_recorded_in_group, reads_archive
+from stampede_rt_channel_host.groups.recorded_subscriptions import RecordedSteps, resolved_start
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
 from stampede_rt_runtime.access.control import check_access
@@ -193,7 +197,11 @@ class GroupReads:
         if not await group.reach(seen, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
         self._check_served(hosted)
-        cursor = _cursor(group, hosted, opening, self._groups.channels.now())
+        where = beginning_of(opening)
+        if where.get("start") is not None and hosted.copy is None:
+            where["start"] = await resolved_start(hosted, self._groups.channels, group.horizon(), where["start"])
+            self._check_served(hosted)
+        cursor = _cursor(group, hosted, opening, where, self._groups.channels)
         group.cut_observers.add(observer)
         try:
             yield cursor
@@ -213,16 +221,26 @@ class _All:
 
     skipped = 0
 
-    def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
+    def __init__(
+        self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleAll, steps: RecordedSteps
+    ) -> None:
         self._group = group
         self._incarnation = group.record.incarnation
         self._hosted = hosted
         self._cursor = cursor
+        self._steps = steps
         self.emptying = cursor.emptying
 
     @property
     def saved(self) -> SavedCursor | None:
-        return self._cursor.saved
+        return None if self._steps.under_way else self._cursor.saved
+
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        self._group.check_incarnation(self._incarnation)
+        member_of(self._group, self._hosted)
+        return await self._steps.take(recording, self._group.horizon(), limit_bytes)
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         self._group.check_incarnation(self._incarnation)
@@ -251,6 +269,11 @@ class _Newest:
     def skipped(self) -> int:
         return self._cursor.skipped
 
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        return None
+
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         self._group.check_incarnation(self._incarnation)
         member_of(self._group, self._hosted)
@@ -261,12 +284,14 @@ class _Newest:
 
 
 def _cursor(
-    group: HostedGroup | CopiedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, now: int
-) -> _All | _Newest:
-    where, horizon = beginning_of(opening), group.horizon()
+    group: HostedGroup | CopiedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, where: dict[str, Any],
+    channels: ChannelStore,
+) -> _All | _Newest:  # fmt: skip
+    horizon, now = group.horizon(), channels.now()
     if is_newest(opening):
         return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
-    return _All(group, hosted, VisibleAll(hosted.channel, horizon, now, **where))
+    place = VisibleAll(hosted.channel, horizon, now, archived=hosted.recording is not None, **where)
+    return _All(group, hosted, place, RecordedSteps(channels, place))
 
 
 def member_of(group: HostedGroup | CopiedGroup, hosted: HostedChannel) -> HostedChannel:

@@ -7,6 +7,7 @@ no delay, and a busy stream sends large messages.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
@@ -17,6 +18,7 @@ from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.requests import (
     beginning_of,
     is_newest,
@@ -60,9 +62,10 @@ class _All:
     def saved(self) -> SavedCursor:
         return self._cursor.saved(self._channel.incarnation)
 
-    @property
-    def place(self) -> AllCursor:
-        return self._cursor
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        return await recording.since(self._cursor, limit_bytes, now)
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         return self._channel.since(self._cursor, now, limit_bytes)
@@ -85,6 +88,11 @@ class _Newest:
     @property
     def skipped(self) -> int:
         return self._cursor.skipped
+
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        return None
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         latest = self._channel.latest(self._cursor, now)
@@ -240,8 +248,8 @@ class Subscription(ChangeObserver):
     async def _take(self, cursor: Cursor, now: int, limit_bytes: int) -> SubscriptionBatch:
         """The next part: from the archive if memory does not have it any more."""
         recording = self._hosted.recording
-        if recording is not None and isinstance(cursor, _All):
-            archived = await recording.since(cursor.place, limit_bytes, self._store.now)
+        if recording is not None:
+            archived = await cursor.from_archive(recording, limit_bytes, self._store.now)
             if archived is not None:
                 return archived
         return cursor.take(now, limit_bytes)

@@ -9,7 +9,13 @@ The shell, `stampede_rt_channel_host.archive`, has these duties:
   window that the read wants (`choose`, `decode_items`, `window_of`), and sends the answer.
 """
 
-from stampede_rt_channel_host.core.archive.archived_part import ArchivedPart, choose_part, deliver, part_of
+from stampede_rt_channel_host.core.archive.archived_part import (
+    ArchivedPart,
+    choose_part,
+    deliver,
+    next_time_of,
+    part_of,
+)
 from stampede_rt_channel_host.core.archive.archived_read import (
     ArchivedRead,
     WantedWindow,
@@ -120,6 +126,7 @@ __all__ = [
     "grown",
     "holes",
     "is_whole",
+    "next_time_of",
     "nothing_left",
     "part_of",
     "past_moment",

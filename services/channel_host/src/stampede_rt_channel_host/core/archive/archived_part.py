@@ -106,7 +106,7 @@ def deliver(
         wanted = _belonging(piece, cursor)
         if wanted is not None:
             wanted = wanted.within(limit_bytes)
-            slices.append(DeliveredSlice(wanted, _next_time(part, next_held, wanted.last_time)))
+            slices.append(DeliveredSlice(wanted, next_time_of(part, next_held, wanted.last_time)))
             limit_bytes -= wanted.charge_bytes
             cursor.delivered += wanted.items
             first = wanted.end_seq
@@ -131,6 +131,7 @@ def _belonging(piece: Slice, cursor: AllCursor) -> Slice | None:
     return Slice(piece.run, lo, piece.hi) if lo < piece.hi else None
 
 
-def _next_time(part: ArchivedPart, next_held: Callable[[int], int | None], time: int) -> int | None:
+def next_time_of(part: ArchivedPart, next_held: Callable[[int], int | None], time: int) -> int | None:
+    """The time of the next bucket after `time` in a part or in memory, or None."""
     found = (part.items.next_time(time), part.following, next_held(time))
     return min((one for one in found if one is not None and one > time), default=None)

@@ -72,6 +72,7 @@ class ArchivedRead:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
         self.continues = False
         self.within = within
+        self.lacks = 0  # the items of the answer that the archive lacks
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
         # the read wants no archived items from `_border` on, and no hole after `_last_instant` concerns it
@@ -219,7 +220,7 @@ class ArchivedRead:
             lacking = {one for one in lacking if one.start <= slices[-1].last_time}
         if not lacking:
             return None
-        count = sum(one.items for one in lacking)
+        self.lacks = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
         return Reason(
             "LOST",

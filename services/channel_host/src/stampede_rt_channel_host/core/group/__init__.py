@@ -13,7 +13,8 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
   one cut use a `Horizon` with that cut, even when the group's cut has advanced. The shell polls blocked gets after each
   change of the channel and of the cut.
 - A read that may want archived items performs the reads of a `RecordedView`. `reaches_archive` tells which reads do.
-- Subscriptions through a group use `VisibleAll` or `VisibleNewest`.
+- Subscriptions through a group use `VisibleAll` or `VisibleNewest`. For a recorded channel the shell performs each
+  `RecordedStep` that `VisibleAll.unheld_step` returns.
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
@@ -33,6 +34,7 @@ from stampede_rt_channel_host.core.group.cut import (
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, StepPart
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
+from stampede_rt_channel_host.core.group.recorded_steps import RecordedStep
 from stampede_rt_channel_host.core.group.recorded_view import RecordedView, reaches_archive
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
@@ -60,6 +62,7 @@ __all__ = [
     "Matcher",
     "Nearest",
     "OwnTimes",
+    "RecordedStep",
     "RecordedView",
     "RemoteTrack",
     "StepPart",

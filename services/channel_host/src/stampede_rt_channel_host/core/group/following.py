@@ -14,7 +14,7 @@ from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Pieces, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
-from stampede_rt_channel_host.core.group.loss_counter import LossCounter, newest_gone, split_at
+from stampede_rt_channel_host.core.group.loss_counter import LOOKED_AT_MAX, LossCounter, newest_gone, split_at
 from stampede_rt_channel_host.core.merging import Merge
 
 
@@ -64,12 +64,13 @@ class CutFollower:
         *,
         next_seq: int | None = None,
         incarnation: int | None = None,
+        archived: bool = False,
     ) -> None:
         """Begin at the cut. With `next_seq`, continue from the cut and `next_seq` that a reader kept.
 
         `incarnation` is the incarnation in which the reader kept them. If it is another one than the channel's, the
         first step reports a loss, and all present items count as late or new. If it is None, the follower
-        does not compare.
+        does not compare. `archived`: the caller finds collected items in an archive.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -89,7 +90,7 @@ class CutFollower:
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)
             next_seq = 1
-        elif next_seq is not None and _reaches(held, cut):
+        elif next_seq is not None and not archived and _reaches(held, cut):
             self._unreported = _collected(channel, held, 0, 1, is_exact=False)
         self._loss_counter = LossCounter(held, _key(cut), channel.next_seq if next_seq is None else next_seq)
 
@@ -111,6 +112,22 @@ class CutFollower:
         if self.under_way or self.cut is None or cut > self.cut:
             return True
         return cut == self.cut and self._channel.next_seq != self.next_seq
+
+    def is_held(self, now: int) -> bool:
+        """Whether memory has all that the next step may bring. False if there is much to look at."""
+        held, _ = self._channel.look(now)
+        end = self._channel.next_seq
+        return not _reaches(held, self.cut) and held.held_up_to(self.next_seq, end, LOOKED_AT_MAX) >= end
+
+    def unheld_rest(self, now: int) -> tuple[ItemKey, int, int] | None:
+        """If memory has lost items of the present step: the key below which the reader has them all, the step's cut and
+        the end of its seqs. None: it has not, or there are late items to take first.
+        """
+        held, _ = self._channel.look(now)
+        is_whole = held.floor <= self._range_start or not _reaches(held, self._range_start[0])
+        if is_whole or not self._is_searched or self._late_rest is not None:
+            return None
+        return self._range_start, self._target[0], self._seq_end
 
     def begin(self, cut: int) -> None:
         """Begin a step. Items before `cut` that the channel accepts from now on are late: the next step brings them."""

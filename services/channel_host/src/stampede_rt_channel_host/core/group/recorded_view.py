@@ -101,7 +101,8 @@ class RecordedView:
 
     Order of use: the caller performs each read of `reads`, one after the other. Then `answer` is the answer, and
     `released_by` says when a read that waits may get another one. `within` is the resolved interval; None: a meta-time
-    has no instant yet. `continues` says whether the answer was cut off for its length. The caller closes the moment.
+    has no instant yet. `continues` says whether the answer was cut off for its length. `lacks` is the number of
+    items that the archive lacks. The caller closes the moment.
     """
 
     answer: ReadAnswer
@@ -109,6 +110,7 @@ class RecordedView:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, horizon: Horizon) -> None:
         self.horizon = horizon
         self.continues = self.hides = False
+        self.lacks = 0
         self.within: ResolvedInterval | None = None
         self.released_by: int | None = None
         """The cut with which the answer changes, if it is in the archive; None: memory tells."""
@@ -129,7 +131,7 @@ class RecordedView:
         yield from self._look_for_hidden(within)
         read = _VisibleRead(self._moment, self._span, self._query, within, self)
         yield read
-        self.answer, self.continues = read.answer(), read.continues
+        self.answer, self.continues, self.lacks = read.answer(), read.continues, read.lacks
         if waits and not self.answer.complete:
             yield from self._look_for_release(within)
 

@@ -18,6 +18,7 @@ from stampede_rt_channel_host.core.channel import (
 )
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
+from stampede_rt_channel_host.core.group.recorded_steps import RecordedStep
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
 STEP_BYTES_MAX = 2**20
@@ -48,8 +49,9 @@ class VisibleAll:
         start_exclusive: bool = False,
         after: Position | None = None,
         saved: SavedCursor | None = None,
+        archived: bool = False,
     ) -> None:
-        """Begin a subscription.
+        """Begin a subscription. `archived`: the caller takes `unheld_step`, and finds its items in an archive.
 
         Raises InvalidArgument if both `start` and `after` are given, if `after` has no seq, or if `saved` comes from a
         subscription without a group. Raises IncarnationLost if `after` or `saved` is of another incarnation.
@@ -70,7 +72,30 @@ class VisibleAll:
         elif start is not None and cut is not None:
             low = VisibleReading(channel, horizon, now).resolve_bound(start, now)
             cut = cut if low is None else min(cut, low + start_exclusive)
-        self._follower = CutFollower(channel, cut, now, next_seq=next_seq)
+        self._follower = CutFollower(channel, cut, now, next_seq=next_seq, archived=archived)
+
+    def unheld_step(self, horizon: Horizon, now: int) -> RecordedStep | None:
+        """The next step, or the rest of the present one, if memory does not have all of it; else None.
+
+        The caller performs the step, and then calls `skip_to`.
+        """
+        follower = self._follower
+        if self._gap is not None or horizon.cut is None or not follower.has_news(horizon.cut):
+            return None
+        if not follower.under_way:
+            if follower.is_held(now):
+                return None
+            return RecordedStep(follower.cut, horizon.cut, follower.next_seq, self._channel.next_seq)
+        rest = follower.unheld_rest(now)
+        if rest is None:
+            return None
+        key, target, seq_end = rest
+        return RecordedStep(follower.cut, target, seq_end, seq_end, done_below=key)
+
+    def skip_to(self, step: RecordedStep, now: int) -> None:
+        """The reader has all items of this step."""
+        self.dropped += step.dropped
+        self._follower = CutFollower(self._channel, step.target, now, next_seq=step.seq_end, archived=True)
 
     @property
     def saved(self) -> SavedCursor | None:

@@ -1,0 +1,128 @@
+"""Steps of a subscription through a group whose items memory does not have: they come from an archive. Pure.
+
+The caller reads the pages of a step through the group, as of the step's cut, and gives them to the step.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+
+from stampede_rt.values.model import Reason
+from stampede_rt.values.timeline import MIN_INSTANT, Bound, Interval, Match
+from stampede_rt_channel_host.core.channel import (
+    DeliveredSlice,
+    Gap,
+    Position,
+    Query,
+    ReadAnswer,
+    Slice,
+    SubscriptionBatch,
+)
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.subscribing import Range
+from stampede_rt_channel_host.core.group.loss_counter import split_at
+
+_LOST = Reason("LOST", "the archive lacks items that the group would have shown: they were never archived, or damaged")
+
+
+class RecordedStep:
+    """One step of one reader, from the cut `cut` to the cut `target`.
+
+    It brings the items between the two cuts, with seqs below `seq_end`, in the order (time, seq). Before these it
+    brings the late items: those before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
+    these seqs and call `take_late`. Then, while `is_read` is False, read `query` and call `take_page`. After each call
+    take `batch` until it is empty. `dropped` counts the items that no part brings.
+    """
+
+    def __init__(
+        self, cut: int | None, target: int, next_seq: int, seq_end: int, *, done_below: ItemKey = FIRST_KEY
+    ) -> None:
+        """`done_below`: the reader has the items of this step below this key."""
+        self.target, self.seq_end = target, seq_end
+        self.late: Range | None = (next_seq, seq_end) if next_seq < seq_end else None
+        self.is_read = cut is not None and cut >= target
+        self.dropped = 0
+        self._begin = cut
+        self._after = Position(done_below[0], done_below[1] - 1) if done_below > (cut or FIRST_KEY[0], 0) else None
+        self._waiting: deque[DeliveredSlice] = deque()
+
+    @property
+    def query(self) -> Query:
+        """The read of the next page, whose horizon is `target`."""
+        start = MIN_INSTANT if self._begin is None else self._begin
+        interval = Interval(Bound(None, start), Bound(None, self.target), end_exclusive=True)
+        return Query(interval=interval, match=Match.START, after=self._after)
+
+    def take_late(self, found: Iterable[Slice], next_time: Callable[[int], int | None], end_seq: int) -> None:
+        """Take the late items among `found`: all items with seqs of `late` below `end_seq`."""
+        assert self.late is not None, "there are late items to find"
+        first, end = self.late[0], min(self.late[1], end_seq)
+        low = FIRST_KEY if self._begin is None else (self._begin, 0)
+        late = [split_at(_with_seqs(one, first, end), low)[0] for one in found]
+        for part in sorted((one for one in late if one.items), key=lambda one: (one.first_time, one.first_seq)):
+            following = next_time(part.last_time)
+            hidden = following is not None and following >= self.target
+            self._waiting.append(DeliveredSlice(part, None if hidden else following))
+        self.late = (end, self.late[1]) if end < self.late[1] else None
+
+    def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int) -> None:
+        """Take a page. `continues`: there is another one. `lacks`: the number of items that the archive lacks there.
+
+        If there is another one, the step ends before the last time of this page, so that the reader gets a cursor.
+        """
+        self.dropped += lacks
+        self.is_read = not continues
+        if continues and answer.slices[-1].last_time > answer.slices[0].first_time:
+            self.target, self.is_read = answer.slices[-1].last_time, True
+        for at, part in enumerate(answer.slices):
+            kept = _with_seqs(split_at(part, (self.target, 0))[0], 0, self.seq_end)
+            if kept.items:
+                following = _next_time(answer.slices[at:], kept.last_time, kept.hi)
+                self._waiting.append(DeliveredSlice(kept, answer.next_time if following is None else following))
+        if answer.slices:
+            last = answer.slices[-1]
+            self._after = Position(last.last_time, last.end_seq - 1)
+
+    def batch(self, limit_bytes: int) -> SubscriptionBatch:
+        """The next items that were taken, of about `limit_bytes`. Empty: take more, or the step is over."""
+        slices: list[DeliveredSlice] = []
+        while self._waiting and limit_bytes > 0:
+            part, following = self._waiting.popleft()
+            given = part.within(limit_bytes)
+            if given.hi < part.hi:
+                rest = Slice(part.run, given.hi, part.hi)
+                self._waiting.appendleft(DeliveredSlice(rest, following))
+                within = _next_time([rest], given.last_time, given.hi)
+                following = following if within is None else within
+            slices.append(DeliveredSlice(given, following))
+            limit_bytes -= given.charge_bytes
+        return SubscriptionBatch(slices=slices)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the step has brought everything."""
+        return self.is_read and self.late is None and not self._waiting
+
+    @property
+    def gap(self) -> Gap | None:
+        """The items that the step did not bring."""
+        last = max(1, self.seq_end - 1)
+        return Gap(first_seq=1, last_seq=last, items=self.dropped, reason=_LOST) if self.dropped else None
+
+
+def _with_seqs(part: Slice, first: int, end: int) -> Slice:
+    """The items of a slice with seqs from `first` up to `end`, exclusive; perhaps an empty slice."""
+    lo, hi = max(part.lo, first - part.run.first_seq), min(part.hi, end - part.run.first_seq)
+    return Slice(part.run, lo, max(lo, hi))
+
+
+def _next_time(slices: Sequence[Slice], time: int, lo: int) -> int | None:
+    """The first time after `time` in some slices, which ascend. `lo`: where to begin in the first one."""
+    for at, one in enumerate(slices):
+        times = one.run.times
+        found = bisect_right(times, time, one.lo if at else max(one.lo, min(lo, one.hi)), one.hi)
+        if found < one.hi:
+            return times[found]
+    return None

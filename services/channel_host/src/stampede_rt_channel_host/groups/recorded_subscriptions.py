@@ -1,0 +1,70 @@
+"""Subscriptions of recorded channels through a group: items that memory has no more come from the archive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.values.timeline import Bound, Interval
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.recording import Recording
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.core.channel import Query, SubscriptionBatch
+from stampede_rt_channel_host.core.group import Horizon, RecordedStep, VisibleAll
+
+LATE_BYTES = 2**20
+"""About so many bytes of the archive are searched for late items at once."""
+
+
+class RecordedSteps:
+    """Takes the steps of one subscription that memory does not have."""
+
+    def __init__(self, channels: ChannelStore, place: VisibleAll) -> None:
+        """`place`: of the reader."""
+        self._channels, self._place = channels, place
+        self._step: RecordedStep | None = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a step has begun, and has not brought everything yet."""
+        return self._step is not None
+
+    async def take(self, recording: Recording, horizon: Horizon, limit_bytes: int) -> SubscriptionBatch | None:
+        """The next part, or None if memory has the next step. Raises Unavailable if the archive cannot be read."""
+        now = self._channels.now()
+        step = self._step = self._step or self._place.unheld_step(horizon, now)
+        if step is None:
+            return None
+        batch = step.batch(limit_bytes)
+        if batch.is_empty and not step.is_over:
+            await self._read(recording, step)
+            batch = step.batch(limit_bytes)
+        if not step.is_over:
+            return replace(batch, more=True)
+        if not batch.is_empty:
+            return batch
+        self._step = None
+        self._place.skip_to(step, self._channels.now())
+        return SubscriptionBatch(gap=step.gap, more=True)
+
+    async def _read(self, recording: Recording, step: RecordedStep) -> None:
+        if step.late is not None:
+            step.take_late(*await recording.items_from(step.late, LATE_BYTES, self._channels.now))
+            return
+        view = await recording.read_in_group(
+            step.query, _at(step.target), None, self._channels.scheduler, self._channels.now, waits=False
+        )
+        step.take_page(view.answer, continues=view.continues, lacks=view.lacks)
+
+
+async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon: Horizon, start: Bound) -> Bound:
+    """The bound at which a subscription begins, over the archive and memory. Raises Unavailable as `take`."""
+    recording = hosted.recording
+    if recording is None or not recording.recorder.segments:
+        return start
+    query = Query(interval=Interval(start, start), limit=1)
+    view = await recording.read_in_group(query, horizon, None, channels.scheduler, channels.now, waits=False)
+    return start if view.within is None else Bound(None, view.within.start)
+
+
+def _at(cut: int) -> Horizon:
+    return Horizon(cut, lambda: "by the step of the subscription")

@@ -1,0 +1,54 @@
+"""The cost of recorded channels beside a plain writer and two other systems: `python -m tests.benchmarks.archive_cost`.
+
+All figures are from one run on this machine, in the folder of --folder: medians of --rounds rounds, with the least and
+the greatest. In each round all writers write, one after the other. Takes about five minutes. --files N also reads from
+an archive of N items without a server: 10^8 items of 64 B need 9 GB, and some minutes more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+
+import stampede_rt as st
+from tests.benchmarks.archive_cost.files import reading_files
+from tests.benchmarks.archive_cost.live import living
+from tests.benchmarks.archive_cost.reading import reading
+from tests.benchmarks.archive_cost.writing import writing
+from tests.support.cluster import running_cluster
+
+PARTS = ("writing", "live", "reading", "files")
+
+
+def main() -> None:
+    """Print the tables of the wanted parts."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.archive_cost", description=__doc__)
+    parser.add_argument("--folder", type=Path, help="on the disk to measure; default: the folder for temporary files")
+    parser.add_argument("--only", choices=PARTS, help="one part; default: all")
+    parser.add_argument("--rounds", type=int, default=3, help="of writers, and of live readers")
+    parser.add_argument("--largest", type=int, default=10**7, help="items of the largest archive behind a server")
+    parser.add_argument("--files", type=int, default=10**7, help="items of the largest archive without a server")
+    wanted = parser.parse_args()
+    parts = (wanted.only,) if wanted.only else PARTS
+    print(f"load average at the start: {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors")
+    with tempfile.TemporaryDirectory(dir=wanted.folder, prefix="archive-cost-", ignore_cleanup_errors=True) as folder:
+        place = Path(folder)
+        with (
+            running_cluster(hosts=1, supernodes=1, archive=place / "archive") as cluster,
+            st.connect(cluster.address) as rt,
+        ):
+            if "writing" in parts:
+                writing(rt, place, wanted.rounds)
+            if "live" in parts:
+                living(rt, cluster.address, wanted.rounds)
+            if "reading" in parts:
+                reading(rt, wanted.largest)
+        if "files" in parts:
+            reading_files(place / "files", wanted.files)
+    print(f"\nload average at the end: {os.getloadavg()[0]:.1f}")
+
+
+if __name__ == "__main__":
+    main()

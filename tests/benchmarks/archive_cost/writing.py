@@ -1,0 +1,186 @@
+"""The speeds of writers: 300 KB frames, and items of 64 B.
+
+The plain writer appends the same bytes to one file, with an fsync after each 16 MiB, as the archive of a host does when
+there is much to write. JetStream has file storage and brings it to the disk every 0.2 s, as the host does. Redis has an
+append-only file and an fsync a second. JetStream and Redis write a quarter of the items.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import stampede_rt as st
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_bench.peers.reachable import is_listening
+from stampede_rt_bench.peers.redis_streams import RedisStreams
+from stampede_rt_bench.works.processes import server
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.copies.messages import run_of
+from stampede_rt_channel_host.core.archive import ArchivedRun
+from stampede_rt_local.ports import free_ports
+from tests.benchmarks.archive_cost.figures import heading, ratios, row, seconds_of, spread
+
+SYNC_BYTES = 16 * 2**20
+RUN_ITEMS = 100
+
+
+class Work(NamedTuple):
+    """So many items of one payload."""
+
+    name: str
+    payload: bytes
+    items: int
+
+
+FRAMES, SMALL = Work("frames", os.urandom(300_000), 600), Work("small", os.urandom(64), 300_000)
+Writer = Callable[[Work], float | None]
+"""Writes all items; returns the items a second, or None if the system is not installed."""
+
+
+def plain(folder: Path, work: Work, per_write: int = 1) -> float:
+    """Append the items to a file of this folder, so many in each write."""
+
+    def write() -> None:
+        waiting, many = 0, work.payload * per_write
+        with (folder / "plain").open("wb", buffering=0) as file:
+            for _ in range(work.items // per_write):
+                waiting += file.write(many)
+                if waiting >= SYNC_BYTES:
+                    os.fsync(file)
+                    waiting = 0
+            os.fsync(file)
+
+    taken = seconds_of(write)
+    (folder / "plain").unlink()
+    return work.items / taken
+
+
+def archive_alone(folder: Path, work: Work) -> float:
+    """Write the items with the archive of a host, without a host. The runs are made before."""
+    per_run = 1 if work is FRAMES else RUN_ITEMS
+    body = seal_run(encode_run([work.payload] * per_run, times=[*range(per_run)]), 1)
+    runs = [ArchivedRun(1, run_of(body)) for _ in range(work.items // per_run)]
+    per_write = max(1, SYNC_BYTES // len(body))
+    files = SegmentFiles(folder / "alone", {})
+    files.open(1)
+
+    def write() -> None:
+        for at in range(0, len(runs), per_write):
+            files.write([runs[at : at + per_write]], ArchiveLimits(None, None))
+
+    taken = seconds_of(write)
+    files.close(None)
+    shutil.rmtree(folder / "alone")
+    return work.items / taken
+
+
+def ours(rt: st.Connection, name: str, work: Work, **policy: str) -> float:
+    """Put the items, until the last one is on the disk if the channel is recorded."""
+    channel = rt.channel(name, max_bytes=2**30, **policy)
+
+    def put() -> None:
+        with channel.producer() as producer:
+            for _ in range(work.items):
+                producer.put(work.payload)
+        channel.put(work.payload, ack="disk" if policy else None)
+
+    taken = seconds_of(put)
+    channel.delete()
+    return work.items / taken
+
+
+def jetstream(folder: Path, work: Work) -> float | None:
+    """Publish a quarter of the items into a stream in files."""
+    from stampede_rt_bench.peers.nats_server import connect, nats_server, why_unavailable
+
+    if why_unavailable():
+        return None
+    settings, items = folder / "nats.conf", work.items // 4
+    settings.write_text('jetstream { sync_interval: "200ms" }\n')
+
+    async def publish(address: str) -> None:
+        from nats.js.api import StorageType, StreamConfig
+
+        connection = await connect(address)
+        stream = connection.jetstream(publish_async_max_pending=64 if work is FRAMES else 4000)
+        await stream.add_stream(StreamConfig(name="COST", subjects=["cost"], storage=StorageType.FILE))
+        for at in range(items):
+            await stream.publish_async("cost", work.payload)
+            if not at % 64:
+                await asyncio.sleep(0)
+        await stream.publish_async_completed()
+        await connection.close()
+
+    with nats_server("--jetstream", "--config", str(settings)) as served:
+        return items / seconds_of(lambda: asyncio.run(publish(served.address)))
+
+
+def redis_file(folder: Path, work: Work) -> float | None:
+    """Add a quarter of the items to a stream, with an append-only file, in pipelines of about 1 MiB."""
+    if RedisStreams("tcp").unavailable_because():
+        return None
+    batch, items = max(1, 2**20 // len(work.payload)), work.items // 4
+    with redis_server(folder) as client:
+
+        def add() -> None:
+            for at in range(0, items, batch):
+                pipeline = client.pipeline(transaction=False)
+                for _ in range(min(batch, items - at)):
+                    pipeline.xadd("cost", {"p": work.payload})
+                pipeline.execute()
+
+        return items / seconds_of(add)
+
+
+@contextmanager
+def redis_server(folder: Path) -> Iterator[Any]:
+    """A client of a server whose append-only file is in a new folder."""
+    import redis
+
+    (port,) = free_ports(1, "127.0.0.1")
+    files = folder / f"redis-{port}"
+    files.mkdir()
+    command = ["redis-server", "--port", str(port), "--save", "", "--appendonly", "yes", "--dir", str(files)]
+    with server(command, folder / "log", lambda: is_listening(port)):
+        yield redis.Redis(host="127.0.0.1", port=port, protocol=2)
+    shutil.rmtree(files)
+
+
+def writers_of(rt: st.Connection, folder: Path) -> dict[str, Writer]:
+    """All writers, by the names of their rows. The others are compared with the first one."""
+    return {
+        "plain file": lambda work: plain(folder, work, 1 if work is FRAMES else RUN_ITEMS),
+        "archive alone, without a host": lambda work: archive_alone(folder, work),
+        "channel in memory": lambda work: ours(rt, f"cost/{work.name}/memory", work),
+        "recorded channel": lambda work: ours(rt, f"cost/{work.name}/recorded", work, archive="forever"),
+        "JetStream, file storage": lambda work: jetstream(folder, work),
+        "Redis, append-only file": lambda work: redis_file(folder, work),
+    }
+
+
+def writing(rt: st.Connection, folder: Path, rounds: int) -> None:
+    """Print the speeds of all writers."""
+    writers = writers_of(rt, folder)
+    rates: dict[tuple[str, str], list[float]] = {}
+    for _ in range(rounds):
+        for name, write in writers.items():
+            for work in (FRAMES, SMALL):
+                rate = write(work)
+                if rate is not None:
+                    rates.setdefault((name, work.name), []).append(rate)
+    heading("writer", "300 KB frames, MB/s", "of plain", "items of 64 B, thousand/s", "of plain")
+    first, *_ = writers
+    for name in writers:
+        frames, small = rates.get((name, "frames")), rates.get((name, "small"))
+        if frames is None or small is None:
+            row(name, "not installed", "", "", "")
+            continue
+        of_frames, of_small = ratios(frames, rates[first, "frames"]), ratios(small, rates[first, "small"])
+        speed = spread([one * len(FRAMES.payload) / 1e6 for one in frames], ".0f")
+        row(name, speed, of_frames, spread([one / 1e3 for one in small], ".0f"), of_small)

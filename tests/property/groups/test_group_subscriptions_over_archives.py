@@ -1,0 +1,91 @@
+"""Subscriptions of recorded channels through a group bring what those of a channel do that has everything in memory."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Bound
+from stampede_rt_channel_host.core.archive import archived_read
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, SubscriptionBatch
+from stampede_rt_channel_host.core.group import Horizon, VisibleAll
+from tests.property.archived_channel import ArchivedChannel
+from tests.property.test_archive_against_memory import drained
+
+SCENARIOS = 250
+archived_steps: Counter[str] = Counter()
+
+
+@pytest.fixture(autouse=True)
+def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows of one block or a few, and answers of a few windows."""
+    monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)
+    monkeypatch.setattr(archived_read, "WINDOW_BYTES", 300)
+    monkeypatch.setattr(archived_read, "ANSWER_BYTES", 12)
+
+
+class World:
+    """The same items in a channel of memory alone, and in a recorded one with a small memory; and a cut."""
+
+    def __init__(self, draw: random.Random) -> None:
+        self.draw = draw
+        self.large = ChannelCore(Policy(max_items=10**6), incarnation=7)
+        limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])
+        self.small = ArchivedChannel(
+            Policy(**limits), runs_per_block=draw.randrange(1, 4), blocks_per_segment=draw.randrange(1, 4)
+        )
+        self.now = 0
+        self.cut: int | None = None
+
+    @property
+    def horizon(self) -> Horizon:
+        return Horizon(self.cut, lambda: "held back by nobody")
+
+    def go_on(self) -> None:
+        """Some puts, in order or late; perhaps a later cut, and a write of the archive."""
+        for _ in range(self.draw.randrange(1, 12)):
+            self.now += self.draw.choice([0, 0, 1, 1, 2, 3])
+            time = max(0, self.now - self.draw.choice([0, 0, 0, 0, 1, 2, 5]))
+            offer = Offer(times=[time], durations=None, lengths=[3])
+            if self.small.put(offer, self.now).run is not None:
+                self.large.put(offer, self.now, lambda first_seq, kept, stamped: b"x")
+            if self.draw.random() < 0.4:
+                self.small.archive()
+        if self.draw.random() < 0.8:
+            self.cut = max(self.cut or 0, self.now - self.draw.choice([0, 1, 4, 9]))
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_subscription_through_a_group_over_an_archive_brings_what_one_of_memory_alone_brings(seed: int) -> None:
+    draw = random.Random(seed)
+    world = World(draw)
+    for _ in range(draw.randrange(4)):
+        world.go_on()
+    start, small = Bound(None, draw.randrange(-1, world.now + 2)), world.small
+    expected = VisibleAll(world.large, world.horizon, world.now, start=start)
+    found = VisibleAll(small.channel, world.horizon, world.now, start=start, archived=True)
+    for _ in range(draw.randrange(1, 8)):
+        limit = draw.choice([1, 100, 300, 10**6])
+        place = found
+
+        def take(place: VisibleAll = place, limit: int = limit) -> SubscriptionBatch:
+            batch = small.take_in_group(place, world.horizon, limit)
+            archived_steps["steps"] += small.step is not None
+            return batch
+
+        memory = drained(lambda limit=limit: expected.take(world.horizon, world.now, limit))  # type: ignore[misc]
+        assert drained(take) == memory, (world.cut, world.now)
+        if draw.random() < 0.3:
+            saved = found.saved
+            assert saved is not None
+            found = VisibleAll(small.channel, world.horizon, world.now, saved=replace(saved), archived=True)
+        world.go_on()
+
+
+def test_the_scenarios_had_steps_that_came_from_the_archive() -> None:
+    if archived_steps:  # they ran in this process
+        assert archived_steps["steps"] > 100
