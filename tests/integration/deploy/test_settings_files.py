@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
@@ -13,11 +15,15 @@ from stampede_rt_channel_host.app import main as host
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_frontend.app import main as frontend
 from stampede_rt_frontend.settings import FrontendSettings
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceProcess
+from stampede_rt_runtime.auth import make_secret_file
 from stampede_rt_runtime.settings import load_settings
 from stampede_rt_supernode.app import main as supernode
 from stampede_rt_supernode.settings import SupernodeSettings
 from stampede_rt_web.app import main as web
 from stampede_rt_web.settings import WebSettings
+from tests.support.live_page import ANSWER_SECONDS, READY_SECONDS, LivePage, eventually
 
 FOLDER = Path(__file__).resolve().parents[3] / "deploy/settings"
 SERVICES: dict[str, tuple[Callable[[list[str]], int], type[Any]]] = {
@@ -52,3 +58,42 @@ def test_a_sample_loads_as_it_is_and_with_every_default_set(service: str, tmp_pa
         path = tmp_path / f"{number}.toml"
         path.write_text(content)
         assert load_settings(cls, service=service, argv=["--config", str(path)], environ={}) == defaults
+
+
+def edited(service: str, folder: Path, **settings: str) -> str:
+    """The path of a copy of a sample, with these settings as a user would write them."""
+    text = (FOLDER / f"{service}.toml").read_text()
+    for name, value in settings.items():
+        key = name.replace("_", "-")
+        text, count = re.subn(rf"^#?{key} = .*$", f'{key} = "{value}"', text, flags=re.MULTILINE)
+        assert count == 1, (service, key)
+    path = folder / f"{service}.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_each_service_starts_from_its_sample_with_no_other_option(tmp_path: Path) -> None:
+    secret = str(make_secret_file(tmp_path / "secret").path)
+    supernode, frontend, page = (f"localhost:{port}" for port in free_ports(3, "localhost"))
+    samples = {
+        "supernode": {"listen": supernode, "id": "s1"},
+        "frontend": {"listen": frontend, "supernodes": supernode},
+        "host": {"listen": "localhost:0", "frontend": frontend, "name": "h1"},
+        "web": {"listen": page, "url": frontend},
+    }
+    with contextlib.ExitStack() as stack:
+        for service, settings in samples.items():
+            path = edited(service, tmp_path, **settings, secret_file=secret, log_level="warning")
+            process = ServiceProcess(service, "stampede_rt.cli", [service, "--config", path])
+            stack.callback(process.stop)
+            process.start()
+            process.wait_ready(READY_SECONDS)
+        overview = eventually(lambda: hosts_on(LivePage(f"http://{page}/")))
+        assert [one["name"] for one in overview] == ["h1"]
+        with urlopen(f"http://{page}/", timeout=ANSWER_SECONDS) as answer:
+            assert b"<title>" in answer.read()
+
+
+def hosts_on(page: LivePage) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = page.ask("overview")[1].get("hosts", [])
+    return found

@@ -59,6 +59,9 @@ def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytes
         channel = rt.channel(f"cam/{next(numbers)}", host="h1")
         eventually(lambda: all(one.load is not None for one in rt.hosts()), "both hosts have reported their loads")
         assert rt.rebalance(apply=True, over="1ms") == []
+        for over in ("0s", "-1s", "1000d"):
+            with pytest.raises(st.InvalidArgument, match=f"over is {over}; measure for more than 0 s and at most 1 h"):
+                rt.rebalance(over=over)
         assert run(["rebalance", "--over", "1ms", "--url", cluster.address]) == 0
         assert "differ by less" in capsys.readouterr().out
         assert hosts_of(rt, [channel.name]) == {"h1"}

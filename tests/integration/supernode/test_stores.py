@@ -11,6 +11,7 @@ from pathlib import Path
 
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME, WATERMARK_NAME
+from tests.support.command_line.documented_fields import require_fields
 from tests.support.supernode.commands import command, prepared, status_has
 from tests.support.supernode.processes import (
     Cluster,
@@ -218,6 +219,7 @@ async def enter(everybody: dict[str, Supernode], name: str, port: int, folder: P
 
 
 async def leave(everybody: dict[str, Supernode], name: str, *, through: str) -> None:
-    code, printed = await command("remove", name, "--member", everybody[through].address)
+    code, printed = await command("remove", name, "--member", everybody[through].address, "-o", "json")
     assert code == 0, printed
+    require_fields("supernode remove", printed)
     await everybody[name].ended()

@@ -231,4 +231,4 @@ NOT_RUN = (
     *("demo tv-watcher", "demo stereo", "demo rover"),
     *("bench paper", "bench matching", "bench growth", "bench capacity", "bench limits", "bench peers"),
 )
-"""The commands that need another supernode or a long time. The tests of their subjects run them."""
+"""The commands that need another supernode or a long time. The tests of their subjects compare their fields."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt._async.proxies import Proxies
 from stampede_rt._async.reader import Reader
-from stampede_rt.errors import HostNotFound, QueueNotFound, StaleBinding
+from stampede_rt.errors import HostNotFound, InvalidArgument, QueueNotFound, StaleBinding
 from stampede_rt.transports.concurrency_async import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
@@ -16,6 +16,7 @@ from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
+OVER_NANOS_MAX = 3600 * 10**9
 ITEM_WORK_BYTES = 4096  # an item costs a host about as much as so many bytes
 RETRY_S = 0.05
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
@@ -103,10 +104,13 @@ class Moves(Proxies):
         The plan uses the loads that the hosts last reported to the directory, and how much each channel does within
         `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan first.
         Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an archive.
-        Raises the errors of `move`.
+        `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
         """
+        over_nanos = parse_duration(over, "over")
+        if not 0 < over_nanos <= OVER_NANOS_MAX:
+            raise InvalidArgument(f"over is {over}; measure for more than 0 s and at most 1 h")
         hosts = {one.name: one.load.busy_permille for one in await self.hosts() if one.load is not None}
-        rates = await self._rates(hosts, parse_duration(over, "over") / 1e9)
+        rates = await self._rates(hosts, over_nanos / 1e9)
         channels = await self.channels()
         names = {one.channel_id: one.name for one in channels}
         staying = {one.name for one in channels if one.policy.is_recorded}

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from stampede_rt import Connection
 
 CHANNELS_MAX = 128
-"""The most channels of one stream: each has a thread, and at most 64 items or 256 KiB that wait to be printed."""
+"""The most channels of one stream. Each has a thread, and at most 64 items or 256 KiB, or one larger item, waiting."""
 LOOK_S = 0.5  # how often a thread that waits for room looks whether the command has ended
 
 
@@ -182,10 +182,10 @@ class _Stream:
         """Read until the channel's items are lost with its host. Return whether to read later items."""
         channel = self._rt.channel(name, create=False)
         with channel.subscribe(start, payloads=self._payloads) as subscription:
+            items = iter(subscription)
             try:
-                for item in subscription:
-                    if not self._offer(name, item):
-                        return False
+                while self._waits_for_room(name) and (item := next(items, None)) is not None:
+                    self._offer(name, item)
             except IncarnationLost:
                 return True
             finally:
@@ -193,12 +193,15 @@ class _Stream:
                     self.dropped += subscription.dropped
         return False
 
-    def _offer(self, name: str, item: Item) -> bool:
-        """Wait for room, and give the item to the merge. Return False if the command has ended."""
+    def _waits_for_room(self, name: str) -> bool:
+        """Wait until the merge takes an item of the channel, so that nobody holds it. False: the command has ended."""
         with self._changed:
             while not self._merge.has_room(name) and not self._is_over:
                 self._changed.wait(LOOK_S)
+            return not self._is_over
+
+    def _offer(self, name: str, item: Item) -> None:
+        with self._changed:
             if not self._is_over:
                 self._merge.offer(name, item)
                 self._changed.notify_all()
-            return not self._is_over

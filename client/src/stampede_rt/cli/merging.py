@@ -14,6 +14,7 @@ from stampede_rt.values.model import Item
 
 CHANNEL_ITEMS_MAX = 64  # waiting items of one channel
 CHANNEL_BYTES_MAX = 256 * 1024  # of the payloads of waiting items of one channel; one longer item may wait alone
+ALL_BYTES_MAX = 64 * 1024 * 1024  # of the payloads of all waiting items; each channel may exceed it by one item
 
 
 class MergedItem(NamedTuple):
@@ -41,6 +42,7 @@ class TimeMerge:
         self._wait_s = wait_s
         self._channels: dict[str, _Waiting] = {}
         self._last_time: int | None = None
+        self._held_bytes = 0
 
     def join(self, channel: str, now_s: float) -> None:
         """Begin to wait for items of a channel. The channel may have ended before."""
@@ -55,13 +57,15 @@ class TimeMerge:
     def has_room(self, channel: str) -> bool:
         """Whether the merge takes another item of the channel now."""
         waiting = self._channels[channel]
-        return len(waiting.items) < CHANNEL_ITEMS_MAX and waiting.held_bytes < CHANNEL_BYTES_MAX
+        has_place = len(waiting.items) < CHANNEL_ITEMS_MAX and waiting.held_bytes < CHANNEL_BYTES_MAX
+        return has_place and self._held_bytes < ALL_BYTES_MAX
 
     def offer(self, channel: str, item: Item) -> None:
         """Take the next item of a channel. The caller has asked `has_room`."""
         waiting = self._channels[channel]
         waiting.items.append(item)
         waiting.held_bytes += len(item.payload or b"")
+        self._held_bytes += len(item.payload or b"")
 
     def take(self, now_s: float) -> MergedItem | None:
         """Return the next item; None if there is none, or if the merge still waits for a channel without items."""
@@ -75,6 +79,7 @@ class TimeMerge:
         waiting = self._channels[name]
         item = waiting.items.popleft()
         waiting.held_bytes -= len(item.payload or b"")
+        self._held_bytes -= len(item.payload or b"")
         waiting.empty_since_s = now_s
         self._forget(name)
         self._last_time = time if self._last_time is None else max(self._last_time, time)

@@ -44,10 +44,8 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print aligned columns, within the width of the terminal. Numbers are aligned to the right."""
     cells = [[head.replace("_", " ").upper() for head in heads], *rows]
     right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
-    lines = table_lines(cells, right, columns_max())
-    print(styled(lines[0], "bold", sys.stdout))
-    for line in lines[1:]:
-        print(line)
+    for number, line in enumerate(table_lines(cells, right, columns_max())):
+        print(styled(line, "bold", sys.stdout) if number == 0 else line)
 
 
 def _is_number(cell: str) -> bool:

@@ -38,17 +38,34 @@ def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max:
     """Return `rows` as lines of aligned columns. `right` says for each column whether it is aligned to the right.
 
     The function wraps the widest text columns until a line has at most `width_max` characters. If `width_max` is None,
-    it wraps no column.
+    it wraps no column. If the columns do not fit even so, each row becomes lines of a head and a value.
     """
     widths = [max(len(row[i]) for row in rows) for i in range(len(right))]
     if width_max is not None:
-        widths = _fitted(widths, right, width_max - len(GAP) * (len(widths) - 1))
+        gaps = len(GAP) * (len(widths) - 1)
+        widths = _fitted(widths, right, width_max - gaps)
+        if sum(widths) + gaps > width_max and len(widths) > 1:
+            return _records(rows, width_max)
     lines = []
     for row in rows:
         cells = [_wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
         for parts in zip_longest(*cells, fillvalue=""):
             placed = zip(parts, widths, right, strict=True)
             lines.append(GAP.join(c.rjust(w) if r else c.ljust(w) for c, w, r in placed).rstrip())
+    return lines
+
+
+def _records(rows: Sequence[Sequence[str]], width_max: int) -> list[str]:
+    """Return each row as lines of a head and a value, with an empty line between two rows. `rows` begin with heads."""
+    heads, *others = rows
+    width = min(max(map(len, heads)), max(CELL_CHARACTERS_MIN, width_max // 2))
+    beside = max(CELL_CHARACTERS_MIN, width_max - width - len(GAP))
+    lines: list[str] = []
+    for row in others:
+        lines += [""] if lines else []
+        for head, cell in zip(heads, row, strict=True):
+            parts = zip_longest(_wrapped(head, width), _wrapped(cell, beside), fillvalue="")
+            lines += [f"{name:<{width}}{GAP}{part}".rstrip() for name, part in parts]
     return lines
 
 

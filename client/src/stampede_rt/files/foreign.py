@@ -28,6 +28,8 @@ _SQLITE_MAGIC = b"SQLite format 3\x00"
 def source_of(path: str | os.PathLike[str]) -> FileSource:
     """Open a file as a source, by its content. Raises FileError."""
     found = Path(path)
+    if found.is_dir() and not (found / "metadata.yaml").is_file():
+        raise FileError(f"{os.fspath(path)!r} is a folder, and no rosbag2: it has no metadata.yaml; name a file")
     if found.is_dir():
         return RosbagSource(found)
     try:
@@ -51,7 +53,9 @@ def _missing(library: str) -> FileError:
 
 
 def _unreadable(path: Path, error: BaseException) -> FileError:
-    return FileError(f"the file {os.fspath(path)!r} cannot be read: {type(error).__name__}: {error}")
+    return FileError(
+        f"the file {os.fspath(path)!r} cannot be read; it may be damaged: {str(error) or type(error).__name__}"
+    )
 
 
 class RosbagSource:

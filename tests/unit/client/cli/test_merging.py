@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as some
 
-from stampede_rt.cli.merging import CHANNEL_BYTES_MAX, CHANNEL_ITEMS_MAX, MergedItem, TimeMerge
+from stampede_rt.cli.merging import ALL_BYTES_MAX, CHANNEL_BYTES_MAX, CHANNEL_ITEMS_MAX, MergedItem, TimeMerge
 from stampede_rt.values.model import Item
 
 
@@ -85,3 +85,19 @@ def test_channels_in_the_order_of_time_come_out_in_the_order_of_time_and_none_is
     found = all_of(merge, 0.0)
     assert [one.item.time for one in found] == sorted(time for held in times.values() for time in held)
     assert not any(one.late for one in found)
+
+
+def test_all_channels_together_hold_a_bounded_number_of_bytes() -> None:
+    names = [str(number) for number in range(128)]
+    merge = merge_of(*names)
+    large = bytes(ALL_BYTES_MAX // 4)
+    taken = []
+    for name in names:
+        if merge.has_room(name):
+            merge.offer(name, item(1, large))
+            taken.append(name)
+    assert len(taken) == 4
+    assert merge.take(1.0) is not None
+    assert merge.has_room(names[-1])
+    assert [merge.take(now_s) is None for now_s in (2.0, 3.0, 4.0, 5.0)] == [False, False, False, True]
+    assert all(merge.has_room(name) for name in names)

@@ -76,6 +76,18 @@ def test_a_table_is_wrapped_to_the_terminals_width() -> None:
     assert " ".join(" ".join(lines).split()).count("consumers") == 1
 
 
-def test_a_table_keeps_its_least_widths_in_a_terminal_that_is_too_narrow() -> None:
+def test_a_table_of_many_columns_becomes_lines_of_a_head_and_a_value_in_a_narrow_terminal() -> None:
+    heads = ["CHANNEL", "HOST", "KEEPS", "EPOCH", "CREATED BY", "HELD", "HELD BYTES", "ACCEPTED"]
+    row = ["cam/left", "h1", "10 s, 300 items and 256.0 MiB", "1", "@10.0.0.3", "300", "1234567890", "123456"]
+    lines = table_lines([heads, row, row], [False] * 3 + [True] * 5, 40)
+    assert max(map(len, lines)) <= 40
+    assert lines[:2] == ["CHANNEL     cam/left", "HOST        h1"]
+    assert lines[2:4] == ["KEEPS       10 s, 300 items and 256.0", "            MiB"]
+    assert lines.count("") == 1
+    assert sum(line.startswith("ACCEPTED ") for line in lines) == 2
+
+
+def test_words_keep_their_least_width_in_a_terminal_that_is_too_narrow() -> None:
     lines = table_lines(ROWS, [False, False, True], 5)
-    assert lines[0].split() == ["NAME", "KEEPS", "HELD"]
+    assert lines[0].split() == ["NAME", "cam/left"]
+    assert lines[-1].split() == ["HELD", "12"]

@@ -109,6 +109,15 @@ def test_a_damaged_foreign_file_is_an_error_that_names_it(tmp_path: Path, name: 
         source_of(path)
 
 
+def test_an_error_about_a_foreign_file_or_folder_is_a_sentence_and_names_no_class(tmp_path: Path) -> None:
+    (tmp_path / "a.db3").write_bytes(b"SQLite format 3\x00")
+    with pytest.raises(FileError, match="it may be damaged: Cannot open database") as caught:
+        source_of(tmp_path / "a.db3")
+    assert "Error" not in str(caught.value)
+    with pytest.raises(FileError, match="is a folder, and no rosbag2: it has no"):
+        source_of(tmp_path)
+
+
 def test_a_file_of_an_unknown_format_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(b"hello")

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from stampede_rt_supernode.joining import preparing
+from tests.support.command_line.documented_fields import require_fields
 
 AT = ("--listen", "127.0.0.1:7591", "--id", "s9")
 
@@ -35,6 +36,16 @@ def test_the_command_to_start_is_a_line_of_its_own(
     assert first.endswith("Start this supernode:")
     assert empty == ""
     assert start == f"  stampede supernode --listen 127.0.0.1:7591 --data-dir {tmp_path}/a\\x1b[2Jb"
+
+
+@pytest.mark.parametrize("verb", [["init"], ["join", "--member", "127.0.0.1:7590", "--token", "c.1.t"]])
+def test_the_json_has_the_fields_that_the_page_names(
+    verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(preparing, "reached", reached)
+    monkeypatch.setattr(preparing, "log_cluster_of", lambda token: "log")
+    assert preparing.prepare([*verb, *AT, "--data-dir", str(tmp_path / "s9"), "--output", "json"]) == 0
+    require_fields(f"supernode {verb[0]}", capsys.readouterr().out)
 
 
 def test_an_address_for_other_machines_needs_a_certificate_or_a_permission_and_the_text_says_so(

@@ -67,7 +67,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
         until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
-        newcomer = _member("supernode_id", request.supernode_id, "target", request.target)
+        newcomer = _member("supernode_id", request.supernode_id, "the address", request.target)
         self._check_is_new(newcomer.member_id)
         token = self._tokens().make(
             request.request_id,
@@ -155,7 +155,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         highest, level = max(1, request.highest_feature_level), self._replica.feature_level
         if highest < level:
             raise VersionMismatch(too_old(request.supernode_id, highest, level))
-        member = _member("supernode_id", request.supernode_id, "endpoint.target", request.endpoint.target)
+        member = _member("supernode_id", request.supernode_id, "the address", request.endpoint.target)
         ticket = self._tokens().check(request.token, member, now_unix_nano=self._clock.time_unix_nano())
         return member, ticket
 
