@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.copies import queue_arrivals, queue_handover
-from stampede_rt_channel_host.queues import queue_store
+from stampede_rt_channel_host.queues import queue_content
 from tests.support.channel_host.queue_rig import OpenedQueue, QueueRig, ack, host_of, queue_directory
 
 OTHER_ID = b"the-other-host-i"
@@ -120,7 +120,7 @@ async def test_a_host_that_hears_nothing_of_the_commit_asks_the_directory(
 async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(queue_store, "HELD_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(queue_content, "HELD_SECONDS_MAX", 0.05)
     reached, goes_on = asyncio.Event(), asyncio.Event()
     taken_over = queue_arrivals.QueueArrivals._take_over
 

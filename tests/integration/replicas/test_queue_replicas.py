@@ -105,7 +105,7 @@ def test_after_a_killed_owner_nothing_acknowledged_is_lost_and_nothing_settled_c
     cluster: LocalCluster, replicas: int
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
-        queue = opened(rt, replicas)
+        queue = opened(rt, replicas, lease="10m")  # longer than a loaded machine takes for this test
         eventually(lambda: len(in_sync(queue)) == replicas, "the replicas are in sync")
         incarnation = queue.incarnation
         assert queue.put(b"0").copies == replicas + 1

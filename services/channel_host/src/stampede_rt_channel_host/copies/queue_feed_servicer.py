@@ -55,8 +55,11 @@ class QueueFeeds:
         """Raises StaleBinding (MOVED) unless the caller owns the queue, and this host has a replica of it."""
         self._queues.check_may_serve()
         source = await self._directory.source_of(record.queue_id, self._identity.host_id)
-        is_owner = source is not None and source.host_id == owner_host_id and source.epoch == record.epoch
-        if not is_owner or (self._queues.known(record.queue_id) is not None and not self._gives_away(record)):
+        if source is None or not source.is_replica:  # this host is the owner itself, or holds nothing of the queue
+            raise refusals.moved(record)
+        if (source.host_id, source.epoch) != (owner_host_id, record.epoch):
+            raise refusals.moved(record)
+        if self._queues.known(record.queue_id) is not None and not self._gives_away(record):
             raise refusals.moved(record)
 
     def _gives_away(self, record: RecordedQueue) -> bool:
