@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from stampede_rt.values.model import Policy, Reason
@@ -39,6 +39,9 @@ from stampede_rt_channel_host.core.channel import (
 )
 from stampede_rt_channel_host.core.group import Horizon, RecordedStep, RecordedView, VisibleAll
 
+FoundBlocks = Callable[[Segment], SegmentBlocks]
+ContentOf = Callable[[Segment, PlacedBlock], bytes]
+
 
 class ArchivedChannel:
     """Puts items, archives them when the caller says so, and reads them over archive and memory."""
@@ -59,6 +62,8 @@ class ArchivedChannel:
         self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
         self._files: dict[int, bytes] = {}
         self.segments: list[Segment] = []
+        self._read_blocks: FoundBlocks = self._written_blocks_of
+        self._content_of: ContentOf = self._written_content_of
         self.step: RecordedStep | None = None  # of the subscription through a group
 
     def put(self, offer: Offer, now: int) -> PutOutcome:
@@ -68,6 +73,14 @@ class ArchivedChannel:
             self._accepted[outcome.run.first_seq] = now
             self.offers.append((now, offer))
         return outcome
+
+    def file(self, segment: Segment) -> bytes:
+        """The bytes of a segment's file."""
+        return self._files[segment.number]
+
+    def read_from(self, blocks_of: FoundBlocks, content_of: ContentOf) -> None:
+        """Read the files from another place from now on."""
+        self._read_blocks, self._content_of = blocks_of, content_of
 
     @property
     def first_accepted(self) -> int:
@@ -223,17 +236,23 @@ class ArchivedChannel:
         return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
+        return self._read_blocks(segment)
+
+    def _written_blocks_of(self, segment: Segment) -> SegmentBlocks:
         return SegmentBlocks(self._blocks[segment.number])
+
+    def _written_content_of(self, segment: Segment, block: PlacedBlock) -> bytes:
+        return self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
 
     def _archived_runs_of(
         self, segment: Segment, block: PlacedBlock, within: TimeRange | None = None
     ) -> list[ArchivedRun]:
-        content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
+        content = self._content_of(segment, block)
         assert archive.is_whole(block.head, content)
         return archive.decode_items(block.head, content, self._decode, within)
 
     def _advances_of(self, segment: Segment, block: PlacedBlock) -> list[ArchivedAdvance]:
-        content = self._files[segment.number][block.offset + archive.HEAD_BYTES : block.end]
+        content = self._content_of(segment, block)
         return archive.decode_advances(content)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock, within: TimeRange | None = None) -> list[Run]:

@@ -86,7 +86,8 @@ def _archive(
 ) -> HostArchive:
     """The archive in a folder, and perhaps in an object store. Blocks."""
     found = [*folder.of_channels()]
-    disk = DiskUse(folder.limit_bytes(sum(one.bytes for one in found)), accounts.of)
+    cached = 0 if objects is None else objects.cache_bytes_max
+    disk = DiskUse(folder.limit_bytes(sum(one.bytes for one in found), cached), accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, disk.bytes_max * 7 // 8)
     disk.update(found)
     stored = None if objects is None else ObjectArchive(objects, folder, slice_run, now)

@@ -96,9 +96,12 @@ class ArchiveFolder:
         """The folders of all channels, those of deleted channels included. Blocks. Raises OSError."""
         return folders_of_channels(self.path / _CHANNELS)
 
-    def limit_bytes(self, used_bytes: int) -> int:
-        """The most bytes that the archive may have, if it has `used_bytes` now. Raises OSError."""
-        return self._bytes_max or (used_bytes + shutil.disk_usage(self.path).free) * 9 // 10
+    def limit_bytes(self, used_bytes: int, besides: int = 0) -> int:
+        """The most bytes that the archive may have, if it has `used_bytes` now. Raises OSError.
+
+        `besides`: the bytes that others may take of the disk.
+        """
+        return self._bytes_max or max(0, used_bytes + shutil.disk_usage(self.path).free - besides) * 9 // 10
 
     def close(self) -> None:
         """Let other processes use the folder."""

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
-READERS = 2  # threads
+READERS, READERS_OF_STORE = 2, 8  # threads; those of an object store mostly wait for the network
 WRITE_AFTER_SECONDS = 0.2  # small writes are put together for so long
 RETRY_SECONDS = 1.0
 CLOSE_SECONDS_MAX = 5.0  # for the last writes of a host that stops
@@ -56,7 +56,9 @@ class HostArchive:
         self._recorders: set[ChannelRecorder] = set()
         self._making_room: asyncio.Task[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
-        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="archive-reader")
+        self._readers = ThreadPoolExecutor(
+            READERS if objects is None else READERS_OF_STORE, thread_name_prefix="archive-reader"
+        )
         if objects is not None:
             objects.mover.writer = self._writer
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with the function to call after the write

@@ -167,7 +167,7 @@ async def test_an_object_of_the_same_name_with_other_bytes_is_neither_overwritte
     write_closed(files, 1)
     packed = files.stored.pack(files.waiting[0])
     store.objects[packed.name] = b"something else"
-    with pytest.raises(StoreError, match="other bytes"):
+    with pytest.raises(FileExistsError, match="other bytes"):
         await move(files, store)
     assert store.objects == {packed.name: b"something else"}
     assert found_by(host(tmp_path, "a", store, 2)) == [1, 2, 3, 4]  # the file counts

@@ -257,6 +257,21 @@ async def test_the_limits_of_an_idle_channel_remove_its_objects(
 
 
 @pytest.mark.asyncio
+async def test_a_store_that_takes_no_object_in_time_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hanging(FakeStore):
+        async def create(self, name: str, content: bytes | bytearray) -> bool:
+            await asyncio.Event().wait()
+            return True
+
+    monkeypatch.setattr(segment_mover, "UPLOAD_SECONDS_LEAST", 0.05)
+    async with host(tmp_path, Hanging()) as one:
+        await one.serve(1)
+        await one.write()
+        assert "has not taken an object" in await one.mover.move_all()
+        assert len(one.local()) == 1
+
+
+@pytest.mark.asyncio
 async def test_no_call_of_the_store_runs_on_the_event_loop(tmp_path: Path) -> None:
     class Watching(FakeStore):
         def _call(self, what: str) -> None:

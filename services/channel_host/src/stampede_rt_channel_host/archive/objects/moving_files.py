@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
-from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
@@ -42,7 +42,7 @@ class MovingFiles(SegmentFiles):
         if self.is_left:
             self.waiting = ()
             return
-        if self._file is not None and now - self._begun_at >= seal_nanos:
+        if self._file is not None and not 0 <= now - self._begun_at < seal_nanos:  # also if the clock went back
             self._end_segment()
         if limits is not None:
             self.drop_outdated(limits, now)
@@ -108,6 +108,7 @@ class MovingFiles(SegmentFiles):
         return sum(one.length for one in self._local())
 
     def check_same(self, packed: Packed) -> None:
-        """Check that the object that is there already is this segment. Raises StoreError. Any thread may call it."""
+        """Check that the object that is there already is this segment. Raises OSError. Any thread may call it."""
         if not self.stored.has_object(packed.name, len(packed.content)):
-            raise StoreError(f"the object {packed.name} exists with other bytes; move it away, and look who wrote it")
+            text = f"the object {packed.name} exists with other bytes; move it away, and look who wrote it"
+            raise OSError(errno.EEXIST, text)

@@ -12,7 +12,8 @@ from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
 from stampede_rt_channel_host.archive.objects.former_owners import FormerOwners
 from stampede_rt_channel_host.archive.objects.leftovers import Leftovers
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
-from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
+from stampede_rt_channel_host.archive.objects.stored_segments import Packed
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.core.archive import Segment
 
@@ -22,6 +23,7 @@ Result = TypeVar("Result")
 LOOK_SECONDS_MIN, LOOK_SECONDS_MAX = 0.05, 5.0
 BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
 DELETED_AT_ONCE = 100
+UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
 LOOKS_PER_DROP = 12  # every so many looks, outdated segments of idle channels leave the archive
 
 
@@ -60,6 +62,7 @@ class SegmentMover:
         # the files of channels that are not recorded here any more, and whether a look has found their waiting segments
         self._leaving: dict[MovingFiles, bool] = {}
         self._former = FormerOwners()
+        self._store_fails = False
         self._moved_bytes = self._failures = self._looks = 0
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="archive-mover")
         self.writer: Executor = self._threads
@@ -151,19 +154,23 @@ class SegmentMover:
 
     async def move_all(self) -> str:
         """Do all that is to do now. Returns why something failed, or an empty text."""
+        self._store_fails = False
         failures = [await self._tried(self._look())]
         for files in (*self._recorders, *self._leaving):
-            for segment in files.waiting:
-                failures.append(await self._tried(self._move(files, segment)))
-                if failures[-1]:
-                    break
-            failures.append(await self._tried(self._delete_outdated(files)))
+            failures.append(await self._tried(self._move_waiting(files)))
+            if self._store_fails:  # the others would fail, too, perhaps after a long wait
+                break
             if self._leftovers_done(files):
                 del self._leaving[files]
         for files in self._former.take_due():
             failures.append(await self._tried(self._find_again(files)))
         failures.append(await self._tried(self._leftovers.delete_condemned(self.in_thread)))
         return next((one for one in failures if one), "")
+
+    async def _move_waiting(self, files: MovingFiles) -> None:
+        for segment in files.waiting:
+            await self._move(files, segment)
+        await self._delete_outdated(files)
 
     def _leftovers_done(self, files: MovingFiles) -> bool:
         return self._leaving.get(files, False) and (files.is_left or not (files.waiting or files.stored.outdated))
@@ -172,6 +179,7 @@ class SegmentMover:
         try:
             await work
         except OSError as error:
+            self._store_fails = self._store_fails or isinstance(error, StoreError)
             return error.strerror or str(error)
         return ""
 
@@ -203,7 +211,7 @@ class SegmentMover:
         if files.is_left:
             return
         packed = await self.in_thread(lambda: files.stored.pack(segment))
-        if not await self.store.create(packed.name, packed.content):
+        if not await self._create(packed):
             await self.in_thread(lambda: files.check_same(packed))
         segments = await self.in_writer(lambda: files.settle(packed))
         self._moved_bytes += segment.length
@@ -211,6 +219,16 @@ class SegmentMover:
         recorder = self._recorders.get(files)
         if recorder is not None:
             recorder.keep(segments)
+
+    async def _create(self, packed: Packed) -> bool:
+        """Make the object of a segment. Raises StoreError, also if this takes too long for its size."""
+        seconds_max = UPLOAD_SECONDS_LEAST + len(packed.content) / UPLOAD_BYTES_PER_SECOND
+        try:
+            async with asyncio.timeout(seconds_max):
+                return await self.store.create(packed.name, packed.content)
+        except TimeoutError:
+            url = self.store.url
+            raise StoreError(f"the object store {url} has not taken an object in {seconds_max:.0f} s") from None
 
     async def _find_again(self, files: MovingFiles) -> None:
         """Look for files of the former owner. Raises OSError."""
