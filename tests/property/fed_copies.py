@@ -55,14 +55,10 @@ class FedCopy:
         return self.pair.core if self.upstream is None else self.upstream.channel
 
     def _drop_items(self) -> None:
-        lost_before = self.pair.core.lost_before
         self.channel = FedChannel(
-            self.pair.core.policy,
-            incarnation=INCARNATION,
-            name="pair",
-            lost_before=lost_before,
-            knows_owner=self.window is not None,
+            self.pair.core.policy, incarnation=INCARNATION, name="pair", knows_owner=self.window is not None
         )
+        self.channel.take_losses(self.pair.core.losses)
 
     def cut(self) -> None:
         """Break the stream of the feed."""

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt_channel_host.core.replication import (
+    EARLY_LAG_NANOS_MAX,
     LAG_NANOS_MAX,
     KnownReplica,
     ReplicaChange,
@@ -121,6 +122,64 @@ def test_every_replica_with_the_flag_holds_all_replicated_items(numbers: list[in
     for number in numbers[1:]:
         model.step(RandomSource(number))
     model.settle()
+
+
+@dataclass
+class LaggingModel(Model):
+    """As `Model`, with puts that do not wait for the replicas."""
+
+    accepted: dict[int, int] = field(default_factory=dict)  # the time of each item's acceptance, by seq
+    acknowledged_at: int = -(2**62)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.owner = ReplicasInSync(self.start, self.min_replicas, may_lag=True)
+
+    def step(self, rng: RandomSource) -> None:
+        first = self.next_seq
+        super().step(rng)
+        self.accepted |= dict.fromkeys(range(first, self.next_seq), self.clock)
+        delisted = {host_id for host_id, host in self.hosts.items() if not host.is_listed}
+        self.under_way = [one for one in self.under_way if one.host_id not in delisted]  # a new entry is another one
+        if self.owner.within_lag(self.clock):
+            self.acknowledged_at = self.clock
+        self.check_loss()
+
+    def check(self, before: int) -> None:
+        assert before <= self.owner.replicated <= self.next_seq
+
+    def check_loss(self) -> None:
+        """A host that becomes the owner now lacks no item that was accepted long before the last acknowledgement."""
+        old = [seq for seq, at in self.accepted.items() if at < self.acknowledged_at - LAG_NANOS_MAX]
+        assert all(one.holds > max(old, default=0) for one in self.hosts.values() if one.has_flag)
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**64), min_size=4, max_size=60))
+def test_with_replicas_that_may_lag_no_acknowledged_item_older_than_the_lag_is_lost(numbers: list[int]) -> None:
+    first = RandomSource(numbers[0])
+    model = LaggingModel(min_replicas=first.below(3), start=first.pick((1, 5)))
+    for number in numbers[1:]:
+        model.step(RandomSource(number))
+    model.settle()
+
+
+def test_a_put_waits_for_a_lagging_replica_only_until_the_log_has_cleared_its_flag() -> None:
+    owner = ReplicasInSync(1, 1, may_lag=True)
+    owner.know([KnownReplica(b"a", 1, in_sync=False)], 0)
+    assert owner.within_lag(0)  # nobody may become the owner, so nobody is waited for
+    assert owner.changes(0) == []  # it has not said yet what it holds
+    owner.report(b"a", 1, 0)
+    for change in owner.changes(0):
+        owner.confirm(change)
+    owner.put(2)
+    assert owner.within_lag(LAG_NANOS_MAX)
+    assert owner.changes(EARLY_LAG_NANOS_MAX) == []
+    (change,) = owner.changes(EARLY_LAG_NANOS_MAX + 1)
+    assert not owner.within_lag(LAG_NANOS_MAX + 1)
+    owner.confirm(change)
+    assert owner.within_lag(LAG_NANOS_MAX + 1)
 
 
 def a_pair(min_replicas: int = 1) -> ReplicasInSync:

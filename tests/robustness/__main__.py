@@ -25,7 +25,9 @@ from tests.robustness.campaign import (
     HOST_FAULTS,
     HOSTILE_FAULTS,
     HOSTS,
+    LAGGING,
     RARELY_COMPACTED_FAULTS,
+    REPLICATED,
     SECURED_FAULTS,
     WEATHERS,
     Findings,
@@ -37,8 +39,9 @@ from tests.robustness.directory.simulate import run_seeds
 from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
-SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, COPIES_SHARE, HOSTILE_SHARE, WEATHER_SHARE = 0.2, 0.15, 0.2, 0.2, 0.15, 0.1
-NAMES = ("secured", "open", "hosts", "copies", "hostile", "weather")
+SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, COPIES_SHARE, LAGGING_SHARE = 0.2, 0.15, 0.15, 0.15, 0.15
+HOSTILE_SHARE, WEATHER_SHARE = 0.1, 0.1
+NAMES = ("secured", "open", "hosts", "copies", "lagging", "hostile", "weather")
 
 
 def arguments() -> argparse.Namespace:
@@ -88,7 +91,16 @@ def campaigns(folder: Path, seconds: float, seed: int) -> dict[str, Callable[[],
             seed=seed + 5,
             secured=False,
             hosts=HOSTS,
-            replicated=True,
+            policy=REPLICATED,
+        ),
+        "lagging": lambda: run_campaign(
+            folder / "lagging",
+            "Copies: channels with a replica for which no put waits",
+            in_rounds(COPY_FAULTS, seed + 6, seconds * LAGGING_SHARE),
+            seed=seed + 6,
+            secured=False,
+            hosts=HOSTS,
+            policy=LAGGING,
         ),
         "hostile": lambda: run_campaign(
             folder / "hostile",

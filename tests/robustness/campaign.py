@@ -7,10 +7,12 @@ import itertools
 import random
 import time
 import traceback
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import grpc
 
@@ -28,7 +30,7 @@ from tests.robustness.faults import (
 from tests.robustness.faults.scene import Fault, Outcome, Scene
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
-from tests.robustness.histories.ownership_model import Judged, judge_items
+from tests.robustness.histories.ownership_model import Judged, early_losses, judge_items
 from tests.robustness.real_cluster.callers import Caller, HostActor
 from tests.robustness.real_cluster.cluster import Cluster, running_cluster
 from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
@@ -62,6 +64,8 @@ COPY_FAULTS: dict[str, Fault] = {
 }
 EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS, **HOSTILE_FAULTS, **COPY_FAULTS}
 REPLICATED = {"replicas": 1, "ack": "replica"}
+LAGGING = {"replicas": 1, "ack": "host"}
+EMPTY: Mapping[str, Any] = MappingProxyType({})
 CALLERS, HOST_ACTORS, WORKERS, HOSTS = 6, 3, 4, 3
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
 WEATHERS = {
@@ -122,16 +126,17 @@ async def run_campaign(
     hosts: int = 0,
     compacts_early: bool = True,
     quiet_s: float = 0.5,
-    replicated: bool = False,
+    policy: Mapping[str, Any] = EMPTY,
 ) -> Findings:
     """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again.
 
-    `replicated`: all channels with items have a replica, and no host may take an acknowledged item with it.
+    `policy`: of all channels with items. With REPLICATED no host may take an acknowledged item with it, and with
+    LAGGING it may take those of a second.
     """
     async with running_cluster(
-        folder, secured=secured, hosts=hosts, compacts_early=compacts_early, relayed_hosts=replicated
+        folder, secured=secured, hosts=hosts, compacts_early=compacts_early, relayed_hosts=bool(policy)
     ) as cluster:
-        campaign = _Campaign(cluster, folder, seed, replicated=replicated)
+        campaign = _Campaign(cluster, folder, seed, policy)
 
         async def body() -> None:
             for name in names:
@@ -181,15 +186,14 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
 class _Campaign:
     """The callers, hosts and probe around a cluster, and their findings."""
 
-    def __init__(self, cluster: Cluster, folder: Path, seed: int, *, replicated: bool = False) -> None:
-        self._cluster, self._replicated = cluster, replicated
+    def __init__(self, cluster: Cluster, folder: Path, seed: int, policy: Mapping[str, Any] = EMPTY) -> None:
+        self._cluster, self._policy = cluster, policy
         self._recorder = Recorder(time.monotonic)
         real = bool(cluster.hosts)
         self._actors = [] if real else [HostActor(number, cluster, seed) for number in range(HOST_ACTORS)]
         self._callers = [Caller(number, cluster, self._recorder, self._actors, seed) for number in range(CALLERS)]
         write: Write = ChannelWrites() if real else register_probe_host
         self._probe = Probe(cluster, write)
-        policy = REPLICATED if replicated else {}
         self._traffic = Traffic(cluster, Recorder(time.monotonic), seed, **policy) if real else None
         self._broken: list[str] = []
         self._scene = Scene(cluster, self._probe, random.Random(seed), folder, self._traffic)
@@ -239,8 +243,10 @@ class _Campaign:
         seconds = time.monotonic() - began
         names, wrong = violations(self._recorder.operations)
         items = None if self._traffic is None else judge_items(self._traffic.recorder.operations)
-        if self._replicated and items is not None and items.gone_with_host:
+        if self._policy == REPLICATED and items is not None and items.gone_with_host:
             wrong = [*wrong, f"{items.gone_with_host} acknowledged or seen items with replicas went with a host"]
+        if self._policy == LAGGING and self._traffic is not None:
+            wrong = [*wrong, *early_losses(self._traffic.recorder.operations)]
         gap_s, moment = longest_gap(self._probe.served, self._scene.outcomes)
         around = (one.kind for one in self._scene.outcomes if one.began - 1 <= moment <= one.ended + 1)
         return Findings(

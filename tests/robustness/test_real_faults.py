@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_local.namespaces import unavailable_because
-from tests.robustness.campaign import HOSTS, Findings, in_rounds, longest_gap, run_campaign
+from tests.robustness.campaign import HOSTS, REPLICATED, Findings, in_rounds, longest_gap, run_campaign
 from tests.robustness.faults.scene import Outcome
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Resolve, Seen, Update, violations
 from tests.robustness.histories.operations import Operation
@@ -72,7 +72,7 @@ def doubled_claim(history: list[Operation]) -> list[Operation]:
 async def test_replicated_channels_lose_nothing_when_their_owner_is_restarted_or_dies_in_a_move(tmp_path: Path) -> None:
     faults = ["copies_restart_owner", "copies_kill_during_move"]
     found = await run_campaign(
-        tmp_path, "short", faults, seed=7, secured=False, hosts=HOSTS, quiet_s=0.1, replicated=True
+        tmp_path, "short", faults, seed=7, secured=False, hosts=HOSTS, quiet_s=0.1, policy=REPLICATED
     )
     assert found.violations == ()
     assert not [outcome for outcome in found.outcomes if outcome.failed]

@@ -6,12 +6,14 @@ use no proxy.
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import stampede_rt as st
+from stampede_rt import aio
 from tests.support.waiting import wait_until
 
 PUT_PAUSE_S = 0.002
@@ -73,6 +75,48 @@ def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) ->
     finally:
         for reader in readers:
             reader.close()
+
+
+class AwaitedReading:
+    """As `Reading`, with the awaited client, on an event loop in a thread of its own."""
+
+    def __init__(self, address: str, channel: str, transport: Any) -> None:
+        self.subscription: Any = None
+        self.seqs: list[int] = []
+        self.error: st.StampedeError | None = None
+        self._begun = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run(address, channel, transport)), daemon=True)
+        self._thread.start()
+        assert self._begun.wait(20), "the reader has begun"
+
+    async def _run(self, address: str, channel: str, transport: Any) -> None:
+        self._loop = asyncio.get_running_loop()
+        async with aio.connect(address, transport=transport) as rt:
+            self.subscription = (await rt.channel(channel)).subscribe(st.OLDEST)
+            self._begun.set()
+            try:
+                async for item in self.subscription:
+                    self.seqs.append(item.seq)
+            except st.StampedeError as error:
+                self.error = error
+
+    @property
+    def last(self) -> int:
+        return self.seqs[-1] if self.seqs else 0
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self.subscription.close)
+        self._thread.join(20)
+
+
+@contextmanager
+def awaited_reading(address: str, channel: str, transport: Any) -> Iterator[AwaitedReading]:
+    """Begin a subscription of the awaited client."""
+    reader = AwaitedReading(address, channel, transport)
+    try:
+        yield reader
+    finally:
+        reader.close()
 
 
 @contextmanager

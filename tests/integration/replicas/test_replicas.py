@@ -6,15 +6,18 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import stampede_rt as st
+from stampede_rt.files.editing import verify
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, awaited_reading, eventually, passes, produced, reading
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
 
@@ -69,6 +72,69 @@ def test_after_a_killed_owner_nothing_acknowledged_or_seen_is_lost_or_doubled(
         assert owner_of(rt, channel) in ("h2", "h3")
         holds_all(channel, last)
         eventually(lambda: len(in_sync(channel)) == 1, "the owner has found another replica")
+
+
+def got_all_but_the_lost(seqs: list[int], inherited: int, last: int) -> bool:
+    """Whether a reader got what the former owner had sent, and then all items of the new one that it did not have."""
+    seen = next((at for at, seq in enumerate(seqs) if seq != at + 1), len(seqs))  # from the former owner
+    if seen == len(seqs):  # it had seen nothing that was lost
+        return seqs == [*range(1, last + 1)]
+    return seen >= inherited - 1 and seqs[seen:] == [*range(inherited, last + 1)]
+
+
+@pytest.mark.parametrize("transport", ["grpc", None])
+def test_with_ack_host_a_replica_goes_on_and_each_reader_hears_of_the_loss(
+    cluster: LocalCluster, transport: Any
+) -> None:
+    with st.connect(cluster.address, transport=transport) as rt:
+        channel = rt.channel("cam", max_items=100_000, host="h1", replicas=1)
+        eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
+        incarnation = channel.incarnation
+        with (
+            reading(channel, 2) as readers,
+            awaited_reading(cluster.address, "cam", transport) as awaited,
+            produced(channel) as producing,
+        ):
+            passes(producing, 100)
+            early = channel.get(st.OLDEST, st.NEWEST)[50]
+            eventually(lambda: channel.stats().copies[0].waiting == 0 or producing.last > 400, "the replica is near")
+            cluster.hosts[0].kill()
+            passes(producing, 100)
+            last = producing.stop()
+            inherited = channel.stats().inherited_next_seq
+            assert inherited is not None
+            assert channel.incarnation != incarnation
+            for one in (*readers, awaited):
+                eventually(lambda one=one: one.last == last, "the reader has the last item")  # type: ignore[misc]
+                assert one.error is None
+                assert got_all_but_the_lost(one.seqs, inherited, last)
+                assert one.subscription.losses == 1
+        later = channel.get(st.OLDEST, st.NEWEST, after=early)  # a position of the former incarnation
+        assert [item.seq for item in later] == [*range(early.seq + 1, last + 1)]
+        assert later.reason == "LOST"
+        eventually(lambda: len(in_sync(channel)) == 1, "the owner has found another replica")
+
+
+def test_a_recording_goes_on_after_a_loss_and_names_it(cluster: LocalCluster, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with st.connect(cluster.address) as rt:
+        channel = rt.channel("cam", max_items=100_000, host="h1", replicas=1)
+        eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
+        with rt.record(channel, path) as recorder, produced(channel) as producing:
+            passes(producing, 100)
+            cluster.hosts[0].kill()
+            passes(producing, 100)
+            producing.stop()
+            last = channel.put(b"the last").seq
+            inherited = channel.stats().inherited_next_seq
+            wait_until(lambda: recorder.recorded >= last, "all items are recorded")
+    assert inherited is not None
+    assert recorder.summary is not None
+    lost, anew = sorted(recorder.summary.channels, key=lambda one: one.start or 0)
+    assert [(gap.reason, gap.items) for gap in lost.gaps] == [("LOST", None)]
+    assert lost.recorded >= inherited - 1
+    assert (anew.recorded, anew.complete, anew.gaps) == (last - inherited + 1, True, ())
+    assert not verify(path).summary.complete
 
 
 def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:

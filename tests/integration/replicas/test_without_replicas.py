@@ -50,10 +50,30 @@ def test_a_producer_hears_of_items_that_were_not_replicated_in_time(cluster: Loc
         assert [item.payload for item in channel.get(st.OLDEST, st.NEWEST)] == [b"0", b"1", b"2", b"3", b"4"]
 
 
+@pytest.mark.parametrize("transport", ["grpc", None])
+def test_with_ack_host_a_put_waits_for_replicas_only_if_it_asks_to(cluster: LocalCluster, transport: Any) -> None:
+    with st.connect(cluster.address, transport=transport) as rt:
+        channel = rt.channel(f"lags/{transport}", max_items=10, replicas=1)
+        assert channel.put(b"an item") == channel.newest()
+        with pytest.raises(st.NotReplicated):
+            channel.put(b"the next", ack="replica", timeout=0.2)
+        assert [item.seq for item in channel.get(st.OLDEST, st.NEWEST)] == [1, 2]
+        assert (channel.stats().replicated, channel.stats().inherited_next_seq) == (None, None)
+
+
+async def test_on_asyncio_a_put_waits_for_lagging_replicas_only_if_it_asks_to(cluster: LocalCluster) -> None:
+    async with stampede_rt.aio.connect(cluster.address) as rt:
+        channel = await rt.channel("aio-lags", max_items=10, replicas=1)
+        assert (await channel.put(b"an item")).seq == 1
+        with pytest.raises(st.NotReplicated):
+            await channel.put(b"the next", ack="replica", timeout=0.2)
+        await channel.configure(replicas=0)
+        assert (await channel.put(b"the last")).seq == 3
+
+
 @pytest.mark.parametrize(
     ("policy", "says"),
     [
-        ({"replicas": 1}, 'state ack="replica" with replicas'),
         ({"ack": "replica"}, "state replicas of 1 or more"),
         ({"replicas": 1, "ack": "replica", "min_replicas": 2}, "state at most 1"),
         ({"replicas": 5, "ack": "replica"}, "it must be 0 to 4"),

@@ -1,4 +1,7 @@
-"""Faults of the hosts of replicated channels: no acknowledged or seen item may be lost, and no incarnation may change.
+"""Faults of the hosts of replicated channels.
+
+With `ack="replica"` no acknowledged or seen item may be lost, and no incarnation may change. With `ack="host"` a
+replica goes on, perhaps without the latest items, and each subscription hears of that.
 
 Before each fault all channels of the traffic have their replica in sync. So one fault never costs two copies.
 """
@@ -21,6 +24,7 @@ from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
 from tests.robustness.real_cluster.supernode import LEASE_TTL_SECONDS
 from tests.robustness.real_cluster.traffic import Traffic
 
+PUT_PAUSE_SECONDS, TAKEOVERS_MAX = 0.02, 3
 FROZEN_SECONDS = LEASE_TTL_SECONDS + 3.0
 DISTURBED_SECONDS = 3.0  # longer than a replica keeps its flag without a word
 
@@ -32,6 +36,10 @@ class Replicated:
         assert scene.traffic is not None, "this fault is for clusters with channel hosts"
         self.scene, self.traffic, self.channel, self.incarnation = scene, scene.traffic, channel, incarnation
         self.names: dict[bytes, str] = {}
+        self._reader = channel.subscribe(st.OLDEST)
+        self._got: set[tuple[int, int]] = set()  # incarnation and seq
+        self._news = asyncio.Event()
+        self._tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._put())]
 
     async def find(self) -> tuple[Host, Host]:
         """The owner, and the host of the replica, once it is in sync."""
@@ -40,6 +48,37 @@ class Replicated:
             replicas = await _synced(self.channel)
         owner = next(one.host for one in await self.traffic.rt.channels(self.channel.name))
         return self._host(owner), self._host(self.names[replicas[0]])
+
+    async def _check_told(self, item: st.Item) -> None:
+        """Check that the owner goes on, and that the reader got the item and heard of each loss before it."""
+        takeovers = (item.incarnation - self.incarnation) % 2**64
+        if takeovers > (0 if self.traffic.waits_for_replicas else TAKEOVERS_MAX):
+            raise AssertionError(f"{self.channel.name} has another incarnation, although a replica was in sync")
+        async with patience(f"the reader of {self.channel.name} did not get seq {item.seq}"):
+            while (item.incarnation, item.seq) not in self._got:
+                await self._news.wait()
+                self._news.clear()
+        if bool(self._reader.losses) != bool(takeovers):
+            raise AssertionError(f"the reader of {self.channel.name} heard of {self._reader.losses} losses")
+
+    async def _read(self) -> None:
+        async for item in self._reader:
+            self._got.add((item.incarnation, item.seq))
+            self._news.set()
+
+    async def _put(self) -> None:
+        """Put during the fault, so that there is something to lose."""
+        while True:
+            with suppress(st.StampedeError):
+                await self.traffic.put(self.channel)
+            await asyncio.sleep(PUT_PAUSE_SECONDS)
+
+    async def close(self) -> None:
+        """End the reader and the producer."""
+        self._reader.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _host(self, name: str) -> Host:
         return next(one for one in self.scene.cluster.hosts if one.name == name)
@@ -52,8 +91,7 @@ class Replicated:
                     item = await self.traffic.put(self.channel)
                     break
                 await asyncio.sleep(RETRY_SECONDS)
-        if item.incarnation != self.incarnation:
-            raise AssertionError(f"{self.channel.name} has another incarnation, although a replica was in sync")
+        await self._check_told(item)
         async with patience(f"{self.channel.name} was not read"):
             await self.traffic.read_all(self.channel)
         return time.monotonic() - since
@@ -103,15 +141,19 @@ async def settled(traffic: Traffic) -> None:
             raise TimeoutError(f"no replica of {channel.name} is in sync: {await _seen(channel)}") from error
 
 
-async def _prepare(scene: Scene) -> tuple[Replicated, Host, Host]:
+@asynccontextmanager
+async def _prepare(scene: Scene) -> AsyncIterator[tuple[Replicated, Host, Host]]:
+    """A channel of this test, its owner, and the host of its replica in sync."""
     assert scene.traffic is not None, "this fault is for clusters with channel hosts"
     name = f"robust-copied/{time.monotonic_ns()}"
     async with patience(f"{name} was not opened, and no put into it acknowledged"):
         channel, item = await _first_put(scene.traffic, name)
     await settled(scene.traffic)
     found = Replicated(scene, channel, item.incarnation)
-    owner, replica = await found.find()
-    return found, owner, replica
+    try:
+        yield (found, *await found.find())
+    finally:
+        await found.close()
 
 
 async def _first_put(traffic: Traffic, name: str) -> tuple[aio.Channel, st.Item]:
@@ -125,122 +167,122 @@ async def _first_put(traffic: Traffic, name: str) -> tuple[aio.Channel, st.Item]
 
 async def kill_owner(scene: Scene) -> None:
     """Kill the owner. The replica goes on when its lease has ended."""
-    found, owner, replica = await _prepare(scene)
-    began = time.monotonic()
-    await owner.kill()
-    recovery = await found.go_on(began)
-    await started(owner)
-    evidence = f"{KILLED}; from {owner.name} to {replica.name}"
-    scene.ended("copies: kill -9 of the owner", began, recovery, evidence=evidence)
+    async with _prepare(scene) as (found, owner, replica):
+        began = time.monotonic()
+        await owner.kill()
+        recovery = await found.go_on(began)
+        await started(owner)
+        evidence = f"{KILLED}; from {owner.name} to {replica.name}"
+        scene.ended("copies: kill -9 of the owner", began, recovery, evidence=evidence)
 
 
 async def restart_owner(scene: Scene) -> None:
     """Kill the owner, and start it again within its lease. It comes back without items, and must not be the owner."""
-    found, owner, _ = await _prepare(scene)
-    began = time.monotonic()
-    await owner.kill()
-    await started(owner)
-    recovery = await found.go_on(began)
-    scene.ended("copies: kill -9 and a restart of the owner", began, recovery, evidence=KILLED)
+    async with _prepare(scene) as (found, owner, _):
+        began = time.monotonic()
+        await owner.kill()
+        await started(owner)
+        recovery = await found.go_on(began)
+        scene.ended("copies: kill -9 and a restart of the owner", began, recovery, evidence=KILLED)
 
 
 async def freeze_owner(scene: Scene) -> None:
     """Stop the owner for longer than its lease."""
-    found, owner, _ = await _prepare(scene)
-    began = time.monotonic()
-    await owner.freeze()
-    try:
-        recovery = await found.go_on(began)
-        await asyncio.sleep(max(0.0, began + FROZEN_SECONDS - time.monotonic()))
-    finally:
-        owner.thaw()
-    await found.go_on(began)
-    scene.ended("copies: SIGSTOP of the owner", began, recovery, evidence=STOPPED)
+    async with _prepare(scene) as (found, owner, _):
+        began = time.monotonic()
+        await owner.freeze()
+        try:
+            recovery = await found.go_on(began)
+            await asyncio.sleep(max(0.0, began + FROZEN_SECONDS - time.monotonic()))
+        finally:
+            owner.thaw()
+        await found.go_on(began)
+        scene.ended("copies: SIGSTOP of the owner", began, recovery, evidence=STOPPED)
 
 
 async def kill_replica(scene: Scene) -> None:
     """Kill the host of the replica. The owner finds another one."""
-    found, _, replica = await _prepare(scene)
-    began = time.monotonic()
-    await replica.kill()
-    recovery = await found.go_on(began)
-    await started(replica)
-    scene.ended("copies: kill -9 of the replica's host", began, recovery, evidence=KILLED)
+    async with _prepare(scene) as (found, _, replica):
+        began = time.monotonic()
+        await replica.kill()
+        recovery = await found.go_on(began)
+        await started(replica)
+        scene.ended("copies: kill -9 of the replica's host", began, recovery, evidence=KILLED)
 
 
 async def freeze_replica(scene: Scene) -> None:
     """Stop the host of the replica for longer than it keeps its flag, and shorter than its lease."""
-    found, _, replica = await _prepare(scene)
-    began = time.monotonic()
-    await replica.freeze()
-    try:
-        await asyncio.sleep(DISTURBED_SECONDS)
-    finally:
-        replica.thaw()
-    recovery = await found.go_on(began)
-    scene.ended("copies: SIGSTOP of the replica's host", began, recovery, evidence=STOPPED)
+    async with _prepare(scene) as (found, _, replica):
+        began = time.monotonic()
+        await replica.freeze()
+        try:
+            await asyncio.sleep(DISTURBED_SECONDS)
+        finally:
+            replica.thaw()
+        recovery = await found.go_on(began)
+        scene.ended("copies: SIGSTOP of the replica's host", began, recovery, evidence=STOPPED)
 
 
 async def cut_copies(scene: Scene) -> None:
     """Cut the link between the owner and the replica. Both still reach the directory."""
-    found, owner, replica = await _prepare(scene)
-    pair = (owner.namespace, replica.namespace)
-    began = time.monotonic()
-    async with cut(scene, [pair, pair[::-1]]) as evidence:
-        await asyncio.sleep(DISTURBED_SECONDS)
-    recovery = await found.go_on(began)
-    scene.ended("copies: no link between owner and replica", began, recovery, evidence=evidence)
+    async with _prepare(scene) as (found, owner, replica):
+        pair = (owner.namespace, replica.namespace)
+        began = time.monotonic()
+        async with cut(scene, [pair, pair[::-1]]) as evidence:
+            await asyncio.sleep(DISTURBED_SECONDS)
+        recovery = await found.go_on(began)
+        scene.ended("copies: no link between owner and replica", began, recovery, evidence=evidence)
 
 
 async def cut_off_owner(scene: Scene) -> None:
     """Cut the owner off from the directory and the replica, but not from callers."""
-    found, owner, replica = await _prepare(scene)
-    others = [replica.namespace, *(one.namespace for one in scene.cluster.supernodes)]
-    pairs = [pair for other in others for pair in ((owner.namespace, other), (other, owner.namespace))]
-    began = time.monotonic()
-    async with cut(scene, pairs) as evidence:
-        recovery = await found.go_on(began)
-    scene.ended("copies: the owner is cut off", began, recovery, evidence=evidence)
+    async with _prepare(scene) as (found, owner, replica):
+        others = [replica.namespace, *(one.namespace for one in scene.cluster.supernodes)]
+        pairs = [pair for other in others for pair in ((owner.namespace, other), (other, owner.namespace))]
+        began = time.monotonic()
+        async with cut(scene, pairs) as evidence:
+            recovery = await found.go_on(began)
+        scene.ended("copies: the owner is cut off", began, recovery, evidence=evidence)
 
 
 async def slow_links(scene: Scene) -> None:
     """Put a slow link before the hosts of the owner and of the replica, and kill the owner behind it."""
-    found, owner, replica = await _prepare(scene)
-    relays = [one.relay for one in (owner, replica) if one.relay is not None]
-    kind = scene.rng.choice([*SLOW_LINKS])
-    began = time.monotonic()
-    for relay in relays:
-        await relay.set_weather(*SLOW_LINKS[kind])
-    try:
-        await asyncio.sleep(DISTURBED_SECONDS)
-        await owner.kill()
-        recovery = await found.go_on(began)
-    finally:
-        counts = [await relay.set_weather(0, 0, 0, 0) for relay in relays]
-    await started(owner)
-    chunks, waited_millis = sum(one[0] for one in counts), sum(one[2] for one in counts)
-    if not chunks or not (waited_millis or len(SLOW_LINKS[kind]) > DELAYS):
-        raise FaultHadNoEffect(f"{chunks} chunks went through the relays, and waited {waited_millis} ms")
-    evidence = f"{chunks} chunks waited {waited_millis / chunks:.0f} ms on average"
-    scene.ended(f"copies: {kind}, and kill -9 of the owner", began, recovery, evidence=evidence)
+    async with _prepare(scene) as (found, owner, replica):
+        relays = [one.relay for one in (owner, replica) if one.relay is not None]
+        kind = scene.rng.choice([*SLOW_LINKS])
+        began = time.monotonic()
+        for relay in relays:
+            await relay.set_weather(*SLOW_LINKS[kind])
+        try:
+            await asyncio.sleep(DISTURBED_SECONDS)
+            await owner.kill()
+            recovery = await found.go_on(began)
+        finally:
+            counts = [await relay.set_weather(0, 0, 0, 0) for relay in relays]
+        await started(owner)
+        chunks, waited_millis = sum(one[0] for one in counts), sum(one[2] for one in counts)
+        if not chunks or not (waited_millis or len(SLOW_LINKS[kind]) > DELAYS):
+            raise FaultHadNoEffect(f"{chunks} chunks went through the relays, and waited {waited_millis} ms")
+        evidence = f"{chunks} chunks waited {waited_millis / chunks:.0f} ms on average"
+        scene.ended(f"copies: {kind}, and kill -9 of the owner", began, recovery, evidence=evidence)
 
 
 async def kill_during_move(scene: Scene) -> None:
     """Move the channel, and kill the destination at some moment of the move."""
-    found, owner, replica = await _prepare(scene)
-    to = scene.rng.choice([one for one in scene.cluster.hosts if one is not owner])
-    began = time.monotonic()
-    move = asyncio.create_task(found.traffic.rt.move(found.channel, to.name))
-    await asyncio.sleep(scene.rng.uniform(0.0, 0.2))
-    await to.kill()
-    outcome = (await asyncio.gather(move, return_exceptions=True))[0]
-    if isinstance(outcome, BaseException) and not isinstance(outcome, st.StampedeError):
-        raise outcome
-    recovery = await found.go_on(began)
-    await started(to)
-    role = "the replica's host" if to is replica else "a stranger"
-    note = f"a move to {role} had {'failed' if isinstance(outcome, BaseException) else 'ended'}"
-    scene.ended("copies: kill -9 of a move's destination", began, recovery, evidence=KILLED, note=note)
+    async with _prepare(scene) as (found, owner, replica):
+        to = scene.rng.choice([one for one in scene.cluster.hosts if one is not owner])
+        began = time.monotonic()
+        move = asyncio.create_task(found.traffic.rt.move(found.channel, to.name))
+        await asyncio.sleep(scene.rng.uniform(0.0, 0.2))
+        await to.kill()
+        outcome = (await asyncio.gather(move, return_exceptions=True))[0]
+        if isinstance(outcome, BaseException) and not isinstance(outcome, st.StampedeError):
+            raise outcome
+        recovery = await found.go_on(began)
+        await started(to)
+        role = "the replica's host" if to is replica else "a stranger"
+        note = f"a move to {role} had {'failed' if isinstance(outcome, BaseException) else 'ended'}"
+        scene.ended("copies: kill -9 of a move's destination", began, recovery, evidence=KILLED, note=note)
 
 
 async def _fill(filler: aio.Channel, began: float) -> int:
@@ -259,17 +301,17 @@ async def _fill(filler: aio.Channel, began: float) -> int:
 
 async def fill_replica(scene: Scene) -> None:
     """Fill the memory of the replica's host. It can take no items then, and must lose its flag before puts go on."""
-    found, _, replica = await _prepare(scene)
-    began = time.monotonic()
-    name = f"robust-filler/{time.monotonic_ns()}"
-    filler = await found.traffic.rt.channel(name, host=replica.name, **FILLER)
-    try:
-        filled = await _fill(filler, began)
-        recovery = await found.go_on(time.monotonic())
-    finally:
-        await filler.delete()
-    evidence = f"{replica.name} refused an item after {filled >> 20} MiB"
-    scene.ended("copies: full memory at the replica's host", began, recovery, evidence=evidence)
+    async with _prepare(scene) as (found, _, replica):
+        began = time.monotonic()
+        name = f"robust-filler/{time.monotonic_ns()}"
+        filler = await found.traffic.rt.channel(name, host=replica.name, **FILLER)
+        try:
+            filled = await _fill(filler, began)
+            recovery = await found.go_on(time.monotonic())
+        finally:
+            await filler.delete()
+        evidence = f"{replica.name} refused an item after {filled >> 20} MiB"
+        scene.ended("copies: full memory at the replica's host", began, recovery, evidence=evidence)
 
 
 FILLER_BYTES, FILLER_SECONDS = 4 * 2**20, 5.0

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
 from tests.robustness.histories.operations import Operation, by_key
 
+LAG_SECONDS_MAX = 1.0  # of a replica in sync
+SLACK_SECONDS = 1.0  # for answers that were late
+
 
 @dataclass(frozen=True, slots=True)
 class Put:
@@ -121,7 +124,7 @@ def judge_items(operations: Iterable[Operation]) -> Judged:
         except (NotLinearizable, Undecided) as error:
             violations.append(str(error))
         acknowledged += sum(isinstance(one.answer, Accepted) for one in history)
-        gone += sum(map(len, list(_known(history).values())[:-1]))
+        gone += sum(len(lost) for _, _, lost in _lost_with_hosts(history))
     return Judged(len(histories), acknowledged, lost, doubled, gone, tuple(violations))
 
 
@@ -137,6 +140,36 @@ def _known(history: Sequence[Operation]) -> dict[int, dict[tuple[int, bytes], fl
         elif isinstance(one.answer, Listed):
             for item in one.answer.items:
                 found[one.answer.incarnation].setdefault(item, one.returned)
+    return found
+
+
+def _lost_with_hosts(history: Sequence[Operation]) -> list[tuple[int, int, dict[tuple[int, bytes], float]]]:
+    """Each incarnation that has ended, the next one, and the known items that no reader has got again later."""
+    known = [*_known(history).items()]
+    found = []
+    for at, (incarnation, items) in enumerate(known[:-1]):
+        again = {item for _, later in known[at + 1 :] for item in later}
+        found.append(
+            (incarnation, known[at + 1][0], {item: since for item, since in items.items() if item not in again})
+        )
+    return found
+
+
+def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS) -> list[str]:
+    """The items that were known long before the last one of an incarnation, and that a replica has lost as the owner.
+
+    The next incarnation has the items of a replica if its number follows. The last reader must have read all items.
+    """
+    found: list[str] = []
+    for name, history in by_key(operations).items():
+        times = _known(history)
+        for incarnation, after, lost in _lost_with_hosts(history):
+            last = max(times[incarnation].values())
+            early = [item for item, since in lost.items() if since < last - LAG_SECONDS_MAX - slack_s]
+            if early and after == (incarnation + 1) % 2**64:
+                found.append(
+                    f"{name}: {len(early)} items were lost more than {LAG_SECONDS_MAX:g} s before the last one"
+                )
     return found
 
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 import pytest
 
 from tests.robustness.histories.operations import Operation
-from tests.robustness.histories.ownership_model import Accepted, Found, Listed, Newest, Put, ReadAll, judge_items
+from tests.robustness.histories.ownership_model import (
+    Accepted,
+    Found,
+    Listed,
+    Newest,
+    Put,
+    ReadAll,
+    early_losses,
+    judge_items,
+)
 
 A, B = 7, 8
 
@@ -84,6 +93,15 @@ def test_a_planted_violation_is_found(history: list[Operation], complaint: str) 
 def test_items_that_went_with_their_host_are_counted_apart_from_lost_ones() -> None:
     judged = judge_items([FIRST, SECOND, put(b"3", 4, B, 1)])
     assert (judged.channels, judged.acknowledged, judged.gone_with_host, judged.lost) == (1, 3, 2, 0)
+
+
+def test_items_that_a_replica_goes_on_with_are_not_lost_and_early_losses_are_found() -> None:
+    late = put(b"3", 8, A, 3)
+    goes_on = [FIRST, SECOND, late, put(b"4", 10, A + 1, 3), listed(12, A + 1, (1, b"1"), (2, b"2"), (3, b"4"))]
+    assert (judge_items(goes_on).gone_with_host, early_losses(goes_on)) == (1, [])
+    lacks_more = [*goes_on[:-1], listed(12, A + 1, (1, b"1"), (3, b"4"))]
+    assert judge_items(lacks_more).gone_with_host == 2
+    assert "1 items were lost" in early_losses(lacks_more)[0]
 
 
 def test_an_item_that_was_seen_and_not_acknowledged_counts_as_gone_with_its_host() -> None:

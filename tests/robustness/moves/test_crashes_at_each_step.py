@@ -18,7 +18,7 @@ from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, move_slots, outgoing_moves
 from stampede_rt_channel_host.copies.move_directory import Kept
-from stampede_rt_channel_host.core.channel import run_to_end
+from stampede_rt_channel_host.core.channel import Losses, run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
 from stampede_rt_supernode.core.moves.commands import CommitMove
@@ -241,7 +241,7 @@ async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_h
     monkeypatch.setattr(story.source.directory, "kept_here", kept_here)
     await story.move()
     await asked.wait()
-    story.source.store.copies.begin(story.world.record, NewCopy(CopyState(), None, True))  # it moves back
+    story.source.store.copies.begin(story.world.record, NewCopy(CopyState(), Losses(), True))  # it moves back
     answer.set()
     await story.until(lambda: not story.source.outgoing._tasks)
     assert story.source.store.copies.of(story.world.channel_id) is not None

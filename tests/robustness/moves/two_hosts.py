@@ -234,9 +234,9 @@ class SimulatedDirectory:
             for one in warm
         ])  # fmt: skip
 
-    async def add_replica(self, channel_id: bytes, epoch: int) -> None:
+    async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         await self._reach()
-        self.world.apply(add_replica(channel_id, epoch=epoch, warm=True, acknowledged=True))
+        self.world.apply(add_replica(channel_id, epoch=epoch, warm=True, acknowledged=acknowledged))
 
     async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
         await self._reach()

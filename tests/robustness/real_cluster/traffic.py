@@ -49,6 +49,11 @@ class Traffic:
         assert self._rt is not None, "enter the traffic first"
         return self._rt
 
+    @property
+    def waits_for_replicas(self) -> bool:
+        """Whether puts into the channels wait for replicas."""
+        return self._policy.get("ack") == "replica"
+
     async def run(self, began: float) -> None:
         """Put and read until cancelled. Channels come and go, and a few are in use at a time."""
         while True:

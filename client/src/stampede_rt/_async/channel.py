@@ -193,9 +193,9 @@ class Channel(Reader):
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
         keep all held items. With fewer, the channel removes the places whose leases end first. `archive` and
-        `archive_bytes` record the channel from now on, or change the limits of its archive. To give a channel replicas,
-        state `replicas` and `ack="replica"` together; to take them away, `replicas=0` and `ack="host"`. Blocks for at
-        most 10 s. Raises InvalidArgument, ChannelNotFound, Unavailable.
+        `archive_bytes` record the channel from now on, or change the limits of its archive. `replicas=0` takes the
+        replicas away; if puts wait for them, state `ack="host"` with it. Blocks for at most 10 s. Raises
+        InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
             max_age=max_age,

@@ -98,8 +98,16 @@ class ChannelRecording:
         self.begun.set()
         while (batch := await stream.next_batch()) is not None:
             await self._write(tally, batch, stream.read_to)
+            if batch.next_live_seq is not None:
+                tally = await self._next_tally(tally, stream.incarnation, batch.next_live_seq)
             if self._end_seq is not None and stream.read_to >= self._end_seq:
                 stream.close()
+
+    async def _next_tally(self, tally: ChannelTally, incarnation: int, live_seq: int) -> ChannelTally:
+        """End the tally of a lost owner. The next one has the items that a replica accepts from `live_seq` on."""
+        await self._sink.seal(tally, None, None)
+        self.tallies.append(ChannelTally(self.name, incarnation, live_seq))
+        return self.tallies[-1]
 
     async def _look(self, since_nanos: int) -> tuple[Bound, list[RecordingGap]]:
         """Return the instant at which the recording begins, and a gap if the channel no longer holds it all."""

@@ -145,11 +145,11 @@ class Connection(Mailboxes, Reference):
         do not end its span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the
         channel: its host keeps the items on disk for that time, and up to that size. Reads of the channel find them
         there. The host needs the option --archive. `replicas`, 4 at most, is the number of copies at other hosts that
-        can take over without a loss if the host is lost. With `ack="replica"`, which they need, a put is acknowledged
-        only when all replicas in sync have the item, and at least `min_replicas` (default 1) of them; readers see it
-        only then. `host` names the host of a new channel. If the channel exists at another live host, the call raises
-        ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound. Blocks for
-        at most 10 s.
+        can take over if the host is lost, without the items of the last second at most. With `ack="replica"` nothing is
+        lost: a put is acknowledged only when all replicas in sync have the item, and at least `min_replicas` (default
+        1) of them; readers see it only then. `host` names the host of a new channel. If the channel exists at another
+        live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call raises
+        ChannelNotFound. Blocks for at most 10 s.
 
         `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
         host is full or more than 95 % busy. Open the channels of a group beside each other, so that their hosts need

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,11 +23,14 @@ from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWi
 from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.reads import bound_to_message, position_of
+
+_log = logging.getLogger("stampede_rt")
 
 NO_RING_S = 1.0  # after a ring did not have the next items, the subscription stays with the host for this time
 _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
@@ -39,10 +43,11 @@ class Subscription(BoundToProcess):
     moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB.
 
     `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
-    reader took them. `close` ends the iteration. A step raises ChannelNotFound once the
-    channel is deleted, Unavailable if the client could not reach the host for the duration `reconnect`, and
-    IncarnationLost if the channel's host was lost with its items. After IncarnationLost subscribe again to read the new
-    incarnation.
+    reader took them. `losses` counts how many times the channel's host was lost, and a replica went on that may have
+    lacked the latest items; the subscription continues, and logs a warning. `close` ends the iteration. A step raises
+    ChannelNotFound once the channel is deleted, Unavailable if the client could not reach the host for the duration
+    `reconnect`, and IncarnationLost if the channel's host was lost with its items. After IncarnationLost subscribe
+    again to read the new incarnation.
     """
 
     def __init__(
@@ -69,6 +74,7 @@ class Subscription(BoundToProcess):
         self._no_ring_before_s = 0.0
         self.skipped = 0
         self.dropped = 0
+        self.losses = 0
 
     @classmethod
     def begin(
@@ -316,6 +322,7 @@ class Subscription(BoundToProcess):
     def _take(self, response: channel_pb.SubscribeResponse) -> None:
         if response.HasField("gap"):
             self.dropped += response.gap.items
+            self._count_loss(response.gap)
         if response.runs and self._decoder is not None:
             self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
         if response.HasField("cursor"):
@@ -324,6 +331,11 @@ class Subscription(BoundToProcess):
                 self._since_cursor.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped
+
+    def _count_loss(self, gap: channel_pb.SubscriptionGap) -> None:
+        if gap.reason == error_pb2.ABSENCE_REASON_LOST:
+            self.losses += 1
+            _log.warning("a subscription to channel %r continues after a loss: %s", self._state.info.name, gap.detail)
 
     def _unseen(self, items: list[Item]) -> Iterator[Item]:
         if not self._begun.HasField("group_id"):

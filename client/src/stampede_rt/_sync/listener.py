@@ -45,11 +45,16 @@ class Listener(BackgroundStart, BoundToProcess):
         self._holds = Signal()  # is set once the subscription is open, or once the listener has ended
         self._cancelled = False
         self.active = True
-        self.delivered = self.failures = self.losses = 0
+        self.delivered = self.failures = self._incarnations_lost = self._losses_before = 0
         self.last_failure: Exception | None = None
         self.error: StampedeError | None = None
         session.attach(self)
         self._background = BackgroundTask(self._run, f"on_item of {name}")
+
+    @property
+    def losses(self) -> int:
+        """How many times the channel's host was lost with items."""
+        return self._incarnations_lost + self._losses_before + self._subscription.losses
 
     @property
     def dropped(self) -> int:
@@ -127,9 +132,10 @@ class Listener(BackgroundStart, BoundToProcess):
                 for item in items:
                     self._call(item)
         except IncarnationLost as error:
-            self.losses += 1
+            self._incarnations_lost += 1
             _log.warning("on_item of %s continues with a new incarnation: %s", self._name, error)
             self._dropped_before, self._skipped_before = self.dropped, self.skipped
+            self._losses_before += self._subscription.losses
             self._reconnects_before = self.reconnects
             self._subscription = self._subscribe(True)
             if self._cancelled:  # `cancel` closed only the former subscription

@@ -26,12 +26,14 @@ class RecordedBatch:
     """The events since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
 
     `read_to`: this batch and earlier ones have all items up to this seq, or name them as missing. None: as before.
+    `next_live_seq`: the host was lost, and the items after this batch are of the next incarnation, from this seq on.
     """
 
     items: list[Item] = field(default_factory=list)
     gaps: list[RecordingGap] = field(default_factory=list)
     advance: tuple[int, int] | None = None
     read_to: int | None = None
+    next_live_seq: int | None = None
 
     def __bool__(self) -> bool:
         return bool(self.items or self.gaps or self.advance)
@@ -51,7 +53,7 @@ class RecordingStream(Subscription):
         self._batch = RecordedBatch()
         self._told_advance: int | None = None
         self.opened_seq: int | None = None
-        self.incarnation = 0
+        self.incarnation = self._next_incarnation = 0
 
     @classmethod
     def of(
@@ -108,9 +110,9 @@ class RecordingStream(Subscription):
 
     def _take(self, response: channel_pb.SubscribeResponse) -> None:
         if response.HasField("opened"):
-            self.incarnation = response.opened.incarnation
+            self._next_incarnation = response.opened.incarnation
             if self.opened_seq is None:
-                self.opened_seq = response.opened.next_seq
+                self.incarnation, self.opened_seq = response.opened.incarnation, response.opened.next_seq
         if response.HasField("gap"):
             self._batch.gaps.append(self._gap(response.gap))
         super()._take(response)
@@ -121,13 +123,23 @@ class RecordingStream(Subscription):
                 self._batch.advance = (advance, response.progress.next_seq - 1)
 
     def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        lost = gap.reason == error_pb2.ABSENCE_REASON_LOST
+        if gap.reason == error_pb2.ABSENCE_REASON_LOST:
+            return self._loss(gap)
         return RecordingGap(
             channel=self._state.info.name,
             incarnation=self.incarnation,
-            reason="LOST" if lost else "COLLECTED",
+            reason="COLLECTED",
             detail=gap.detail,
             first_seq=gap.first_seq,
             last_seq=gap.last_seq,
             items=gap.items,
         )
+
+    def _loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
+        """Return the end of the present incarnation. The items after this gap are of the next one."""
+        former, self.incarnation = self.incarnation, self._next_incarnation
+        self._batch.next_live_seq = gap.first_seq
+        return RecordingGap(
+            channel=self._state.info.name, incarnation=former, reason="LOST", detail=gap.detail,
+            first_seq=max(gap.first_seq, self.read_to + 1),
+        )  # fmt: skip

@@ -123,7 +123,9 @@ def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
     if not stats.policy.replicas:
         return "none"
     lacking = f", {stats.not_replicated} items not replicated in time" if stats.not_replicated else ""
-    return replicas_text(stats.policy.replicas, replicas) + lacking
+    before = stats.inherited_next_seq
+    lost = f"; a host was lost, and with it the items after seq {before - 1} that its replica lacked" if before else ""
+    return replicas_text(stats.policy.replicas, replicas) + lacking + lost
 
 
 def _proxies(proxies: list[ProxyInfo]) -> str:

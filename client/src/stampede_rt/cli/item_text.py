@@ -66,6 +66,12 @@ def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
     return lambda item, channel="", late=None: json.dumps(_named(channel) | item_row(item) | _lateness(late))
 
 
+def tell_losses(losses: int) -> None:
+    """Say on standard error how often items may have been lost with a host."""
+    if losses:
+        print(f"stampede: {losses} times a host was lost, perhaps with items; a replica went on", file=sys.stderr)
+
+
 def tell_dropped(dropped: int) -> None:
     """Say on standard error how many items a subscription did not get, if there are any."""
     if dropped:

@@ -33,7 +33,8 @@ class ReplicaDirectoryServiceStub(object):
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
     that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
+    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
     the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
@@ -78,7 +79,8 @@ class ReplicaDirectoryServiceServicer(object):
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
     that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
+    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
     the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 
@@ -171,7 +173,8 @@ class ReplicaDirectoryService(object):
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
     that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. The new owner then sends the items to
+    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
+    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
     the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
     """
 

@@ -90,12 +90,24 @@ class FeedResponse(_message.Message):
     def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ...) -> None: ...
 
 class FeedOpened(_message.Message):
-    __slots__ = ("begins_anew", "lost_before_unix_nano")
+    __slots__ = ("begins_anew", "lost_before_unix_nano", "lost_from_unix_nano", "former")
     BEGINS_ANEW_FIELD_NUMBER: _ClassVar[int]
     LOST_BEFORE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    LOST_FROM_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FORMER_FIELD_NUMBER: _ClassVar[int]
     begins_anew: bool
     lost_before_unix_nano: int
-    def __init__(self, begins_anew: bool = ..., lost_before_unix_nano: _Optional[int] = ...) -> None: ...
+    lost_from_unix_nano: int
+    former: _containers.RepeatedCompositeFieldContainer[FeedFormerIncarnation]
+    def __init__(self, begins_anew: bool = ..., lost_before_unix_nano: _Optional[int] = ..., lost_from_unix_nano: _Optional[int] = ..., former: _Optional[_Iterable[_Union[FeedFormerIncarnation, _Mapping]]] = ...) -> None: ...
+
+class FeedFormerIncarnation(_message.Message):
+    __slots__ = ("incarnation", "next_seq")
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    incarnation: int
+    next_seq: int
+    def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedKey(_message.Message):
     __slots__ = ("time_unix_nano", "seq")

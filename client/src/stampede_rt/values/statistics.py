@@ -65,6 +65,8 @@ class ChannelStats:
     - `copies`: the copies that the host feeds: proxies and replicas.
     - `replicated`: all items with a smaller seq are replicated, so that readers see them; None without replicas.
       `not_replicated`: the accepted items of puts that ended with NotReplicated.
+    - `inherited_next_seq`: the owner was lost, and this incarnation began with the items of a replica: those with a
+      smaller seq. Later items of the former incarnation are lost. None: this incarnation began without items.
     - `dropped`: the items that the open subscriptions did not get, because their readers were too slow.
     - `readers`: at most 64 open subscriptions at the channel's host, the slowest first. `writers`: the latest writers,
       at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
@@ -93,6 +95,7 @@ class ChannelStats:
     copies: Sequence[CopyStats] = ()
     replicated: int | None = None
     not_replicated: int = 0
+    inherited_next_seq: int | None = None
     dropped: int = 0
     readers: Sequence[ReaderStats] | None = None
     writers: Sequence[WriterStats] | None = None

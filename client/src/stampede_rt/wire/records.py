@@ -185,6 +185,7 @@ def channel_stats(
         copies=[*map(copy_stats, status.fed_copies)],
         replicated=status.replicated_next_seq if status.HasField("replicated_next_seq") else None,
         not_replicated=status.counters.not_replicated,
+        inherited_next_seq=status.inherited_next_seq if status.HasField("inherited_next_seq") else None,
         dropped=status.dropped,
     )
 

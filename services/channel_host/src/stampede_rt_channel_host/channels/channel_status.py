@@ -46,8 +46,15 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
         ],
         copy=None if hosted.copy is None else _copy_status(hosted, hosted.copy),
         fed_copies=[_fed_status(hosted, one) for one in hosted.fed or ()],
-        replicated_next_seq=None if hosted.replication is None else hosted.replication.replicated_next_seq,
+        replicated_next_seq=_replicated(hosted),
+        inherited_next_seq=channel.losses.inherited_next_seq,
     )
+
+
+def _replicated(hosted: HostedChannel) -> int | None:
+    """The seq before which items are replicated; None if no put waits for replicas."""
+    replication = hosted.replication
+    return None if replication is None or hosted.core is hosted.channel else replication.replicated_next_seq
 
 
 def _copy_status(hosted: HostedChannel, copy: CopyState) -> channel_pb2.CopyStatus:

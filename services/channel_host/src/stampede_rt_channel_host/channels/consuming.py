@@ -37,7 +37,7 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") 
 def _find(store: ChannelStore, request: pb.ConsumeRequest) -> HostedChannel:
     """The channel of the request. Call it before each piece: the channel may leave the host between two pieces."""
     hosted = store.find(request.channel_id, request.epoch)
-    if request.incarnation not in (0, hosted.record.incarnation):
+    if not hosted.core.holds(request.incarnation, request.seqs):
         raise refusals.other_incarnation(hosted.record.name, request.incarnation, hosted.record.incarnation)
     return hosted
 

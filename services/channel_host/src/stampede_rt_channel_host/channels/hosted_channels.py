@@ -13,11 +13,11 @@ from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.moving import Moving
-from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, new_core, owned_core, replication_of
+from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, core_of_replica, new_core, replication_of
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.channels.replication import Replication, own_again, waits_for_replicas
+from stampede_rt_channel_host.channels.replication import Kind, Replication, kind_of, own_again
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
@@ -90,7 +90,7 @@ class HostedChannel:
         self.copy: CopyState | None = begun.state if isinstance(begun, NewCopy) else None
         # `core` takes puts, consumption and advances; readers see `channel`. Without replicas they are the same.
         self.core = new_core(record, now(), begun)
-        if self.copy is None and waits_for_replicas(record.policy):
+        if self.copy is None and kind_of(record.policy) is not Kind.NONE:
             self.replication = replication_of(self.core, now, self._announce, record, begun)
         self.channel = self.core if self.replication is None else self.replication.shown
         self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
@@ -113,21 +113,21 @@ class HostedChannel:
             begin(self.replication.filling())
 
     @property
+    def kind_of_replicas(self) -> Kind:
+        """How the channel has replicas."""
+        return Kind.NONE if self.replication is None else self.replication.kind
+
+    @property
     def is_ready(self) -> bool:
         """Whether the host serves the channel: a new owner waits for the replicas first."""
         return self.replication is None or self.replication.is_ready
 
     def core_of_owner(self, record: RecordedChannel) -> OwnedCore | None:
-        """The channel that this copy becomes with its host as the owner; None if the copy does not know enough.
-
-        The directory makes a copy's host the owner in the same incarnation only if the copy is a replica in sync.
-        """
+        """The channel that this copy becomes with its host as the owner; None if the copy does not know enough."""
         copy = self.channel
         if self.copy is None or not self.copy.is_replica or not isinstance(copy, FedChannel):
             return None
-        if copy.owner_facts is None or copy.incarnation != record.incarnation:
-            return None
-        return owned_core(copy, self._now())
+        return core_of_replica(copy, self.record, record, self._now())
 
     @property
     def gets(self) -> WaitingGets:
@@ -215,7 +215,7 @@ class HostedChannel:
     def changed(self, now: int) -> None:
         """Wake the readers and the waiting gets and puts of the channel, after an advance or a change of the policy."""
         self._accepted(now)
-        if self.replication is not None:
+        if self.core is not self.channel:
             self._announce(now)
         self.puts.changed(now)
 

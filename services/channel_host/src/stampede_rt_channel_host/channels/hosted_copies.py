@@ -83,7 +83,7 @@ class HostedCopies:
         channel = FedChannel.of_owner(owner.core, owner.puts.retries, now)
         owner.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
-        self._add(record, NewCopy(state, channel.lost_before, knows_owner=True, channel=channel))
+        self._add(record, NewCopy(state, channel.losses, knows_owner=True, channel=channel))
 
     def drop(self, channel_id: bytes, error: StampedeError) -> None:
         """Drop the copy of the channel, if there is one. Its readers get `error`."""

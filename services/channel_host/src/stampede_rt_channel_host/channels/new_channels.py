@@ -8,20 +8,20 @@ from typing import NamedTuple
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.replication import Replication
-from stampede_rt_channel_host.core.channel import ChannelCore, Counters, FedChannel
+from stampede_rt_channel_host.core.channel import ChannelCore, Counters, FedChannel, Losses
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.records import RecordedChannel, next_incarnation
 
 
 class NewCopy(NamedTuple):
-    """The beginning of a copy: its state, and the instant before which the owner's items were lost (None: none were).
+    """The beginning of a copy: its state, and the losses of the channel.
 
     `knows_owner`: the feed of the copy also has the facts that only the owner knows, so that the copy can become the
     owner. `channel`: the items with which the copy begins; None: it has none.
     """
 
     state: CopyState
-    lost_before: int | None
+    losses: Losses
     knows_owner: bool = False
     channel: FedChannel | None = None
 
@@ -39,10 +39,25 @@ class OwnedCore(NamedTuple):
     is_replicated: bool = False
 
 
-def owned_core(copy: FedChannel, now: int, *, is_replicated: bool = False) -> OwnedCore:
+def owned_core(copy: FedChannel, now: int, *, is_replicated: bool = False, incarnation: int | None = None) -> OwnedCore:
     """The channel that this copy becomes, see `FedChannel.as_owner`."""
-    channel, retries = copy.as_owner(now)
+    channel, retries = copy.as_owner(now, incarnation)
     return OwnedCore(channel, retries, channel.latest_counters(), is_replicated)
+
+
+def core_of_replica(copy: FedChannel, held: RecordedChannel, record: RecordedChannel, now: int) -> OwnedCore | None:
+    """The channel that a replica becomes as `record` says; None if the replica does not know enough.
+
+    The directory makes the host of a copy the owner, in the same or the next incarnation, only if the copy is a replica
+    in sync. The next one: the former owner may have acknowledged items that the copy lacks. `held`: its record.
+    """
+    if copy.owner_facts is None:
+        return None
+    if copy.incarnation == record.incarnation:
+        return owned_core(copy, now)
+    if record.incarnation == next_incarnation(copy.incarnation) and record.epoch > held.epoch:
+        return owned_core(copy, now, incarnation=record.incarnation)
+    return None
 
 
 def replication_of(
@@ -63,11 +78,6 @@ def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None
         lost_before = now if record.epoch > 1 else None
         return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
     assert isinstance(copy, NewCopy), "an owned core has a channel"
-    return FedChannel(
-        record.policy,
-        incarnation=incarnation,
-        name=name,
-        lost_before=copy.lost_before,
-        cut=slice_run,
-        knows_owner=copy.knows_owner,
-    )
+    fed = FedChannel(record.policy, incarnation=incarnation, name=name, cut=slice_run, knows_owner=copy.knows_owner)
+    fed.take_losses(copy.losses)
+    return fed

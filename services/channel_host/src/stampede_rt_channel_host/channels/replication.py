@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from enum import Enum
 from typing import Protocol
 
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, FedChannel, Pieces, ReplicatedView
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Pieces, ReplicatedView
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
@@ -29,15 +30,26 @@ class ReplicaFeed(Protocol):
         """The host does not feed the replica over this stream any more."""
 
 
-def waits_for_replicas(policy: Policy) -> bool:
-    """Whether puts into a channel with this policy wait for replicas."""
-    return policy.ack == "replica"
+class Kind(Enum):
+    """How a channel has replicas."""
+
+    NONE = "none"
+    LAGGING = "lagging"  # puts do not wait for them, and readers see items at once
+    WAITED_FOR = "waited for"
+
+
+def kind_of(policy: Policy) -> Kind:
+    """How a channel with this policy has replicas."""
+    if policy.ack == "replica":
+        return Kind.WAITED_FOR
+    return Kind.LAGGING if policy.replicas else Kind.NONE
 
 
 class Replication:
-    """The replicas of the channel `core`. `shown` is the channel as readers see it: with replicated items only.
+    """The replicas of the channel `core`. `shown` is the channel as readers see it.
 
-    Calls `on_shown` with the time after each change of `shown`.
+    If puts wait for replicas, `shown` has replicated items only; else it is `core`. Calls `on_shown` with the time
+    after each change of `shown`.
     """
 
     ended: StampedeError | None = None
@@ -57,8 +69,11 @@ class Replication:
         self._now = now
         self._on_shown = on_shown
         self._steady_nanos = steady_nanos
-        self._view = ReplicatedView(core, now(), slice_run)
-        self._in_sync = ReplicasInSync(core.next_seq, _least(core.policy), is_replicated=is_replicated)
+        self.kind = kind_of(core.policy)
+        may_lag = self.kind is Kind.LAGGING
+        self._view = None if may_lag else ReplicatedView(core, now(), slice_run)
+        least = _least(core.policy)
+        self._in_sync = ReplicasInSync(core.next_seq, least, is_replicated=is_replicated, may_lag=may_lag)
         self.since_epoch = epoch
         """This host has been the owner since this epoch."""
         self._feeds: dict[bytes, ReplicaFeed] = {}
@@ -67,9 +82,9 @@ class Replication:
         """Set when the keeper of the replicas has something to do."""
 
     @property
-    def shown(self) -> FedChannel:
+    def shown(self) -> ChannelCore:
         """The channel as readers see it."""
-        return self._view.shown
+        return self._core if self._view is None else self._view.shown
 
     @property
     def replicated_next_seq(self) -> int:
@@ -79,7 +94,12 @@ class Replication:
     @property
     def is_ready(self) -> bool:
         """Whether readers and producers may use the channel."""
-        return self._is_filled and self._in_sync.is_ready
+        return self._view is None or (self._is_filled and self._in_sync.is_ready)
+
+    @property
+    def is_within_lag(self) -> bool:
+        """Whether the loss of this host now would cost no item that is older than a second."""
+        return self._in_sync.within_lag(self._steady_nanos())
 
     @property
     def min_replicas(self) -> int:
@@ -94,12 +114,14 @@ class Replication:
     @property
     def is_level(self) -> bool:
         """Whether all items of the channel are replicated, so that it may move."""
+        if self._view is None:
+            return self._in_sync.is_level
         return self.replicated_next_seq == self._core.next_seq
 
     def check_movable(self) -> None:
         """Raises Unavailable if too few replicas are in sync: after a move the items would still not be replicated."""
         in_sync = sum(one is ReplicaState.IN for one in self.states().values())
-        if in_sync < self.min_replicas and not self.is_level:
+        if self._view is not None and in_sync < self.min_replicas and not self.is_level:
             name = self._core.name
             raise Unavailable(
                 f"channel {name} needs {self.min_replicas} replicas in sync (min_replicas) and has {in_sync}, so some "
@@ -119,7 +141,8 @@ class Replication:
 
     def filling(self) -> Pieces[None]:
         """Take in the items that the channel has from before, in pieces."""
-        yield from self._view.filling(self._now())
+        if self._view is not None:
+            yield from self._view.filling(self._now())
         self._is_filled = True
         self.accepted(self._now())
 
@@ -135,7 +158,8 @@ class Replication:
 
     def configure(self, policy: Policy) -> None:
         """Take over another policy."""
-        self._view.shown.configure(policy, self._now())
+        if self._view is not None:
+            self._view.shown.configure(policy, self._now())
         self._in_sync.min_replicas = _least(policy)
         self.news.set()
 
@@ -143,21 +167,26 @@ class Replication:
         """The channel has changed: send that to the replicas, and show it once it is replicated."""
         if not self._is_filled:
             return
-        self._view.stage(now)
+        if self._view is not None:
+            self._view.stage(now)
         self._in_sync.put(self._core.next_seq)
         for feed in self._feeds.values():
             feed.wake()
+        if self._view is None:
+            self._on_shown(now)
         self._go_on(now)
 
     @property
     def footprint_bytes(self) -> int:
         """The memory of the channel beside that of `core`: the index of items that readers see, and unseen items."""
+        if self._view is None:
+            return 0
         return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES + self._unseen_bytes
 
     @property
     def _unseen_bytes(self) -> int:
         """The memory of the items that have left `core`, and that readers will see once they are replicated."""
-        return max(0, self._view.staged_bytes - self._core.footprint_bytes)
+        return 0 if self._view is None else max(0, self._view.staged_bytes - self._core.footprint_bytes)
 
     def check_room(self, _: int = 0) -> None:
         """Raises Overloaded if the replicas are so far behind that the channel takes no further items."""
@@ -172,6 +201,8 @@ class Replication:
 
     def collect(self, now: int) -> bool:
         """Free items that readers no longer see, and show which items have left. Returns True if more is left."""
+        if self._view is None:
+            return False
         self.accepted(now)
         return self._view.shown.collect(now)
 
@@ -238,13 +269,20 @@ class Replication:
 
         Waits `seconds_max` at most; None: without a limit. Returns whether they are replicated.
         """
+        return await self._holds(lambda: self.replicated_next_seq >= next_seq, seconds_max)
+
+    async def within_lag(self, seconds_max: float | None) -> bool:
+        """Wait until `is_within_lag`, as `replicated`. Returns whether it is."""
+        return await self._holds(lambda: self.is_within_lag, seconds_max)
+
+    async def _holds(self, condition: Callable[[], bool], seconds_max: float | None) -> bool:
         try:
             async with asyncio.timeout(seconds_max):
-                while self.replicated_next_seq < next_seq and self.ended is None:
+                while not condition() and self.ended is None:
                     await self._changed.wait()
         except TimeoutError:
             pass
-        return self.replicated_next_seq >= next_seq
+        return condition()
 
     def end(self, error: StampedeError) -> None:
         """End the feeds and the waits: the host stops serving the channel. The host may serve it again later."""
@@ -260,11 +298,12 @@ class Replication:
 
     def close(self) -> None:
         """Give the channel up. Idempotent."""
-        self._view.close()
+        if self._view is not None:
+            self._view.close()
 
     def _go_on(self, now: int) -> None:
         """Show the replicated items to readers, and release the calls that wait for them."""
-        if self._is_filled and self._view.show(self._in_sync.replicated, now):
+        if self._view is not None and self._is_filled and self._view.show(self._in_sync.replicated, now):
             self._on_shown(now)
         self._wake()
 

@@ -133,7 +133,7 @@ def _unsuited(hosted: HostedChannel) -> str:
     policy = hosted.record.policy
     if policy.consumers or policy.max_age_unconsumed_nanos:
         return "items of a channel with consumers leave it when they are consumed, which only the host knows"
-    if hosted.replication is not None:
+    if hosted.core is not hosted.channel:
         return "the items of a channel with replicas are shown when the replicas have them, which only the host knows"
     if 4 * (hosted.largest_run_bytes + 1) > DATA_BYTES_MAX:
         return "the channel's items are too large"

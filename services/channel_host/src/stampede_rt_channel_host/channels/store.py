@@ -23,7 +23,7 @@ from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.channels.replication import waits_for_replicas
+from stampede_rt_channel_host.channels.replication import kind_of
 from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -282,7 +282,7 @@ class ChannelStore:
                 return self._continue(held, record, core, gone(record.name))
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
-            if held.copy is None and waits_for_replicas(record.policy) != (held.replication is not None):
+            if held.copy is None and kind_of(record.policy) is not held.kind_of_replicas:
                 core = OwnedCore(held.core, held.puts.retries, held.counted_before)
                 return self._continue(held, record, core, refusals.not_here(self._identity.name, record.channel_id))
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):

@@ -19,10 +19,10 @@ from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, place_to, run_of
+from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, losses_of, place_to, run_of
 from stampede_rt_channel_host.copies.owner_messages import owner_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Run
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
@@ -129,20 +129,19 @@ class CopyFeed:
         state = response.state
         if response.HasField("opened"):
             opened = response.opened
-            lost = opened.lost_before_unix_nano if opened.HasField("lost_before_unix_nano") else None
-            self._begin(state, begins_anew=opened.begins_anew, lost_before=lost)
+            self._begin(state, begins_anew=opened.begins_anew, losses=losses_of(opened))
             self._is_opened = True
         elif state.HasField("channel"):
             self._update(recorded_channel(state.channel))
         await self._apply(state, [one.run for one in response.runs])
 
-    def _begin(self, state: pb.FeedState, *, begins_anew: bool, lost_before: int | None) -> None:
+    def _begin(self, state: pb.FeedState, *, begins_anew: bool, losses: Losses) -> None:
         """Take over the channel as the source knows it. Begin an empty copy if the present one is of no use."""
         record, held = recorded_channel(state.channel), self._held()
         is_other = held is None or begins_anew or held.record.incarnation != record.incarnation
         if held is None or is_other or (self._owner_facts and _core(held).owner_facts is None):
             self._state.caught_up = False
-            self._store.copies.begin(record, NewCopy(self._state, lost_before, self._owner_facts))
+            self._store.copies.begin(record, NewCopy(self._state, losses, self._owner_facts))
         else:
             self._update(record)
 

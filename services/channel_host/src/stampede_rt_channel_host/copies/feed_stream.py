@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.subscriptions.credit import Credit, reque
 from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.cluster.records import channel_message
-from stampede_rt_channel_host.copies.messages import place_of, state_to
+from stampede_rt_channel_host.copies.messages import opened_to, place_of, state_to
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
@@ -190,8 +190,7 @@ class FeedStream:
             self._credit.end()  # ends the feed
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        lost_before = self._source.lost_before
-        opened = pb.FeedOpened(begins_anew=feed.begins_anew or self._begins_anew, lost_before_unix_nano=lost_before)
+        opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
         await self._write(self._response(hosted, self._bare(feed), opened))
 
     async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:

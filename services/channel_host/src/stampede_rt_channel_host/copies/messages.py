@@ -11,11 +11,14 @@ from stampede_rt.wire.run_slices import SealedColumns, sealed_columns
 from stampede_rt_channel_host.copies.owner_messages import owner_to
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
+    FORMER_MAX,
     Collection,
     ColumnRun,
     FeedPart,
     FeedPlace,
+    FormerIncarnation,
     ItemKey,
+    Losses,
     Run,
     make_run,
 )
@@ -50,6 +53,26 @@ def place_of(message: pb.FeedPlace, epoch: int) -> FeedPlace:
     knows = message.HasField("owner_until_unix_nano") and message.owner_epoch == epoch
     until = message.owner_until_unix_nano if knows else None
     return FeedPlace(message.incarnation, message.next_seq, message.floor_resets, until)
+
+
+def opened_to(losses: Losses, *, begins_anew: bool) -> pb.FeedOpened:
+    """The beginning of a feed, as a message."""
+    former = [pb.FeedFormerIncarnation(incarnation=one.incarnation, next_seq=one.next_seq) for one in losses.former]
+    return pb.FeedOpened(
+        begins_anew=begins_anew,
+        lost_before_unix_nano=losses.before,
+        lost_from_unix_nano=losses.since,
+        former=former,
+    )
+
+
+def losses_of(message: pb.FeedOpened) -> Losses:
+    """The losses of the channel that is fed."""
+    return Losses(
+        message.lost_before_unix_nano if message.HasField("lost_before_unix_nano") else None,
+        message.lost_from_unix_nano if message.HasField("lost_from_unix_nano") else None,
+        tuple(FormerIncarnation(one.incarnation, one.next_seq) for one in message.former[-FORMER_MAX:]),
+    )
 
 
 def state_to(part: FeedPart, now: int) -> pb.FeedState:

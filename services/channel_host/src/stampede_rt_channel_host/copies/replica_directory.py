@@ -88,14 +88,17 @@ class ReplicaDirectory:
         ]
         return ListedReplicas(response.owner_host_id, response.epoch, replicas)
 
-    async def add_replica(self, channel_id: bytes, epoch: int) -> None:
-        """Add a replica at a host that the directory chooses. Raises Unavailable (NO_HOST) if there is none."""
+    async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
+        """Add a replica at a host that the directory chooses. `acknowledged`: puts wait for it.
+
+        Raises Unavailable (NO_HOST) if there is no host.
+        """
         request = pb.AddReplicaRequest(
             request_id=os.urandom(ID_BYTES),
             subject=self._subject(channel_id),
             epoch=epoch,
             kind=replica_pb2.REPLICA_KIND_WARM,
-            acknowledged=True,
+            acknowledged=acknowledged,
         )
         await self._call("AddReplica", request, ADD_SECONDS_MAX)
 

@@ -23,6 +23,7 @@ from stampede_rt.errors import (
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import gatekeeper_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.replication import Kind
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
@@ -133,6 +134,11 @@ class KeptReplicas(ABC):
     def wanted(self) -> int:
         """The number of replicas that the policy asks for."""
 
+    @property
+    def waits(self) -> bool:
+        """Whether the owner answers its callers only once the replicas know of that."""
+        return True
+
     @abstractmethod
     def is_served(self) -> bool:
         """Whether this host is the owner, as far as it knows."""
@@ -198,7 +204,7 @@ class KeptReplicas(ABC):
         if len(replicas) < wanted:
             try:
                 for _ in range(wanted - len(replicas)):
-                    await self._directory.add_replica(self._thing_id, self.epoch)
+                    await self._directory.add_replica(self._thing_id, self.epoch, acknowledged=self.waits)
             except Unavailable as error:  # no host is left
                 failure = error
             replicas = (await self._list()).replicas
@@ -242,6 +248,11 @@ class _KeptChannel(KeptReplicas):
         self._store = store
         self._dial = dial
         self._hosted = hosted
+
+    @property
+    def waits(self) -> bool:
+        """Whether puts wait for the replicas."""
+        return self._hosted.kind_of_replicas is Kind.WAITED_FOR
 
     @property
     def name(self) -> str:

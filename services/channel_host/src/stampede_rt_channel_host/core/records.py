@@ -34,6 +34,14 @@ class RecordedChannel:
     copy_host_ids: tuple[bytes, ...] = ()
 
 
+def next_incarnation(incarnation: int) -> int:
+    """The incarnation that the directory gives to a channel whose new owner goes on with the items of a replica.
+
+    The new owner may lack the latest items. An incarnation that begins without items is a random number.
+    """
+    return (incarnation + 1) % 2**64 or 1
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyChange:
     """A change of a channel's policy. `stated` has the new values only. `message` is the change as its caller sent it.

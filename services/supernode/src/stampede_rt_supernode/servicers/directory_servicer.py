@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt.values.model import Policy
 from stampede_rt_runtime.access.control import AccessControl, allowed_to, caller_name, check_known, creation_limit
 from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -35,7 +36,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
-from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, LOADS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, LAGGING_REPLICAS_LEVEL, LOADS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
@@ -100,6 +101,13 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             access=status_message(self._access),
         )
 
+    async def _check_levels(self, context: Context, policy: Policy) -> None:
+        """Check that all supernodes know what the stated policy asks for. Raises Unavailable."""
+        if policy.is_recorded or policy.ack == "disk":
+            await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
+        if policy.ack != "replica" and policy.replicas:
+            await self._calls.check_level(context, "a replica for which no put waits", LAGGING_REPLICAS_LEVEL)
+
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
         """Open a channel. If nothing changes, a confirmed read answers the first attempt without a log entry."""
@@ -110,8 +118,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             await self._calls.check_level(context, "a channel that opens beside another", LOADS_LEVEL)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.name, policy.max_bytes)
-        if policy.is_recorded or policy.ack == "disk":
-            await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
+        await self._check_levels(context, policy)
         operation = OpenChannel(
             name=request.name,
             policy=policy,
@@ -184,8 +191,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.channel_id.hex(), policy.max_bytes)
-        if policy.is_recorded or policy.ack == "disk":
-            await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
+        await self._check_levels(context, policy)
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy)
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))

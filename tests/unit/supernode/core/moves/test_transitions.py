@@ -16,6 +16,7 @@ from tests.support.supernode.operations import (
     open_group,
     register,
     remove_replica,
+    set_in_sync,
 )
 
 
@@ -91,6 +92,18 @@ def test_the_former_owner_goes_on_with_the_same_incarnation_if_the_new_one_is_lo
     log.apply(expire(2, registered_index=3))
     assert (cam(log).host_id, cam(log).epoch, cam(log).incarnation) == (id_of(1), 3, incarnation)
     assert copies(log) == ()
+
+
+@pytest.mark.parametrize("acknowledged", [True, False])
+def test_a_former_owner_that_takes_the_place_of_a_replica_is_one_of_the_same_kind(log: Log, acknowledged: bool) -> None:
+    before = cam(log)
+    log.apply(add_replica(before.channel_id, 2, warm=True, acknowledged=acknowledged))
+    log.apply(set_in_sync(before.channel_id, 2))
+    move(log, 2, 1)
+    assert [(one.host_id, one.in_sync, one.acknowledged) for one in copies(log)] == [(id_of(1), True, acknowledged)]
+    log.apply(expire(2, registered_index=3))
+    assert cam(log).host_id == id_of(1)
+    assert (cam(log).incarnation == before.incarnation) is acknowledged  # else it may lack acknowledged items
 
 
 def test_the_former_owner_is_no_heir_once_its_copy_is_removed(log: Log) -> None:

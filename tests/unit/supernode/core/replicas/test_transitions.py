@@ -205,6 +205,16 @@ def test_replicas_end_when_puts_wait_for_them_no_more_or_for_the_first_time(log:
         assert cam(log).proxy_host_ids == (id_of(3),)
 
 
+def test_replicas_for_which_no_put_waits_end_when_the_channel_wants_none(log: Log) -> None:
+    log.apply(update(cam(log).channel_id, 1, replicas=1))
+    warm_in_sync(log, 2, acknowledged=False)
+    added(log, add_replica(cam(log).channel_id, 3))
+    log.apply(update(cam(log).channel_id, 1, max_items=5))
+    assert len(copies(log)) == 2
+    log.apply(update(cam(log).channel_id, 1, replicas=0))
+    assert [one.kind for one in copies(log)] == [ReplicaKind.PROXY]
+
+
 def test_an_expiry_that_comes_too_late_moves_nothing(log: Log) -> None:
     warm_in_sync(log, 2)
     log.apply(register(1))

@@ -75,12 +75,17 @@ def _left_s(ends_s: float | None) -> float | None:
 
 
 class AckOfReplicas:
-    """An ack that is due once all items before the seq `next_seq` are replicated."""
+    """An ack that is due once all items before the seq `next_seq` are replicated.
+
+    `may_lag`: it is due once no replica in sync is more than a second behind.
+    """
 
     def __init__(
-        self, ack: pb.PutAck, channel: str, replication: Replication, next_seq: int, wait_nanos: int | None
-    ) -> None:
+        self, ack: pb.PutAck, channel: str, replication: Replication, next_seq: int, wait_nanos: int | None,
+        *, may_lag: bool = False,
+    ) -> None:  # fmt: skip
         """`wait_nanos`: the longest wait; None: without a limit."""
+        self._may_lag = may_lag
         self._ack = ack
         self._channel = channel
         self._replication = replication
@@ -90,9 +95,11 @@ class AckOfReplicas:
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it. After the longest wait it has the error NOT_REPLICATED."""
         replication, ack = self._replication, self._ack
-        is_replicated = await replication.replicated(self._next_seq, _left_s(self._ends_s))
+        left_s = _left_s(self._ends_s)
+        wait = replication.within_lag(left_s) if self._may_lag else replication.replicated(self._next_seq, left_s)
+        is_due = await wait
         ack.copies = replication.copies(self._next_seq)
-        if is_replicated:
+        if is_due:
             return ack
         if replication.ended is not None:
             return refused(ack.first_number, ack.items, replication.ended, ack.host_time_unix_nano, ack.incarnation)

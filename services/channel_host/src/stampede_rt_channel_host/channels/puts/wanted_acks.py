@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels.puts.held_acks import (
 )
 from stampede_rt_channel_host.channels.puts.put_requests import Put
 from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
+from stampede_rt_channel_host.channels.replication import Kind
 
 
 def may_be_held(hosted: HostedChannel, stated: int) -> bool:
@@ -54,9 +55,13 @@ def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float)
     name, recording, replication = hosted.record.name, hosted.recording, hosted.replication
     if recording is not None and _waits_for_disk(hosted, put.ack):
         return AckOfDisk(ack, name, recording, _left_nanos(put, received_s))
-    if replication is not None and put.ack in (channel_pb2.ACK_UNSPECIFIED, channel_pb2.ACK_REPLICA):
-        return AckOfReplicas(ack, name, replication, hosted.core.next_seq, _left_nanos(put, received_s))
-    return ack
+    if replication is None:
+        return ack
+    waits = put.ack == channel_pb2.ACK_REPLICA or (not put.ack and replication.kind is Kind.WAITED_FOR)
+    if not waits and (replication.kind is Kind.WAITED_FOR or replication.is_within_lag):
+        return ack
+    left_nanos = _left_nanos(put, received_s)
+    return AckOfReplicas(ack, name, replication, hosted.core.next_seq, left_nanos, may_lag=not waits)
 
 
 def _waits_for_disk(hosted: HostedChannel, stated: int) -> bool:

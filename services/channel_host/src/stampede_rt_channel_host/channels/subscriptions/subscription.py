@@ -96,7 +96,7 @@ class _Newest:
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         latest = self._channel.latest(self._cursor, now)
-        return SubscriptionBatch(slices=(latest,)) if latest else SubscriptionBatch()
+        return SubscriptionBatch(slices=(latest,) if latest else (), gap=self._cursor.take_loss())
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)

@@ -46,6 +46,7 @@ from stampede_rt_channel_host.core.channel.feeding import (
     FeedPlace,
     LagWatch,
 )
+from stampede_rt_channel_host.core.channel.former_incarnations import FORMER_MAX, FormerIncarnation, Losses
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
@@ -75,7 +76,8 @@ from stampede_rt_channel_host.core.channel.run import (
     make_run,
 )
 from stampede_rt_channel_host.core.channel.slices_in_parts import drained, emptying
-from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor
+from stampede_rt_channel_host.core.channel.subscribing_newest import NewestCursor
 from stampede_rt_channel_host.core.channel.values import (
     Counters,
     DeliveredSlice,
@@ -102,6 +104,7 @@ __all__ = [
     "CONSUMED_RANGE_BYTES",
     "CONSUMER_BYTES",
     "FIRST_KEY",
+    "FORMER_MAX",
     "ITEM_OVERHEAD_BYTES",
     "LEASE_NANOS",
     "LEASE_NANOS_MAX",
@@ -124,10 +127,12 @@ __all__ = [
     "FedPlaces",
     "FeedPart",
     "FeedPlace",
+    "FormerIncarnation",
     "Gap",
     "HoldingsSnapshot",
     "ItemKey",
     "LagWatch",
+    "Losses",
     "Needs",
     "NewestCursor",
     "Offer",

@@ -10,6 +10,7 @@ from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
+from stampede_rt_channel_host.core.channel.former_incarnations import Losses
 from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
@@ -181,6 +182,23 @@ class BaseChannel:
     def freed_entries(self) -> int:
         """The number of index entries freed so far, as a measure of the work done."""
         return self._held.freed_entries
+
+    @property
+    def losses(self) -> Losses:
+        """The items that were lost with former owners."""
+        return Losses(self.lost_before, self._reading.lost_from, self._reading.former)
+
+    def take_losses(self, losses: Losses) -> None:
+        """Take over the losses of the channel, of which these are items."""
+        self.lost_before, self._reading.lost_from, self._reading.former = losses
+        self._reading.note_loss(losses.before)
+
+    def holds(self, incarnation: int, seqs: Iterable[int]) -> bool:
+        """Whether the seqs of that incarnation are those of the present one. `incarnation` 0 is not compared."""
+        if incarnation in (0, self._incarnation):
+            return True
+        ends = [one.next_seq for one in self._reading.former if one.incarnation == incarnation]
+        return bool(ends) and max(seqs, default=0) < ends[0]
 
     @property
     def lost_from(self) -> int | None:

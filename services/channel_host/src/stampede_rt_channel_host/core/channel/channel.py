@@ -7,20 +7,19 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.consumed_channel import ConsumedChannel
+from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.subscribing import (
     AllCursor,
-    NewestCursor,
     missing_from,
     open_all,
-    open_newest,
     resume_all,
-    resume_newest,
     since,
 )
+from stampede_rt_channel_host.core.channel.subscribing_newest import NewestCursor, open_newest, resume_newest
 from stampede_rt_channel_host.core.channel.values import (
     DeliveredSlice,
     Offer,
@@ -155,10 +154,12 @@ class ChannelCore(ConsumedChannel):
         if saved is not None:
             self._check_saved(saved)
             self._age_and_free(self._tick(now))
-            return resume_all(self._held, saved)
+            return resume_all(self._held, saved, self._losses_since(saved.incarnation))
         after_key = self._resume_key(start, after)
         low = self._start_key(start, start_exclusive, now)
-        return open_all(self._held, low, None if after_key is None else after_key[1], archived_from)
+        after_seq = None if after_key is None else after_key[1]
+        losses = () if after is None else self._losses_since(after.incarnation)
+        return open_all(self._held, low, after_seq, archived_from, losses)
 
     def missing(self, cursor: AllCursor, now: int) -> tuple[int, int] | None:
         """The next seqs of a subscription if memory does not have them: the first one, and the end, exclusive."""
@@ -187,7 +188,7 @@ class ChannelCore(ConsumedChannel):
         if saved is not None:
             self._check_saved(saved)
             self._age_and_free(self._tick(now))
-            return resume_newest(self._held, saved)
+            return resume_newest(self._held, saved, self._losses_since(saved.incarnation))
         after_key = self._resume_key(start, after)
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
@@ -241,6 +242,9 @@ class ChannelCore(ConsumedChannel):
         """Raises IncarnationLost if a position of the query comes from another incarnation."""
         self._reading.check_position(query.after)
         self._reading.check_position(query.newer_than)
+
+    def _losses_since(self, incarnation: int) -> tuple[FormerIncarnation, ...]:
+        return self.losses.from_incarnation(incarnation) if self._reading.former else ()
 
     def _check_saved(self, saved: SavedCursor) -> None:
         if saved.cut is not None:

@@ -10,6 +10,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
 from stampede_rt_channel_host.core.channel.feeding import Collection, FeedPlace
+from stampede_rt_channel_host.core.channel.former_incarnations import Losses
 from stampede_rt_channel_host.core.channel.held_items import Cut
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
@@ -59,6 +60,7 @@ class FedChannel(ChannelCore):
         copy.owner_facts = OwnerFacts.of_owner(window, core.latest_counters(), places, copy._tick(now))
         copy._acceptance.advance = copy._reading.advance = core.advanced_to
         copy._reading.consumed_up_to = held.newest_consumed
+        copy.take_losses(core.losses)
         return copy
 
     @property
@@ -73,19 +75,25 @@ class FedChannel(ChannelCore):
         window = 0 if self.owner_facts is None else self.owner_facts.window.footprint_bytes
         return super().footprint_bytes + window
 
-    def as_owner(self, now: int) -> tuple[ChannelCore, RetryWindow]:
+    def as_owner(self, now: int, incarnation: int | None = None) -> tuple[ChannelCore, RetryWindow]:
         """The channel and its retry window, of which this copy was made, up to the lag of this copy.
 
-        From then on the items belong to that channel: this copy must not be used any more.
+        `incarnation`: the new one, if the owner was lost with later items than this copy has; None: it goes on. From
+        then on the items belong to that channel: this copy must not be used any more.
         """
         facts = self.owner_facts
         assert facts is not None, "the caller has asked the feed for the owner's facts"
-        core = ChannelCore(
-            self._policy, incarnation=self._incarnation, name=self.name, lost_before=self.lost_before, held=self._held
-        )
+        present = self._incarnation if incarnation is None else incarnation
+        core = ChannelCore(self._policy, incarnation=present, name=self.name, held=self._held)
+        core.take_losses(self.losses if incarnation is None else self._losses_after_owner(now))
         core.inherit(self._tick(now), self.advanced_to, facts.counters, facts.places(now))
         facts.window.keep_up_to(core.next_seq)
         return core, facts.window
+
+    def _losses_after_owner(self, now: int) -> Losses:
+        """The losses if the owner is lost. Items come in the order of time, unless some have already come late."""
+        newest = None if self._held.late else self._held.newest
+        return self.losses.after(self._incarnation, self.next_seq, newest, self._tick(now))
 
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import Readable, select
@@ -30,7 +31,9 @@ class Pending:
 class Reading:
     """Answers queries from held items. `clock` is the host's time: no held item is too old at this time."""
 
-    __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to", "lost_from")
+    __slots__ = (
+        "_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to", "former", "lost_from",
+    )  # fmt: skip
 
     def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
         self._held = held
@@ -39,6 +42,7 @@ class Reading:
         self._lost_before = lost_before  # all items of a lost earlier incarnation lie before this instant
         # No item before this instant was lost, because an archive has all of them. None: any may be.
         self.lost_from: int | None = None
+        self.former: tuple[FormerIncarnation, ...] = ()  # incarnations whose positions are valid, too
         self.advance: int | None = None  # the highest instant of an advance
         self.consumed_up_to: int | None = None  # the latest time of a consumed item: the channel has passed this time
 
@@ -64,12 +68,21 @@ class Reading:
         return None if resolved is None else resolved.start
 
     def check_position(self, position: Position | None) -> None:
-        """Raises IncarnationLost if the position's seq belongs to another incarnation of the channel."""
-        if position is not None and position.incarnation not in (0, self._incarnation):
+        """Raises IncarnationLost if the position's seq belongs to another incarnation, and its item is not here."""
+        if position is None or position.incarnation in (0, self._incarnation):
+            return
+        former = next((one for one in self.former if one.incarnation == position.incarnation), None)
+        if former is None:
             raise IncarnationLost(
                 f"the position is of incarnation {position.incarnation:x}, and the channel is incarnation "
                 f"{self._incarnation:x} now: the position is another channel's, or its items were lost with the "
                 "channel's former host; start again from a time or the newest item"
+            )
+        if position.seq is not None and position.seq >= former.next_seq:
+            raise IncarnationLost(
+                f"the item with seq {position.seq} was lost with the channel's former host, and those before seq "
+                f"{former.next_seq} are there; start again from one of them, from a time, or from the newest item",
+                metadata={"inherited_next_seq": str(former.next_seq)},
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:

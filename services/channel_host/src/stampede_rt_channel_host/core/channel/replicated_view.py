@@ -29,9 +29,9 @@ class ReplicatedView:
             source.policy,
             incarnation=source.incarnation,
             name=source.name,
-            lost_before=source.lost_before,
             cut=cut,
         )
+        self.shown.take_losses(source.losses)
         self._cut = cut
         self._feed = ChannelFeed(source, None, now, is_exact=True)
         self._parts: deque[FeedPart] = deque()

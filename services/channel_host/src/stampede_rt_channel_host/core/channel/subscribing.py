@@ -9,8 +9,9 @@ from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -27,6 +28,8 @@ So a reader that is far behind does not delay other callers. Such a reader gets 
 
 _NOTHING = SubscriptionBatch()
 
+LostPlaces = tuple[FormerIncarnation, ...]
+
 Range = tuple[int, int]
 """The seqs from the first up to the end, exclusive."""
 
@@ -38,19 +41,24 @@ class AllCursor:
     to the reader so far, `dropped` the items reported in gaps. An owed item is one that the reader still has to get.
     """
 
-    __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
+    __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped", "losses")
 
-    def __init__(self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0) -> None:
+    def __init__(
+        self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0,
+        losses: LostPlaces = (),
+    ) -> None:  # fmt: skip
         """Make the cursor.
 
         `owed` are the ranges of owed seqs below `live_seq`, ascending. All seqs from `live_seq` on are owed, too. Of
         the items with seqs below `begun_seq`, only those at or above the key `low` belong to the subscription.
+        `losses`: the losses of items that the reader has yet to hear of, at their places.
         """
         self._owed_before = owed
         self._live_seq = live_seq
         self._low = low
         self._begun_seq = begun_seq
         self._owed = next(owed, None)
+        self.losses = losses
         self.delivered = 0
         self.dropped = 0
 
@@ -64,8 +72,9 @@ class AllCursor:
         return self._low is None or seq >= self._begun_seq or (time, seq) >= self._low
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues."""
+        """The cursor from which another subscription continues. Before a loss is told it has the former incarnation."""
         next_seq = self.next_seq
+        incarnation = self.losses[0].incarnation if self.losses else incarnation
         if self._low is None or next_seq >= self._begun_seq:
             return SavedCursor(incarnation=incarnation, next_seq=next_seq)
         return SavedCursor(incarnation=incarnation, next_seq=next_seq, low=self._low, live_seq=self._begun_seq)
@@ -78,6 +87,22 @@ class AllCursor:
         elif self._owed is not None and self._owed[1] == self._live_seq:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed
+
+    def owed_before_loss(self, next_seq: int) -> Range | None:
+        """As `owed`, up to the place of the next loss that the reader has yet to hear of."""
+        owed = self.owed(next_seq)
+        if owed is None or not self.losses:
+            return owed
+        end = self.losses[0].next_seq
+        return (owed[0], min(owed[1], end)) if owed[0] < end else None
+
+    def take_loss(self) -> Gap | None:
+        """The gap of the losses at the present place; None if there is none."""
+        if not self.losses:
+            return None
+        place = self.losses[0].next_seq
+        self.losses = tuple(one for one in self.losses if one.next_seq > place)
+        return lost_gap(place)
 
     def mark_done(self, seq: int) -> None:
         """Note that the reader has received or lost all items below `seq`.
@@ -99,17 +124,21 @@ def missing_from(held: Holdings, cursor: AllCursor) -> Range | None:
 
 
 def open_all(
-    held: Holdings, low: ItemKey | None, after_seq: int | None, archived_from: int | None = None
+    held: Holdings,
+    low: ItemKey | None,
+    after_seq: int | None,
+    archived_from: int | None = None,
+    losses: LostPlaces = (),
 ) -> Pieces[AllCursor]:
     """A cursor that begins with the items accepted after `after_seq`, or with the held items from the key `low` on.
 
     If both are None, the cursor begins with the next accepted item. `archived_from`: `low` lies below all held items;
-    the items with seqs from this one on that memory does not have are in an archive.
+    the items with seqs from this one on that memory does not have are in an archive. `losses`: see `AllCursor`.
     """
     next_seq = held.next_seq
     if after_seq is not None:
         owed = [(after_seq + 1, next_seq)] if after_seq + 1 < next_seq else []
-        return AllCursor(iter(owed), next_seq)
+        return AllCursor(iter(owed), next_seq, losses=losses)
     if low is None:
         return AllCursor(iter(()), next_seq)
     if archived_from is not None:
@@ -119,14 +148,15 @@ def open_all(
     return AllCursor(iter(ranges), next_seq, low, next_seq)
 
 
-def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
-    """A cursor that continues a saved subscription.
+def resume_all(held: Holdings, saved: SavedCursor, losses: LostPlaces = ()) -> Pieces[AllCursor]:
+    """A cursor that continues a saved subscription. `losses`: see `AllCursor`.
 
     If retention has collected items at or above the saved `low`, the host does not know whether they belonged to the
     subscription. Then all seqs from `next_seq` on count as the subscription's, and the missing seqs as collected before
     the reader took them. So the gaps may count too many items, but never too few.
     """
-    first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
+    end = losses[0].next_seq if losses else held.next_seq  # later items have the seqs of lost ones
+    first, live = min(saved.next_seq, end), min(saved.live_seq, end)
     low = saved.low if first < live else None
     begun = live
     gone = (held.newest_collected, held.newest_consumed)
@@ -136,9 +166,9 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     next_seq = held.next_seq
     live_ranges = [(begun, next_seq)] if begun < next_seq else []
     if low is None:
-        return AllCursor(iter(live_ranges), next_seq, low, live)
+        return AllCursor(iter(live_ranges), next_seq, low, live, losses)
     ranges = yield from _seq_ranges(held, low)
-    return AllCursor(chain(ranges.between(first, begun), live_ranges), next_seq, low, live)
+    return AllCursor(chain(ranges.between(first, begun), live_ranges), next_seq, low, live, losses)
 
 
 class _Ranges:
@@ -224,6 +254,8 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
 
     The slices end before the next gap, or at about `limit_bytes`. Readers at the same place get the same batch.
     """
+    if cursor.losses:
+        return _up_to_loss(held, limits, cursor, limit_bytes)
     owed = cursor.owed(held.next_seq)
     if owed is None:
         return _NOTHING
@@ -245,10 +277,18 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
     return batch
 
 
+def _up_to_loss(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
+    """The next items before the next loss, or the loss if all of them are sent."""
+    batch = _next_batch(held, limits, cursor, limit_bytes)
+    if not batch.is_empty or limit_bytes <= 0 or cursor.owed_before_loss(held.next_seq) is not None:
+        return batch
+    return SubscriptionBatch(gap=cursor.take_loss(), more=True)
+
+
 def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
-    while (owed := cursor.owed(held.next_seq)) is not None and limit_bytes > 0:
+    while (owed := cursor.owed_before_loss(held.next_seq)) is not None and limit_bytes > 0:
         low = held.seq_from(*owed, GAP_ENTRIES_MAX)
         if low > owed[0]:
             if slices or gap is not None:
@@ -284,54 +324,9 @@ def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
     return Gap(first_seq=first, last_seq=last, items=last - first + 1, reason=Reason("COLLECTED", detail))
 
 
-class NewestCursor:
-    """The position of a subscription to the newest item.
-
-    `ChannelCore.subscribe_newest` makes the cursor, and `ChannelCore.latest` moves it. `delivered` counts the items
-    given to the reader. `skipped` counts the other items of the subscription, as of the last `latest`. `next_seq` is
-    the channel's next seq at that time.
-    """
-
-    __slots__ = ("_base_seq", "_low", "delivered", "next_seq", "skipped")
-
-    def __init__(self, low: ItemKey, base_seq: int) -> None:
-        self._low = low  # only items at or above this key belong to the subscription
-        self._base_seq = base_seq  # all items from this seq on belong to the subscription
-        self.delivered = 0
-        self.skipped = 0
-        self.next_seq = base_seq
-
-    def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues."""
-        return SavedCursor(incarnation=incarnation, next_seq=self.next_seq, low=self._low)
-
-    def take(self, held: Holdings) -> DeliveredSlice | None:
-        """The newest item, if it is later than the last item taken; else None."""
-        part = next(held.slices_down(self._low), None)
-        newest = None if part is None else Slice(part.run, part.hi - 1, part.hi)
-        if newest is not None:
-            self._low = newest.last_time, newest.end_seq
-            self.delivered += 1
-        self.next_seq = held.next_seq
-        # After a resumption the newest item may have been accepted before `_base_seq`: then `delivered` counts it, but
-        # the difference of the seqs does not.
-        self.skipped = max(0, held.next_seq - self._base_seq - self.delivered)
-        return None if newest is None else DeliveredSlice(newest, None)
-
-
-def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
-    """A cursor that continues a saved subscription with items later than its last item."""
-    return NewestCursor(saved.low or FIRST_KEY, min(saved.next_seq, held.next_seq))
-
-
-def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
-    """A cursor that begins with the newest item after the key `after`, or at or above the key `low`.
-
-    If both are None, the cursor begins with the next item that is later than all held items.
-    """
-    if after is not None:
-        return NewestCursor((after[0], after[1] + 1), after[1] + 1)
-    if low is not None:
-        return NewestCursor(low, held.next_seq - (held.items - held.items_below(low)))
-    last = next(held.slices_down(), None)
-    return NewestCursor(FIRST_KEY if last is None else (last.last_time, last.end_seq), held.next_seq)
+def lost_gap(next_seq: int) -> Gap:
+    """The gap for items that were lost with the owner of the channel. Nobody knows how many they were."""
+    detail = (
+        f"the channel's host was lost, and a replica had its items up to seq {next_seq - 1}; later ones may be lost"
+    )
+    return Gap(first_seq=next_seq, last_seq=next_seq, items=0, reason=Reason("LOST", detail))

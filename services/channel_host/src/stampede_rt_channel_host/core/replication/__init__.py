@@ -1,6 +1,7 @@
 """The replicas of a channel, as its owner sees them (see `docs/replicas.md`). Pure."""
 
 from stampede_rt_channel_host.core.replication.in_sync import (
+    EARLY_LAG_NANOS_MAX,
     LAG_NANOS_MAX,
     KnownReplica,
     ReplicaChange,
@@ -8,4 +9,4 @@ from stampede_rt_channel_host.core.replication.in_sync import (
     ReplicaState,
 )
 
-__all__ = ["LAG_NANOS_MAX", "KnownReplica", "ReplicaChange", "ReplicaState", "ReplicasInSync"]
+__all__ = ["EARLY_LAG_NANOS_MAX", "LAG_NANOS_MAX", "KnownReplica", "ReplicaChange", "ReplicaState", "ReplicasInSync"]

@@ -14,6 +14,10 @@ from typing import NamedTuple
 
 LAG_NANOS_MAX = 1_000_000_000
 """A replica that was silent, or behind, for longer than this loses its flag."""
+EARLY_LAG_NANOS_MAX = 800_000_000
+"""The same, if puts wait only for replicas that are behind for longer than LAG_NANOS_MAX. The directory has the rest of
+that time to clear the flag, so that no put waits for it."""
+_NEVER = -(2**62)
 
 
 class ReplicaState(Enum):
@@ -49,13 +53,16 @@ class ReplicaChange(NamedTuple):
 class _Replica:
     """`next_seq`: it holds all items before this seq. `caught_up`: when it last had all items that the owner had."""
 
-    def __init__(self, boot_incarnation: int, state: ReplicaState, now: int) -> None:
+    def __init__(self, boot_incarnation: int, state: ReplicaState, owner_next_seq: int, now: int) -> None:
         self.boot_incarnation = boot_incarnation
         self.state = state
         self.next_seq = 0
-        self.caught_up = now
-        self.mark = 0, now  # the owner's next seq, and the time, at an earlier report
+        self.caught_up = now if state is ReplicaState.IN else _NEVER
+        self.mark = owner_next_seq, now  # the owner's next seq, and the time, at an earlier report
         self.change = 0  # the number of the latest change of the flag
+
+    def lose_items(self, owner_next_seq: int, now: int) -> None:
+        self.next_seq, self.caught_up, self.mark = 0, _NEVER, (owner_next_seq, now)
 
     @property
     def is_waited_for(self) -> bool:
@@ -79,10 +86,12 @@ class ReplicasInSync:
     with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see no
     others. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
     owner. They need no minimum of replicas. `is_replicated`: the former owner has said that all these items are
-    replicated.
+    replicated. `may_lag`: puts wait only for replicas with a flag that are behind for more than LAG_NANOS_MAX.
     """
 
-    def __init__(self, start: int, min_replicas: int, *, is_replicated: bool = False) -> None:
+    def __init__(self, start: int, min_replicas: int, *, is_replicated: bool = False, may_lag: bool = False) -> None:
+        self._lag_nanos_max = EARLY_LAG_NANOS_MAX if may_lag else LAG_NANOS_MAX
+        self._may_lag = may_lag
         self.start = start
         self.replicated = start if is_replicated else 1
         self.min_replicas = min_replicas
@@ -117,9 +126,21 @@ class ReplicasInSync:
         for one in known.values():
             if one.host_id not in self._replicas:
                 state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
-                self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, now)
+                self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, self._next_seq, now)
         self._is_known = True
         self._go_on()
+
+    @property
+    def is_level(self) -> bool:
+        """Whether all replicas for which the owner waits hold all items."""
+        return self._is_known and all(one.next_seq >= self._next_seq for one in self._waited_for())
+
+    def within_lag(self, now: int) -> bool:
+        """Whether each replica that may become the owner has all items that the owner had LAG_NANOS_MAX ago."""
+        return self._is_known and all(now - one.caught_up <= LAG_NANOS_MAX for one in self._waited_for())
+
+    def _waited_for(self) -> list[_Replica]:
+        return [one for one in self._replicas.values() if one.is_waited_for]
 
     def states(self) -> dict[bytes, ReplicaState]:
         """The state of each replica, by its host."""
@@ -142,14 +163,18 @@ class ReplicasInSync:
         return [change for host_id, one in self._replicas.items() if (change := self._change(host_id, one, now))]
 
     def _change(self, host_id: bytes, one: _Replica, now: int) -> ReplicaChange | None:
-        lags = now - one.caught_up > LAG_NANOS_MAX
+        lags = now - one.caught_up > self._lag_nanos_max
         if one.state in (ReplicaState.IN, ReplicaState.JOINING) and lags:
             self._become(one, ReplicaState.LEAVING, now)
-        elif one.state is ReplicaState.OUT and not lags and one.next_seq >= max(self.replicated, self.start):
+        elif one.state is ReplicaState.OUT and not lags and (self._may_lag or one.next_seq >= self._needed):
             self._become(one, ReplicaState.JOINING, now)
         if one.state in (ReplicaState.JOINING, ReplicaState.LEAVING):
             return ReplicaChange(host_id, one.boot_incarnation, one.state is ReplicaState.JOINING, one.change)
         return None
+
+    @property
+    def _needed(self) -> int:
+        return max(self.replicated, self.start)
 
     def _become(self, one: _Replica, state: ReplicaState, now: int) -> None:
         one.state = state
@@ -174,7 +199,7 @@ class ReplicasInSync:
         if one.state in (ReplicaState.IN, ReplicaState.JOINING):
             self._become(one, ReplicaState.LEAVING, now)
         if one.state is ReplicaState.OUT:
-            one.next_seq = 0
+            one.lose_items(self._next_seq, now)
         return one.state is ReplicaState.OUT
 
     def copies(self, next_seq: int) -> int:
@@ -184,7 +209,7 @@ class ReplicasInSync:
     def _go_on(self) -> None:
         if not self._is_known:
             return
-        waited_for = [one for one in self._replicas.values() if one.is_waited_for]
+        waited_for = self._waited_for()
         least = min((one.next_seq for one in waited_for), default=self._next_seq)
         in_sync = sum(one.state is ReplicaState.IN for one in waited_for)
         most = self._next_seq if in_sync >= self.min_replicas else self.start

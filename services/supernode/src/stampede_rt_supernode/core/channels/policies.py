@@ -101,12 +101,6 @@ def _check_replicas(channel: str, policy: Policy) -> None:
     if waits and not replicas:
         text = 'ack="replica" waits for replicas, and the channel has none; state replicas of 1 or more with it'
         raise _invalid(channel, "ack", text)
-    if replicas and not waits:
-        text = (
-            'a replica takes over without a loss only if puts wait for it; state ack="replica" with replicas, or leave '
-            "replicas out"
-        )
-        raise _invalid(channel, "replicas", text)
     if replicas and policy.is_recorded:
         text = "a channel with replicas cannot have an archive yet; leave replicas and ack out, or the archive"
         raise _invalid(channel, "replicas", text)

@@ -113,7 +113,8 @@ def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
     if policy != channel.policy:
         changed = replace(channel, policy=policy, policy_version=channel.policy_version + 1)
         tables.replace_channel(changed)
-        if (policy.ack == "replica") != (channel.policy.ack == "replica"):
+        ends = channel.policy.replicas and not policy.replicas
+        if ends or (policy.ack == "replica") != (channel.policy.ack == "replica"):
             end_replicas(tables, changed)
         channel = tables.channels[channel.channel_id]
     return ChannelUpdated(channel=channel)

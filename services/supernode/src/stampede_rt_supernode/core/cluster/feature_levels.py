@@ -14,7 +14,8 @@ from __future__ import annotations
 
 # The highest level that this release knows. 2: rules of access, client tokens and quotas. 3: quotas of groups and of
 # peers. 4: loads of hosts, channels that open beside others, the names of deleted groups in answers, the tenure of the
-# leader that raises a level, moves of channels, recorded channels, and replicas of queues.
+# leader that raises a level, moves of channels, recorded channels, replicas of queues, and replicas for which no put
+# waits.
 HIGHEST_LEVEL = 4
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1
@@ -28,6 +29,8 @@ LOADS_LEVEL = 4
 FREED_GROUPS_LEVEL = 4
 # From this level on channels can move.
 MOVES_LEVEL = 4
+# From this level on channels may have replicas for which no put waits.
+LAGGING_REPLICAS_LEVEL = 4
 # From this level on the policies of channels may have archives.
 ARCHIVE_LEVEL = 4
 # From this level on queues and mailboxes may have replicas.

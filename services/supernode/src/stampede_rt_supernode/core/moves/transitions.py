@@ -112,6 +112,7 @@ def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[Replic
         return ()
     there = tables.replicas.at(id_of(before), after.host_id)
     swaps = there is not None and there.kind is ReplicaKind.WARM
+    acknowledged = there is None or there.kind is not ReplicaKind.WARM or there.acknowledged
     return (
         ReplicaRecord(
             channel_id=id_of(after),
@@ -120,7 +121,7 @@ def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[Replic
             kind=ReplicaKind.WARM if swaps else ReplicaKind.MOVE,
             source_host_id=after.host_id,
             in_sync=True,
-            acknowledged=True,
+            acknowledged=acknowledged,
             epoch=after.epoch,
             is_of_queue=isinstance(after, QueueRecord),
         ),
