@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.waiting import wait_until
+from tools import recording_picture
+from tools.time_pictures import draw
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 ITEMS = 300
 MS = 10**6
@@ -145,3 +151,11 @@ def test_a_read_through_a_group_as_of_an_earlier_instant_is_refused(rt: st.Conne
     rig = Rig(rt, "as-of")
     with pytest.raises(st.InvalidArgument, match="through a group"):
         rig.group[rig.imu].get(st.OLDEST, st.NOW, as_of=rig.imu.stats().host_time)
+
+
+def test_the_picture_of_one_read_is_drawn_from_a_recorded_channel(rt: st.Connection, tmp_path: Path) -> None:
+    page = (DOCS / "recording.md").read_text()
+    assert f"images/{recording_picture.NAME}" in page
+    draw(recording_picture.one_read(rt), tmp_path / "fresh.png")
+    with Image.open(tmp_path / "fresh.png") as fresh, Image.open(DOCS / "images" / recording_picture.NAME) as committed:
+        assert fresh.size == committed.size
