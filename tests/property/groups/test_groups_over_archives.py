@@ -61,7 +61,9 @@ def test_a_waiting_read_names_the_cut_that_releases_it_in_the_archive(seed: int)
         try:
             pending = memory.begin(query, horizon_at(cut), small.now)
             found = memory.poll(pending, horizon_at(cut), small.now)
-        except StampedeError:
+        except StampedeError as error:
+            with pytest.raises(type(error)):
+                small.view(query, horizon_at(cut))
             continue
         if isinstance(found, ReadAnswer) or pending.interval is None:
             continue

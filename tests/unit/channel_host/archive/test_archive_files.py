@@ -11,8 +11,9 @@ import pytest
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
+from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, SeqGap
-from stampede_rt_channel_host.core.archive import ArchivedRun, Hole, Segment, Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment, Wanted, WantedWindow
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_runtime.settings import SettingsError
@@ -107,6 +108,23 @@ def test_a_flipped_bit_costs_its_block_only(tmp_path: Path) -> None:
     assert files.damaged_blocks == 1
     files.close(None)
     assert SegmentFiles(tmp_path, {}).open(2).damaged_blocks == 1
+
+
+def test_a_damaged_head_of_the_first_block_is_a_loss_and_does_not_count_as_collected(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 3)
+    files.close(None)
+    [path] = tmp_path.glob("*.segment")
+    raw = bytearray(path.read_bytes())
+    raw[raw.index(b"1 ") - ROW_BYTES - 20] ^= 1  # in the head of the block
+    path.write_bytes(raw)
+    files, segments = opened(tmp_path)
+    assert seqs(files, segments) == [3, 4, 5, 6]
+    assert not span_of(segments).is_cut
+    window = files.load(segments, ALL, decode, lambda: None)
+    assert [(hole.items, hole.end) for hole in window.holes] == [(2, 2)]
+    before = WantedWindow(Wanted(1, (2, 2**64), 0, 2**30), FIRST_KEY, LAST_KEY)
+    assert [hole.items for hole in files.load(segments, before, decode, lambda: None).holes] == [2]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice
 from tests.unit.channel_host.archive.test_host_archive_writes import FILES, archive_in, recorded, refuse
 
 
@@ -180,3 +181,31 @@ def test_a_disk_that_fails_for_long_costs_no_memory_for_the_puts_that_memory_has
     held = [one for part in parts if isinstance(part, list) for one in part]
     assert [one.accepted for one in held] == [one.run.first_seq for one in held]
     assert held[-1].accepted == 1000
+
+
+def test_a_recorder_of_a_channel_that_has_moved_sizes_its_items_a_part_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.SLICES_PER_NOTE", 10)
+    channel, files = ChannelCore(Policy(max_items=1000), incarnation=7), SegmentFiles(tmp_path / "c", {})
+    looked: list[int] = []
+    accepted_from = channel.accepted_from
+
+    def counted(seq: int) -> Iterator[Slice]:
+        for one in accepted_from(seq):
+            looked.append(one.first_seq)
+            yield one
+
+    for time in range(25):
+        channel.put(Offer(times=[time], durations=None, lengths=[100]), time, lambda seq, kept, stamped: b"x" * 100)
+    recorder = ChannelRecorder(channel, files, (), from_memory=True)
+    monkeypatch.setattr(channel, "accepted_from", counted)
+    coming = []
+    for _ in range(4):
+        looked.clear()
+        assert recorder.note(30)
+        assert len(looked) <= 10
+        coming.append(recorder.disk.coming)
+    assert coming == sorted(coming)
+    assert coming[0] < coming[2] == coming[3]
+    assert recorder.disk.coming >= 25 * 100

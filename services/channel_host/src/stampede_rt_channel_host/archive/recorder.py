@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from bisect import bisect_right
 from collections.abc import Callable
+from itertools import islice
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
@@ -15,6 +16,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
+SLICES_PER_NOTE = 2048  # a look at so many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # that wait for the archive; of more, only the latest is kept
 PUTS_LEAST = 4096  # from so many puts that wait for the archive on, those without items in memory become one
@@ -95,8 +97,8 @@ class ChannelRecorder:
         end_seq, noted = self._channel.next_seq, self._ends[-1] if self._ends else self.archived_to
         size = 0
         if end_seq > noted:
-            size = self._size_from(noted)
-            self._add_put(end_seq, now, size)
+            sized_to, size = self._size_from(noted)
+            self._add_put(sized_to, now, size)
         self._expect(size)
         return has_advance or end_seq > self.archived_to
 
@@ -112,10 +114,15 @@ class ChannelRecorder:
         if len(self._ends) >= self._puts_max or self._coming_bytes >= self._bytes_max:
             self._forget_collected()
 
-    def _size_from(self, seq: int) -> int:
-        """The most bytes that the items from `seq` on take on the disk."""
-        runs = {id(one.run): one.run for one in self._channel.accepted_from(seq)}.values()
-        return sum(len(run.body) for run in runs) + self.files.run_bytes_max * max(1, len(runs))
+    def _size_from(self, seq: int) -> tuple[int, int]:
+        """The most bytes that the items from `seq` on take on the disk, and the seq up to which they are counted.
+
+        Looks at SLICES_PER_NOTE at most. A channel that has moved here has more; the next calls count the others.
+        """
+        slices = [*islice(self._channel.accepted_from(seq), SLICES_PER_NOTE)]
+        runs = {id(one.run): one.run for one in slices}.values()
+        sized_to = slices[-1].end_seq if len(slices) == SLICES_PER_NOTE else self._channel.next_seq
+        return sized_to, sum(len(run.body) for run in runs) + self.files.run_bytes_max * max(1, len(runs))
 
     def _expect(self, largest: int) -> None:
         """Report to the disk what comes. `largest`: the bytes of the latest put."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from itertools import pairwise
 from typing import NamedTuple
 
+from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 
@@ -35,18 +36,24 @@ def border_holes(
     blocks_of: Callable[[Segment], SegmentBlocks],
     taken: Mapping[Segment, Set[int]],
 ) -> Iterator[Hole]:
-    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks."""
+    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks.
+
+    Also the hole before all items, if the first block that the archive has ever had is damaged.
+    """
+    first = segments[0] if segments else None
+    if first is not None and first.lacks and first.first_seq == 1 and first.low is not None:
+        yield Hole(MIN_INSTANT, first.low[0] - 1, first.lacks)
     for earlier, later in pairwise(one for one in segments if one.items):
         last = blocks_of(earlier).items_at(-1) if earlier in taken else None
-        first = blocks_of(later).items_at(0) if later in taken else None
+        next_one = blocks_of(later).items_at(0) if later in taken else None
         if last is not None and last.offset in taken[earlier]:
-            first = first or blocks_of(later).items_at(0)
-        elif first is not None and first.offset in taken[later]:
+            next_one = next_one or blocks_of(later).items_at(0)
+        elif next_one is not None and next_one.offset in taken[later]:
             last = last or blocks_of(earlier).items_at(-1)
         else:
             continue
-        if first is not None and last is not None:
-            yield from _between(last, first)
+        if next_one is not None and last is not None:
+            yield from _between(last, next_one)
 
 
 def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:

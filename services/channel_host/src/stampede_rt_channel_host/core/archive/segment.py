@@ -50,7 +50,8 @@ class Scan(NamedTuple):
 class Segment(NamedTuple):
     """A segment in short: its number and its bytes, its seqs, its keys, and when its items were accepted.
 
-    `low` and `high` are None if it has no items.
+    `low` and `high` are None if it has no items. `lacks` is the number of seqs at its beginning that no block has,
+    because a head is damaged.
     """
 
     number: int
@@ -61,6 +62,7 @@ class Segment(NamedTuple):
     low: ItemKey | None
     high: ItemKey | None
     last_accepted: int
+    lacks: int = 0
 
 
 def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0) -> Scan:
@@ -115,19 +117,22 @@ def _cut_torn(blocks: list[PlacedBlock], read_at: ReadAt, damaged: list[tuple[in
 
 def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment | None:
     """The segment in short, or None if it has neither items nor gaps."""
-    heads = [one.head for one in blocks if one.head.kind != OPENING]
+    everything = [one.head for one in blocks]
+    heads = [head for head in everything if head.kind != OPENING]
     if not heads:
         return None
+    first_seq = min(head.first_seq for head in everything)
     with_items = [head for head in heads if head.kind == ITEMS]
     return Segment(
         number=number,
         length=length,
         items=sum(head.items for head in with_items),
-        first_seq=min(head.first_seq for head in heads),
+        first_seq=first_seq,
         end_seq=max(head.end_seq for head in heads),
         low=min((head.low for head in with_items), default=None),
         high=max((head.high for head in with_items), default=None),
         last_accepted=max(head.last_accepted for head in heads),
+        lacks=heads[0].first_seq - first_seq,
     )
 
 
