@@ -1,0 +1,195 @@
+"""Recorded channels of real hosts whose archive is in an object store, on a real S3 server."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.main import main as stampede
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.channel_host.s3_server import BUCKET, S3Server, s3_server
+from tests.support.cluster import running_cluster
+from tests.support.waiting import wait_until
+
+MS = 10**6
+ITEMS, HELD = 100, 8
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
+    """A store; the processes that a test starts have its credentials in their environment."""
+    with s3_server(tmp_path_factory.mktemp("s3")) as running, pytest.MonkeyPatch.context() as patch:
+        for name, value in running.environment.items():
+            patch.setenv(name, value)
+        yield running
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("archive")
+
+
+@pytest.fixture(scope="module")
+def cluster(server: S3Server, folder: Path) -> Iterator[LocalCluster]:
+    """Two hosts with one object store, which close their files after a second."""
+    planned = LocalCluster(hosts=2, supernodes=1, archive=f"s3://{BUCKET}/rig", archive_folder=folder)
+    for host in planned.hosts:
+        host.arguments += ["--archive-move-seconds", "1"]
+    with running_cluster(planned) as running:
+        yield running
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+def filled(rt: st.Connection, name: str, host: str, **policy: object) -> tuple[st.Channel, int]:
+    channel = rt.channel(name, host=host, max_items=HELD, archive="7d", **policy)  # type: ignore[arg-type]
+    began = time.time_ns() - 10**9
+    put(channel, began, 0, ITEMS)
+    return channel, began
+
+
+def put(channel: st.Channel, began: int, first: int, end: int) -> None:
+    for number in range(first, end):
+        channel.put(b"%d" % number, time=began + number * MS)
+
+
+def numbers(items: st.Items) -> list[int]:
+    return [int(item.payload) for item in items]
+
+
+def objects(server: S3Server, channel: st.Channel) -> list[Path]:
+    return [*(server.folder / "rig" / "channels" / channel.info.channel_id.hex()).glob("*.segment")]
+
+
+def moved(server: S3Server, folder: Path, channel: st.Channel, host: str) -> None:
+    """Wait until all files of a channel have moved from a host."""
+    local = folder / host / "channels" / channel.info.channel_id.hex()
+    wait_until(lambda: objects(server, channel) and not [*local.glob("*.segment")], "the files have moved")
+
+
+def test_an_archive_in_an_object_store_answers_as_one_in_a_folder_and_goes_with_a_move(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = filled(rt, "rig/moves", "h1")
+    moved(server, folder, channel, "h1")
+    assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS))
+    assert channel.oldest().payload == b"0"
+    assert numbers(channel.at(began + 7 * MS + 5)) == [7]
+    put(channel, began, ITEMS, ITEMS + 20)  # the file with these is still open when the channel moves
+    assert stampede(["move", "rig/moves", "h2", "--url", cluster.address]) == 0
+    put(channel, began, ITEMS + 20, ITEMS + 30)
+    whole = list(range(ITEMS + 30))
+    wait_until(lambda: numbers(channel.get(began, st.NOW)) == whole, "the former owner has moved its last file")
+    found = channel.get(began, began + (ITEMS + 29) * MS)
+    assert (found.truncated, found.reason) == (False, None)
+    with channel.subscribe(start=began) as items:
+        assert [int(next(items).payload) for _ in whole] == whole
+
+
+def test_the_next_owner_of_a_channel_serves_what_its_lost_host_had_moved(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = filled(rt, "rig/lost", "h1")
+    moved(server, folder, channel, "h1")
+    cluster.hosts[0].kill()
+    try:
+        wait_until(lambda: rt.channel("rig/lost").info.host == "h2", "the directory has found another host")
+        channel = rt.channel("rig/lost")
+        assert numbers(channel.get(began, began + (ITEMS - 1) * MS)) == list(range(ITEMS))
+        assert channel.get(began + ITEMS * MS, st.NOW).reason == "LOST"
+        put(channel, began, ITEMS, ITEMS + 5)
+        assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS + 5))
+    finally:
+        cluster.hosts[0].restart()
+
+
+def test_deleting_a_channel_deletes_its_objects(server: S3Server, folder: Path, rt: st.Connection) -> None:
+    channel, _ = filled(rt, "rig/deleted", "h2")
+    moved(server, folder, channel, "h2")
+    path = objects(server, channel)[0].parent
+    channel.delete()
+    wait_until(lambda: not [*path.glob("*.segment")] if path.exists() else True)
+
+
+def test_while_the_store_is_away_live_readers_go_on_and_doctor_names_the_reason(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
+) -> None:
+    channel, began = filled(rt, "rig/away", "h2", ack="disk")
+    moved(server, folder, channel, "h2")
+    server.stop()
+    put(channel, began, ITEMS, ITEMS + 20)
+    wait_until(lambda: channel.stats().held == HELD)
+    assert numbers(channel.get(began + (ITEMS + 15) * MS, st.NOW)) == list(range(ITEMS + 15, ITEMS + 20))
+    assert channel.newest().payload == b"%d" % (ITEMS + 19)
+
+    def told() -> str:
+        stampede(["doctor", "--url", cluster.address])
+        return capsys.readouterr().out
+
+    wait_until(lambda: "store fails" in told(), "doctor names the store")
+    assert "s3://archives/rig" in told()
+    server.start()
+    moved(server, folder, channel, "h2")
+    assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS + 20))
+
+
+def test_a_host_that_is_killed_during_an_upload_loses_and_doubles_nothing(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = filled(rt, "rig/killed", "h2", ack="disk")
+    local = folder / "h2" / "channels" / channel.info.channel_id.hex()
+    server.freeze(frozen=True)
+    count = ITEMS
+
+    def put_one() -> bool:
+        nonlocal count
+        put(channel, began, count, count + 1)
+        count += 1
+        return len([*local.glob("*.segment")]) > 1
+
+    wait_until(put_one, "the first file is closed, so its upload has begun")
+    cluster.hosts[1].kill()
+    server.freeze(frozen=False)
+    cluster.hosts[1].restart()
+    channel = rt.channel("rig/killed")
+    assert numbers(channel.get(began, began + (count - 1) * MS)) == list(range(count))
+    moved(server, folder, channel, "h2")
+    assert numbers(channel.get(began, began + (count - 1) * MS)) == list(range(count))
+
+
+def test_a_host_with_wrong_credentials_does_not_start_and_says_why(
+    server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong-secret")
+    secret = tmp_path / "secret"
+    secret.write_text("0" * 64)
+    secret.chmod(0o600)
+    words = [
+        "host",
+        "--archive",
+        f"s3://{BUCKET}/rig",
+        "--archive-folder",
+        str(tmp_path / "a"),
+        "--secret-file",
+        str(secret),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "stampede_rt_channel_host", *words[1:]],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "--archive: the object store s3://archives/rig says" in done.stderr
+    assert "wrong-secret" not in done.stderr + done.stdout
