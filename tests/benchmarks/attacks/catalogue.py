@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.benchmarks.attacks import memory, neighbours, over_sockets, quotas, readers, without_credential
+from tests.benchmarks.attacks import members, memory, neighbours, over_sockets, quotas, readers, without_credential
 from tests.benchmarks.attacks.ground import Attack
 
 Part = Literal["host", "supernode"]
@@ -69,4 +69,8 @@ CASES: dict[str, Case] = {
     "silent-sockets": Case(over_sockets.silent_sockets),
     "unfinished-frames": Case(over_sockets.unfinished_frames),
     "malformed-frames": Case(over_sockets.malformed_frames),
+    "raft-claims": Case(members.raft_claims, "no leader for ever; the leader's process ended", "supernode"),
+    "join-tokens": Case(members.join_tokens, "a new member with a forged token", "supernode"),
+    "cut-floors": Case(members.cut_floors, "the cut at the end of time"),
+    "globs": Case(members.globs, "the lease lost; with 24 stars the host hung for ever"),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -33,6 +34,7 @@ class Ground:
     """The addresses of a cluster with one host and one supernode, and the attacker's token or secret.
 
     `flooded`: a bare server that gets the calls of an attack instead of the host, see `bare.py`; empty: the host.
+    `member_secret`: the secret of the cluster; empty: its services ask nobody for one.
     """
 
     frontend: str
@@ -40,6 +42,17 @@ class Ground:
     host: str
     secret: str
     flooded: str = ""
+    member_secret: str = ""
+
+    @property
+    def thing(self) -> str:
+        """The name that the attacker gives to its things."""
+        return os.environ.get(NAME_VARIABLE, "attack")
+
+    @property
+    def member_metadata(self) -> tuple[tuple[str, str], ...]:
+        """The metadata with the credential of a member of the cluster."""
+        return (("authorization", f"Bearer {self.member_secret}"),) if self.member_secret else ()
 
     @property
     def target(self) -> str:

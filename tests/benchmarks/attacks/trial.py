@@ -136,6 +136,7 @@ class Field:
             host=self.cluster.hosts[0].address,
             secret=self.token("attacker"),
             flooded=self.setup.bare,
+            member_secret=self.cluster.secret.text,
         )
 
     def token(self, name: str) -> str:
