@@ -291,11 +291,13 @@ def host(
     max_memory: int | str = "1GiB",
     drain: DurationLike = "5s",
     allow_insecure_anywhere: bool = False,
+    private: bool = False,
 ) -> Connection:
     """Connect to a cluster, and make this process a channel host of it (docs/embedding.md).
 
     New channels and queues of this connection are at this host, unless the call names another place. All programs of
-    the cluster use them like others, and the directory may place channels of other programs here.
+    the cluster use them like others, and the directory may place channels of other programs here, unless the host is
+    `private`.
 
     - `name`: the name of the host, and the name of this connection as a peer. Default: the host gets the name of the
       machine with a random end, and the connection is not a peer. With certificates it is the name in the certificate.
@@ -305,6 +307,7 @@ def host(
     - `max_memory`: the most memory that all items at this host may use, in bytes or as "512MiB". Beyond it the host
       refuses puts.
     - `allow_insecure_anywhere`: listen beyond this machine without certificates, on a network that you trust.
+    - `private`: the directory places channels, queues and copies of other programs here only if they name this host.
     - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
       moves none, and their items are lost.
 
@@ -313,7 +316,7 @@ def host(
     Blocks for at most 20 s. `close` blocks for `drain` and some seconds more.
     Raises HostExists, the errors of `connect`, and InvalidArgument if the extra [server] is not installed.
     """
-    options = HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere)
+    options = HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere, private)
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
     return _opened(target, secret, transport, proof, embedder()(target, options))
 

@@ -62,6 +62,17 @@ def test_new_channels_and_queues_are_here_unless_the_program_names_a_place(clust
             rt.channel("embedded/here", max_items=3)
 
 
+def test_a_private_host_gets_nothing_that_does_not_name_it(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as other, st.host(cluster.address, name="rig-private", private=True) as rt:
+        (load,) = [one.load for one in rt.hosts() if one.name == "rig-private"]
+        assert load is not None
+        assert load.private
+        assert {other.channel(f"embedded/not-here/{at}").host for at in range(4)} == {"h1"}
+        assert other.queue("embedded/no-queue").info.host == "h1"
+        assert rt.channel("embedded/mine").host == "rig-private"
+        assert other.channel("embedded/named-here", host="rig-private").host == "rig-private"
+
+
 async def test_several_hosts_live_in_one_program_with_and_without_asyncio(cluster: LocalCluster) -> None:
     async with aio.host(cluster.address, name="rig-3") as rt, aio.host(cluster.address, name="rig-4") as second:
         camera = await rt.channel("embedded/3")

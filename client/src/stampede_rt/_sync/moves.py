@@ -108,7 +108,8 @@ class Moves(Proxies):
         over_nanos = parse_duration(over, "over")
         if not 0 < over_nanos <= OVER_NANOS_MAX:
             raise InvalidArgument(f"over is {over}; measure for more than 0 s and at most 1 h")
-        hosts = {one.name: one.load.busy_permille for one in self.hosts() if one.load is not None}
+        loads = {one.name: one.load for one in self.hosts() if one.load is not None}
+        hosts = {name: load.busy_permille for name, load in loads.items() if not load.private}
         rates = self._rates(hosts, over_nanos / 1e9)
         channels = self.channels()
         names = {one.channel_id: one.name for one in channels}

@@ -117,8 +117,9 @@ def host(
     max_memory: int | str = "1GiB",
     drain: DurationLike = "5s",
     allow_insecure_anywhere: bool = False,
+    private: bool = False,
 ) -> _Connecting:
     """As `stampede_rt.host`. Await it, or enter it with `async with`. The host has a thread of its own."""
-    options = _HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere)
+    options = _HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere, private)
     target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
     return _Connecting(target, proof, _embedder()(target, options))

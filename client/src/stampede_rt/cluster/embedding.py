@@ -36,6 +36,7 @@ class HostOptions:
     memory_bytes_max: int
     drain_s: float
     allow_insecure_anywhere: bool
+    private: bool
 
     @classmethod
     def parse(
@@ -45,6 +46,7 @@ class HostOptions:
         max_memory: int | str,
         drain: DurationLike,
         allow_insecure_anywhere: bool,
+        private: bool = False,
     ) -> HostOptions:
         """Check the arguments. Raises InvalidArgument."""
         drain_nanos = parse_duration(drain, "drain")
@@ -56,6 +58,7 @@ class HostOptions:
             memory_bytes_max=memory_of("max_memory", max_memory),
             drain_s=drain_nanos / 1e9,
             allow_insecure_anywhere=flag_of("allow_insecure_anywhere", allow_insecure_anywhere),
+            private=flag_of("private", private),
         )
 
 

@@ -20,6 +20,11 @@ def _boot_id() -> str:
         return ""
 
 
+def machine_id() -> str:
+    """Return the machine's boot id, which all its processes and containers share; empty if there is none."""
+    return _boot_id()[:64]
+
+
 def this_machine() -> str:
     """Return the machine's boot id and the process's user id, "BOOT_ID:UID"; empty on a system without boot ids."""
     return f"{_boot_id()}:{os.geteuid()}" if _boot_id() and hasattr(socket, "SO_PEERCRED") else ""

@@ -180,7 +180,7 @@ class DeleteChannelCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterHostCommand(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key", "private", "machine")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -191,6 +191,8 @@ class RegisterHostCommand(_message.Message):
     HAS_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
     CONTINUES_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
+    PRIVATE_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
@@ -201,7 +203,9 @@ class RegisterHostCommand(_message.Message):
     has_archive: bool
     continues_boot_incarnation: int
     move_key: bytes
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ...) -> None: ...
+    private: bool
+    machine: str
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ...) -> None: ...
 
 class DeregisterHostCommand(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")

@@ -30,18 +30,22 @@ class Endpoint(_message.Message):
     def __init__(self, target: _Optional[str] = ..., zone: _Optional[str] = ...) -> None: ...
 
 class HostLoad(_message.Message):
-    __slots__ = ("busy_permille", "held_bytes", "bytes_max", "owned", "has_archive")
+    __slots__ = ("busy_permille", "held_bytes", "bytes_max", "owned", "has_archive", "private", "machine")
     BUSY_PERMILLE_FIELD_NUMBER: _ClassVar[int]
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
     BYTES_MAX_FIELD_NUMBER: _ClassVar[int]
     OWNED_FIELD_NUMBER: _ClassVar[int]
     HAS_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
+    PRIVATE_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
     busy_permille: int
     held_bytes: int
     bytes_max: int
     owned: int
     has_archive: bool
-    def __init__(self, busy_permille: _Optional[int] = ..., held_bytes: _Optional[int] = ..., bytes_max: _Optional[int] = ..., owned: _Optional[int] = ..., has_archive: bool = ...) -> None: ...
+    private: bool
+    machine: str
+    def __init__(self, busy_permille: _Optional[int] = ..., held_bytes: _Optional[int] = ..., bytes_max: _Optional[int] = ..., owned: _Optional[int] = ..., has_archive: bool = ..., private: bool = ..., machine: _Optional[str] = ...) -> None: ...
 
 class HostRecord(_message.Message):
     __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch", "load")

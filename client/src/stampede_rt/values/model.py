@@ -294,11 +294,13 @@ class LoadInfo:
 
     - `busy_permille` is the share of one core that the host's process used, in thousandths.
     - `held_bytes` are the bytes of its channels and queues, of at most `bytes_max`; 0 if the host has not told them.
+    - `private`: the directory places nothing there unless a caller names the host.
     """
 
     busy_permille: int
     held_bytes: int
     bytes_max: int
+    private: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

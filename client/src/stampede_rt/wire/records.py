@@ -124,7 +124,12 @@ def host_info(record: directory_pb2.HostRecord) -> HostInfo:
 
 def host_load(message: directory_pb2.HostLoad) -> LoadInfo:
     """Return the load of a host, as callers see it."""
-    return LoadInfo(busy_permille=message.busy_permille, held_bytes=message.held_bytes, bytes_max=message.bytes_max)
+    return LoadInfo(
+        busy_permille=message.busy_permille,
+        held_bytes=message.held_bytes,
+        bytes_max=message.bytes_max,
+        private=message.private,
+    )
 
 
 def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelInfo:

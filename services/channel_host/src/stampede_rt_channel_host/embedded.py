@@ -254,6 +254,7 @@ def _settings(target: Target, options: HostOptions) -> HostSettings:
             zone=target.zone,
             memory_bytes_max=options.memory_bytes_max,
             allow_insecure_anywhere=options.allow_insecure_anywhere,
+            private=options.private,
         )
     except ValueError as error:
         raise _cannot_host(error) from error

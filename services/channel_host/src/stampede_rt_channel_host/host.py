@@ -178,6 +178,7 @@ class ChannelHost:
                 lambda: self.store.memory.used_bytes,
                 self.store.memory.bytes_max,
                 has_archive=self.store.recordings.archive is not None,
+                is_private=self.identity.is_private,
             ).measure,
         )
 

@@ -106,6 +106,7 @@ class ServedHost:
             has_archive=archive is not None,
             continues=0 if archive is None else archive.continued(),
             move_key=secrets.token_bytes(KEY_BYTES),
+            is_private=settings.private,
         )
         return ChannelHost(
             identity,

@@ -78,6 +78,12 @@ class HostSettings(ServiceSettings):
             help="the folder that keeps the host's identity over restarts; default: none, each start makes a new host",
         ),
     )
+    private: bool = field(
+        default=False,
+        metadata=setting(
+            help="take only channels, queues and copies whose callers name this host; the directory places nothing here"
+        ),
+    )
     archive: Path | str | None = field(
         default=None,
         metadata=setting(

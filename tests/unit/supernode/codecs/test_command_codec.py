@@ -92,7 +92,15 @@ from tests.support.supernode.operations import (
     update_queue,
 )
 
-LOAD = HostLoad(busy_permille=2**32 - 1, held_bytes=2**64 - 1, bytes_max=2**64 - 2, owned=2**32 - 2, has_archive=True)
+LOAD = HostLoad(
+    busy_permille=2**32 - 1,
+    held_bytes=2**64 - 1,
+    bytes_max=2**64 - 2,
+    owned=2**32 - 2,
+    has_archive=True,
+    is_private=True,
+    machine="m",
+)
 RULE = AccessRule("cam-*", (AccessVerb.ADVANCE, AccessVerb.PUT), AccessKind.CHANNEL, "video/?", deny=True)
 EVERYTHING: dict[str, Any] = {
     "max_age_nanos": 1,

@@ -845,6 +845,7 @@ _shtab_stampede_host_options=(
   "--frontend[front-ends of the cluster \[default\: localhost\:7580\]]:HOST:PORT,...:"
   "--zone[the network or site of this host\; it prefers supernodes of its zone \[default\: none\]]:ZONE:"
   "--data-dir[the folder that keeps the host\'s identity over restarts\; default\: none, each start makes a new host \[default\: none\]]:FOLDER:_files -/"
+  {--private,--no-private}"[take only channels, queues and copies whose callers name this host\; the directory places nothing here \[default\: no\]]"
   "--archive[the folder in which the host keeps recorded channels (those opened with \`archive\`), and, without --data-dir, its identity\; or an object store, the same for all hosts of the cluster\: s3\:\/\/BUCKET\/PREFIX, gs\:\/\/, az\:\/\/ or file\:\/\/ (extra \[objects\])\; default\: none, the host records no channel \[default\: none\]]:PLACE:"
   "--archive-folder[with a URL in --archive\: the folder of files that have not moved to the object store, of cached parts of objects, and, without --data-dir, of the host\'s identity\; default\: \`archive\` in --data-dir, or \~\/.local\/state\/stampede\/archive \[default\: none\]]:FOLDER:_files -/"
   "--archive-cache-bytes[the most bytes of objects that the host keeps in --archive-folder for reads that come again\; several processes have equal parts of it \[default\: 1 GiB\]]:SIZE:"

@@ -26,7 +26,8 @@ class HostIdentity:
     `boot_incarnation` is new at each start of the process, because a start loses the host's earlier items.
     `has_archive`: the host can record channels. `continues`: the boot incarnation of the former process that left all
     items of its recorded channels in that archive, or 0. `move_key`: the secret key of its permits for moves, new at
-    each start, too; empty: it gives none.
+    each start, too; empty: it gives none. `is_private`: the directory places nothing here unless a caller names this
+    host.
     """
 
     host_id: bytes
@@ -36,6 +37,7 @@ class HostIdentity:
     has_archive: bool = False
     continues: int = 0
     move_key: bytes = field(default=b"", repr=False)
+    is_private: bool = False
 
 
 def load_host_id(folder: Path | None) -> bytes:

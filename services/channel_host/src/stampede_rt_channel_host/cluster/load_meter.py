@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from stampede_rt.transports.machine import machine_id
 from stampede_rt.v1 import directory_pb2
 
 PERMILLE_MAX = 1_000_000
@@ -24,9 +25,10 @@ class LoadMeter:
         cpu_nanos: Callable[[], int] = time.process_time_ns,
         steady_nanos: Callable[[], int] = time.monotonic_ns,
         has_archive: bool = False,
+        is_private: bool = False,
     ) -> None:
-        """`has_archive`: the host can record channels, which is a part of its reports."""
-        self._has_archive = has_archive
+        """`has_archive`: the host can record channels. `is_private`: see HostIdentity."""
+        self._facts = directory_pb2.HostLoad(has_archive=has_archive, private=is_private, machine=machine_id())
         self._held_bytes = held_bytes
         self._bytes_max = bytes_max
         self._cpu_nanos = cpu_nanos
@@ -38,9 +40,10 @@ class LoadMeter:
         now = self._cpu_nanos(), self._steady_nanos()
         used, passed = now[0] - self._last[0], now[1] - self._last[1]
         self._last = now
-        return directory_pb2.HostLoad(
+        load = directory_pb2.HostLoad(
             busy_permille=min(max(0, used) * 1000 // max(1, passed), PERMILLE_MAX),
             held_bytes=max(0, self._held_bytes()),
             bytes_max=self._bytes_max,
-            has_archive=self._has_archive,
         )
+        load.MergeFrom(self._facts)
+        return load

@@ -25,6 +25,7 @@ from stampede_rt.errors import (
     VersionMismatch,
     WrongCluster,
 )
+from stampede_rt.transports.machine import machine_id
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_channel_host.cluster.host_lease import RENEWALS_PER_TTL, HostLease
@@ -258,6 +259,8 @@ class Registration:
             has_archive=one.has_archive,
             continues_boot_incarnation=one.continues,
             move_key=one.move_key,
+            private=one.is_private,
+            machine=machine_id(),
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)

@@ -84,7 +84,7 @@ class MoveDirectory:
                 one.load.has_archive,
             )
             for one in hosts
-            if one.host_id != self._identity.host_id
+            if one.host_id != self._identity.host_id and not one.load.private
         ]
 
     async def kept_here(self, channel_id: bytes) -> Kept:

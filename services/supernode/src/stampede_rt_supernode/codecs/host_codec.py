@@ -42,6 +42,8 @@ def load_message(load: HostLoad) -> directory_pb2.HostLoad:
         bytes_max=load.bytes_max,
         owned=load.owned,
         has_archive=load.has_archive,
+        private=load.is_private,
+        machine=load.machine,
     )
 
 
@@ -53,6 +55,8 @@ def load_from(message: directory_pb2.HostLoad) -> HostLoad:
         bytes_max=message.bytes_max,
         owned=message.owned,
         has_archive=message.has_archive,
+        is_private=message.private,
+        machine=message.machine,
     )
 
 

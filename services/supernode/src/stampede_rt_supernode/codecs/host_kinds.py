@@ -39,6 +39,8 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         has_archive=operation.has_archive,
         continues_boot_incarnation=operation.continues_boot_incarnation,
         move_key=operation.move_key,
+        private=operation.is_private,
+        machine=operation.machine,
     )
 
 
@@ -54,6 +56,8 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         has_archive=message.has_archive,
         continues_boot_incarnation=message.continues_boot_incarnation,
         move_key=message.move_key,
+        is_private=message.private,
+        machine=message.machine,
     )
 
 

@@ -27,7 +27,8 @@ class HostLoad:
     """How busy a host is, see HostLoad in directory.proto.
 
     `owned`: the number of channels and queues that the host owned when the measurement began. `has_archive`: the host
-    can record channels.
+    can record channels. `is_private`: the directory places nothing there unless a caller names the host. `machine`: of
+    the host; empty if it is not known.
     """
 
     busy_permille: int = 0
@@ -35,6 +36,8 @@ class HostLoad:
     bytes_max: int = 0
     owned: int = 0
     has_archive: bool = False
+    is_private: bool = False
+    machine: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

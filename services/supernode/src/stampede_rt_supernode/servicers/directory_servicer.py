@@ -219,6 +219,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             has_archive=request.has_archive,
             continues_boot_incarnation=request.continues_boot_incarnation,
             move_key=request.move_key,
+            is_private=request.private,
+            machine=request.machine,
         )
         registered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))

@@ -84,8 +84,12 @@ def differs(host: HostRecord, load: HostLoad) -> bool:
     return (
         abs(load.busy_permille - known.busy_permille) >= CHANGE_PERMILLE
         or memory_change >= CHANGE_PERMILLE * max(load.bytes_max, 1)
-        or (load.owned, load.bytes_max, load.has_archive) != (known.owned, known.bytes_max, known.has_archive)
+        or _facts(load) != _facts(known)
     )
+
+
+def _facts(load: HostLoad) -> tuple[object, ...]:
+    return load.owned, load.bytes_max, load.has_archive, load.is_private, load.machine
 
 
 def _owned(directory: Directory, host_id: bytes) -> int:

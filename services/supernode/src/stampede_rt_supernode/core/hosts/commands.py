@@ -14,7 +14,7 @@ class RegisterHost(Operation):
 
     `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
     former process, if its archive has all items of its recorded channels; else 0. `move_key`: see `move_permits`;
-    empty: it has none.
+    empty: it has none. `is_private`, `machine`: see HostLoad.
     """
 
     host_id: bytes
@@ -27,6 +27,8 @@ class RegisterHost(Operation):
     has_archive: bool = False
     continues_boot_incarnation: int = 0
     move_key: bytes = field(default=b"", repr=False)
+    is_private: bool = False
+    machine: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -33,9 +33,10 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
 
     Three kinds of hosts come after the others, in this order: hosts that own far more than the others (SHARE_FACTOR),
     hosts without room, and full hosts. Among hosts with about the same load it is the one with the lowest `count`, and
-    among these the first one. If no load is known, as below LOADS_LEVEL, only `count` decides.
+    among these the first one. If no load is known, as below LOADS_LEVEL, only `count` decides. Private hosts are left
+    out.
     """
-    among = list(hosts)
+    among = [host for host in hosts if not is_private(host)]
     if all(host.load is None for host in among):
         return min(among, key=count, default=None)
     owned = sum(_owned(tables, host) for host in among)
@@ -46,6 +47,16 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
         return is_full(tables, host), load >= FULL_PERMILLE, far_more, load // STEP_PERMILLE, count(host)
 
     return min(among, key=rank)
+
+
+def is_private(host: HostRecord) -> bool:
+    """Whether only callers that name the host place something there."""
+    return host.load is not None and host.load.is_private
+
+
+def machine_of(host: HostRecord) -> str:
+    """The machine of a host; empty if it is not known."""
+    return "" if host.load is None else host.load.machine
 
 
 def load_permille(tables: Tables, host: HostRecord) -> int:
@@ -107,7 +118,7 @@ def beside_its_group(tables: Tables, channel_id: bytes) -> HostRecord | None:
             if member != channel_id:
                 owned[tables.channels[member].host_id] += 1
     near = [tables.hosts[one] for one in owned]
-    fitting = [host for host in near if host.alive and host.load is not None and _has_room(tables, host)]
+    fitting = [host for host in near if host.alive and not is_private(host) and _has_room(tables, host)]
     return min(fitting, key=lambda host: (-owned[host.host_id], host.name), default=None)
 
 
@@ -117,4 +128,4 @@ def has_room_by_report(tables: Tables, host: HostRecord) -> bool:
 
 
 def _has_room(tables: Tables, host: HostRecord) -> bool:
-    return not is_full(tables, host) and load_permille(tables, host) < FULL_PERMILLE
+    return host.load is not None and not is_full(tables, host) and load_permille(tables, host) < FULL_PERMILLE

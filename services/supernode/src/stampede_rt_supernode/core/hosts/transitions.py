@@ -19,10 +19,12 @@ from stampede_rt_supernode.core.registration_epochs import check_registration_ep
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
 from stampede_rt_supernode.core.validation import (
+    MACHINE_CHARACTERS_MAX,
     check_gatekeepers,
     check_id,
     check_incarnation,
     check_name,
+    check_text,
     check_version,
 )
 
@@ -74,7 +76,12 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
 def _idle_load(tables: Tables, before: HostRecord | None, operation: RegisterHost) -> HostLoad:
     """The load of a host until its first report: idle, with all things that it owns already."""
     owned = 0 if before is None else before.channels + tables.queues.count_at(before.host_id)
-    return HostLoad(owned=owned, has_archive=operation.has_archive)
+    return HostLoad(
+        owned=owned,
+        has_archive=operation.has_archive,
+        is_private=operation.is_private,
+        machine=operation.machine,
+    )
 
 
 def check_register(operation: RegisterHost) -> None:
@@ -83,6 +90,7 @@ def check_register(operation: RegisterHost) -> None:
     check_name(operation.name, "host")
     check_gatekeepers(operation.gatekeepers, operation.name)
     check_version(operation.version, operation.name)
+    check_text(operation.machine, f"the machine of host {operation.name}", 0, MACHINE_CHARACTERS_MAX)
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_incarnation(operation.new_incarnation, "new_incarnation")
     check_registration_epoch(operation)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
-from stampede_rt_supernode.core.hosts.placement import least_loaded
+from stampede_rt_supernode.core.hosts.placement import is_full, least_loaded, machine_of
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
@@ -102,7 +102,8 @@ def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
     """The host for a copy: the live host `host_id`, if the caller names one.
 
     Else it is, of the live hosts that hold nothing of this channel, the least loaded; among equals the one with the
-    fewest channels and copies. Raises HostNotFound, or Unavailable with reason NO_HOST.
+    fewest channels and copies. Hosts on machines that hold nothing of the channel come first, unless they are full.
+    Raises HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_id:
         host = tables.hosts.get(host_id)
@@ -114,15 +115,22 @@ def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
             )
         return host
     holders = {channel.host_id, *(one.host_id for one in tables.replicas.of(id_of(channel)))}
-    free = (host for host in tables.live_hosts() if host.host_id not in holders)
-    least = least_loaded(tables, free, lambda host: host.channels + tables.replicas.count_at(host.host_id))
+    free = [host for host in tables.live_hosts() if host.host_id not in holders]
+    machines = {machine_of(tables.hosts[one]) for one in holders} | {""}
+    apart = [host for host in free if machine_of(host) not in machines and not is_full(tables, host)]
+    least = _least_busy(tables, apart) or _least_busy(tables, free)
     if least is None:
         raise Unavailable(
-            f"every live host holds {shown(channel)} already; start another with `stampede host` to hold a copy",
+            f"every live host holds {shown(channel)} already, or is private; start another with `stampede host` to "
+            "hold a copy",
             reason="NO_HOST",
             metadata=about(channel),
         )
     return least
+
+
+def _least_busy(tables: Tables, hosts: list[HostRecord]) -> HostRecord | None:
+    return least_loaded(tables, hosts, lambda host: host.channels + tables.replicas.count_at(host.host_id))
 
 
 def _same_kind(channel: Copied, host: HostRecord, there: ReplicaRecord | None, kind: ReplicaKind) -> ReplicaRecord:
