@@ -115,7 +115,9 @@ async def cut_floors(ground: Ground, under_way: Callable[[], None]) -> None:
     supernode, host = ground.channel(ground.supernode), ground.channel(ground.host)
     token = await _join_token(ground, supernode, "spare")
     async with ground.connect() as rt:
-        group = await rt.group(ground.thing, [await rt.channel(f"{ground.thing}/left")])
+        channel = await rt.channel(f"{ground.thing}/left")
+        await channel.put(b"x")  # without an item the group has no cut
+        group = await rt.group(ground.thing, [channel])
         info = group.info
         floor = group_pb2.CutFloor(
             group_id=info.group_id,
