@@ -164,6 +164,21 @@ def test_a_replay_ends_at_its_stated_end(rt: st.Connection) -> None:
             replay.channel("clock/end").subscribe(mode="newest")
 
 
+def test_a_replayed_match_whose_items_wait_too_long_fails_instead_of_taking_all_memory(
+    rt: st.Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast, slow = (rt.channel(f"clock/{name}", max_age="60s", archive="7d") for name in ("fast", "slow"))
+    start = fast.stats().host_time
+    for number in range(8):
+        fast.put(bytes(1000), time=start + number * MS)
+    rt.group("clock-bound", [fast, slow])
+    monkeypatch.setattr("stampede_rt._sync.replayed_matches.WAITING_BYTES_MAX", 5000)
+    with rt.replay(start, speed=0) as replay, replay.group("clock-bound").match("clock/fast", "1ms") as matches:
+        with pytest.raises(st.Overloaded, match="until channel 'clock/slow' has passed their times"):
+            next(matches)
+        assert (matches.unmatched, matches.dropped) == (0, 0)
+
+
 @pytest.mark.parametrize("arguments", [{"speed": -1}, {"speed": "fast"}, {"end": 5}, {"step": 1}])
 def test_a_replay_with_wrong_arguments_is_refused(rt: st.Connection, arguments: dict[str, Any]) -> None:
     with pytest.raises(st.InvalidArgument):

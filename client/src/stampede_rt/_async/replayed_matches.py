@@ -9,11 +9,16 @@ from types import TracebackType
 
 from stampede_rt._async.replayed_channel import NEWEST_QUERY, ChangeFeed, ReplayedChannel
 from stampede_rt._async.virtual_clock import VirtualClock
+from stampede_rt.errors import Overloaded
 from stampede_rt.transports.concurrency_async import StepLock
 from stampede_rt.values.grouping import Matched
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, clamp, parse_interval
+
+WAITING_BYTES_MAX = 64 * 2**20
+"""The most bytes of items that wait for their match, each with ITEM_BYTES besides its payload."""
+ITEM_BYTES = 512
 
 
 class _Member:
@@ -42,7 +47,8 @@ class ReplayedMatches:
     """An iterator over `Matched` items (see `Group.match`), and a context manager. The iteration ends with the replay.
 
     Each step moves the clock to the instant at which the host could have decided the match. `unmatched` and `dropped`
-    count as those of a live subscription do.
+    count as those of a live subscription do. A step raises Overloaded if the items that wait for a match have more than
+    WAITING_BYTES_MAX.
     """
 
     def __init__(
@@ -62,6 +68,7 @@ class ReplayedMatches:
         self._at = clock.now  # the instant of the last change that was looked at
         self._members: list[_Member] = []
         self._waiting: list[tuple[int, int, Item]] = []  # items of `per` without a match, by time and seq
+        self._waiting_bytes = 0
         self._low = (0, 0)  # the key of the last item that was matched
         self._steps = StepLock()  # callers that step at the same time take turns
         self._closed = False
@@ -85,7 +92,7 @@ class ReplayedMatches:
                 await self._begin()
             while not self._closed:
                 if self._waiting and self._is_decided(self._waiting[0][0]):
-                    matched = await self._match(self._waiting.pop(0)[2])
+                    matched = await self._match(self._next_waiting())
                     self.unmatched += bool(matched.missing)
                     if self._partial or not matched.missing:
                         await self._clock.reach(self._at)
@@ -118,10 +125,26 @@ class ReplayedMatches:
         items = await member.take()
         for item in items if member.channel == self._per else ():
             if (item.time, item.seq) > self._low:
-                insort(self._waiting, (item.time, item.seq, item), key=lambda one: one[:2])
+                self._wait_for_match(item)
             else:
                 self.dropped += 1
         return True
+
+    def _wait_for_match(self, item: Item) -> None:
+        """Keep an item of `per` until its match is decided. Raises Overloaded beyond WAITING_BYTES_MAX."""
+        self._waiting_bytes += _bytes_of(item)
+        if self._waiting_bytes > WAITING_BYTES_MAX:
+            behind = min(self._members, key=lambda one: (one.newest is not None, one.newest or 0)).channel
+            raise Overloaded(
+                f"the replay would hold more than {WAITING_BYTES_MAX} bytes of items of {self._per.name!r} until "
+                f"channel {behind.name!r} has passed their times; match with payloads=False, or without that channel"
+            )
+        insort(self._waiting, (item.time, item.seq, item), key=lambda one: one[:2])
+
+    def _next_waiting(self) -> Item:
+        item = self._waiting.pop(0)[2]
+        self._waiting_bytes -= _bytes_of(item)
+        return item
 
     def _is_decided(self, time: int) -> bool:
         """Return whether no item that comes later can change the match of an item at `time`."""
@@ -144,3 +167,7 @@ class ReplayedMatches:
             else:
                 found[channel.info.channel_id] = nearest
         return Matched(self._channels, found, missing=missing, time=item.time)
+
+
+def _bytes_of(item: Item) -> int:
+    return ITEM_BYTES + len(item.payload or b"")
