@@ -124,7 +124,7 @@ def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
         return "none"
     lacking = f", {stats.not_replicated} items not replicated in time" if stats.not_replicated else ""
     before = stats.inherited_next_seq
-    lost = f"; a host was lost, and with it the items after seq {before - 1} that its replica lacked" if before else ""
+    lost = f"; after the loss of a host a replica went on at seq {before}" if before else ""
     return replicas_text(stats.policy.replicas, replicas) + lacking + lost
 
 

@@ -145,4 +145,4 @@ def joined(names: Sequence[str]) -> str:
 def replication_text(replicas: int | None, ack: str | None, min_replicas: int | None) -> str:
     """Return the replicas of a policy as a text for people; empty without replicas."""
     least = "" if min_replicas is None else f", at least {min_replicas}"
-    return f"{number_of(replicas, 'replica')} (ack {ack}{least})" if replicas else ""
+    return f"{number_of(replicas, 'replica')} (ack {ack or 'host'}{least})" if replicas else ""

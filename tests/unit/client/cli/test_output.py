@@ -17,6 +17,7 @@ SECOND = 1_000_000_000
         (Policy(overlap_nanos=5 * SECOND), "10 s (default), overlap 5 s"),
         (Policy(max_items=3, overlap_nanos=5 * SECOND), "3 items, overlap 5 s"),
         (Policy(max_age_nanos=60 * SECOND, max_age_unconsumed_nanos=3600 * SECOND), "1 m (to 1 h for consumers)"),
+        (Policy(max_items=10, replicas=1), "10 items, 1 replica (ack host)"),
     ],
 )
 def test_a_policy_tells_the_default_if_it_states_no_limit(policy: Policy, text: str) -> None:
