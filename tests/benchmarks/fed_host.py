@@ -48,9 +48,11 @@ class Fed:
 class FedHost(ChannelHost):
     """Heeds stdin once it has entered the cluster; ends as any host does."""
 
-    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
+    async def enter(
+        self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "", tcp_target: str = ""
+    ) -> None:
         """See ChannelHost."""
-        await super().enter(target, timeout_s, local_target=local_target)
+        await super().enter(target, timeout_s, local_target=local_target, tcp_target=tcp_target)
         self._start(_heed(self), "orders")
 
 

@@ -14,8 +14,8 @@ from tests.contract.memory import MemoryConnection
 from tests.contract.surfaces import Surface, connected
 from tests.support.cluster import cluster_fixture, find_secret_of
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="package")
-grouped_cluster = cluster_fixture(hosts=2, supernodes=1, scope="package")
+cluster = cluster_fixture(hosts=1, supernodes=1, data_ports=True, scope="package")
+grouped_cluster = cluster_fixture(hosts=2, supernodes=1, data_ports=True, scope="package")
 
 
 @pytest.fixture(autouse=True)
@@ -40,10 +40,14 @@ IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
 """The test modules that also run in a program that is the host of its channels: puts and gets by reference."""
 
 
+OVER_TCP = ("puts", "resumed_streams", "slow_readers", "subscriptions", "taking")
+"""The test modules that also run over TCP sockets. Their streams stop, break, or carry long messages."""
+
+
 HERE = pytest.param("here", marks=pytest.mark.without_rules("a client token cannot host channels"))
 
 
-@pytest.fixture(params=["grpc", "grpc-public", "socket", "shared", HERE], autouse=True)
+@pytest.fixture(params=["grpc", "grpc-public", "socket", "tcp", "shared", HERE], autouse=True)
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport that each client of a test must use."""
     transport, _, streams = str(request.param).partition("-")
@@ -61,6 +65,8 @@ def _is_wanted(item: pytest.Item) -> bool:
     found, module = _parameters(item), item.path.stem.removeprefix("test_")
     if "grpc-public" in found:
         return "sync" in found and module in OVER_PUBLIC_STREAMS
+    if "tcp" in found:
+        return "memory" not in found and module in OVER_TCP
     if "shared" in found:
         return "memory" not in found and module in OVER_SHARED_MEMORY
     if "here" in found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -11,6 +12,8 @@ from stampede_rt.v1 import rpc_status_pb2, socket_stream_pb2
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, FrameReader, frame_of
 
 SECONDS_MAX = 20
+SECURED: dict[str, ssl.SSLContext] = {}
+"""The TLS with which tests call these targets. It is the standard library's own, not that of the product."""
 
 
 class RawStream:
@@ -19,6 +22,8 @@ class RawStream:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
         self.signs_of_life = 0
+        self.is_greeted = False
+        """Whether a TCP port has greeted."""
         self._frames = FrameReader({FrameKind.MESSAGE: 2**25, FrameKind.STATUS: 2**16, FrameKind.ALIVE: 0})
         self._came: deque[tuple[int, bytes]] = deque()
 
@@ -58,6 +63,13 @@ class RawStream:
                 self._came.extend(self._frames.feed(data))
         return self._came.popleft()
 
+    async def take_greeting(self) -> None:
+        """Take the first frame of a TCP port. A refusal stays for the test."""
+        frame = await self.frame()
+        self.is_greeted = frame is not None and frame[0] == FrameKind.ALIVE
+        if frame is not None and not self.is_greeted:
+            self._came.appendleft(frame)
+
     async def message(self) -> bytes:
         """Return the next message."""
         frame = await self.frame()
@@ -83,9 +95,16 @@ class RawStream:
 
 @asynccontextmanager
 async def raw_stream(target: str) -> AsyncIterator[RawStream]:
-    """Yield a new connection."""
-    reader, writer = await asyncio.open_unix_connection(target.removeprefix("unix:"))
+    """Yield a new connection to "unix:PATH", or to "tcp:HOST:PORT" after the greeting, with the TLS of SECURED."""
+    if target.startswith("tcp:"):
+        host, _, port = target.removeprefix("tcp:").rpartition(":")
+        reader, writer = await asyncio.open_connection(host, int(port), ssl=SECURED.get(target))
+    else:
+        reader, writer = await asyncio.open_unix_connection(target.removeprefix("unix:"))
+    stream = RawStream(reader, writer)
     try:
-        yield RawStream(reader, writer)
+        if target.startswith("tcp:"):
+            await stream.take_greeting()
+        yield stream
     finally:
         writer.transport.abort()

@@ -1,10 +1,15 @@
-"""A service whose methods have streams in both directions, at a Unix socket: `port = port_fixture()` in a test file."""
+"""A service whose methods have streams in both directions, at sockets of each kind.
+
+`port = port_fixture()` in a test file makes a fixture that opens them.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import tempfile
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +17,16 @@ import grpc
 import pytest
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.security.tls import TlsReader
+from stampede_rt.security.tls_contexts import client_context
+from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_runtime import roles
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.rpc import answer_at_once, errors_as_status
 from stampede_rt_runtime.server import ServiceServer, serving
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from stampede_rt_runtime.tls import load_tls
+from tests.support.raw_stream import SECURED
 
 SERVICE = "test.Streams"
 ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD, AT_ONCE = (
@@ -94,7 +106,7 @@ class Streams:
 
 
 class Port:
-    """A service, the target of its Unix socket, and its server."""
+    """A service, the target of its socket, and its server."""
 
     def __init__(self, streams: Streams, target: str, server: ServiceServer) -> None:
         self.streams, self.target, self.server = streams, target, server
@@ -117,17 +129,41 @@ async def paused(one: Port) -> StreamSocket:
 Open = Callable[..., AbstractAsyncContextManager[Port]]
 
 
-def port_fixture() -> Callable[..., Open]:
-    """Return a fixture that opens such services with the given settings of `serving`."""
+LOCAL, TCP, TLS = "unix", "tcp", "tls"
 
-    @pytest.fixture
-    def port(tmp_path: Path) -> Open:
+
+@cache
+def certificates() -> ClusterCertificates:
+    """The certificates of all tests of this process."""
+    return ClusterCertificates(Path(tempfile.mkdtemp(prefix="stampede-tests-"), "certs"))
+
+
+def port_fixture(*kinds: str) -> Callable[..., Open]:
+    """Return a fixture that opens such services with the given settings of `serving`, at each kind of socket."""
+
+    @pytest.fixture(params=kinds or (LOCAL, TCP, TLS))
+    def port(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Open:
+        kind = request.param
+        monkeypatch.setitem(roles._FOREIGN, f"/{SERVICE}/", frozenset({Role.CLIENT, Role.OPERATOR}))  # type: ignore[arg-type]
+
         @asynccontextmanager
         async def opened(**settings: Any) -> AsyncIterator[Port]:
             streams = Streams()
+            if kind == TLS:
+                settings["tls"] = load_tls(certificates().issue(Role.HOST, "h1"), Role.HOST)
             async with serving(streams.add_to, **settings) as server:
                 server.sockets.register(streams.add_to)
-                yield Port(streams, await server.sockets.listen_locally(tmp_path / "s"), server)
+                if kind == LOCAL:
+                    yield Port(streams, await server.sockets.listen_locally(tmp_path / "s"), server)
+                    return
+                target = f"tcp:localhost:{server.bind_sockets(0)}"
+                if kind == TLS:
+                    files = certificates().issue(Role.OPERATOR, "tests")
+                    SECURED[target] = client_context(TlsReader(files).current())
+                try:
+                    yield Port(streams, target, server)
+                finally:
+                    SECURED.pop(target, None)
 
         return opened
 

@@ -16,7 +16,7 @@ from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture, running_cluster
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = cluster_fixture(hosts=1, supernodes=1, data_ports=True)
 
 
 @pytest.fixture
@@ -33,7 +33,8 @@ def own_cluster(sockets: Path) -> Iterator[LocalCluster]:
 
 
 @pytest.mark.parametrize(
-    ("chosen", "used"), [("grpc", "grpc"), ("best", "socket"), ("socket", "socket"), ("shared", "shared")]
+    ("chosen", "used"),
+    [("grpc", "grpc"), ("best", "socket"), ("socket", "socket"), ("tcp", "tcp"), ("shared", "shared")],
 )
 async def test_both_clients_use_the_chosen_transport_and_say_which(
     cluster: LocalCluster, chosen: str, used: str
@@ -54,7 +55,7 @@ async def test_both_clients_use_the_chosen_transport_and_say_which(
 def test_the_command_line_shows_the_transport(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         rt.channel("transports/shown")
-    for chosen, used in (("grpc", "grpc"), ("best", "socket"), ("shared", "shared")):
+    for chosen, used in (("grpc", "grpc"), ("best", "socket"), ("tcp", "tcp"), ("shared", "shared")):
         environment = os.environ | {"STAMPEDE_URL": cluster.address, "STAMPEDE_TRANSPORT": chosen}
         found = subprocess.run(
             [sys.executable, "-m", "stampede_rt.cli", "info", "transports/shown"],
@@ -66,7 +67,7 @@ def test_the_command_line_shows_the_transport(cluster: LocalCluster) -> None:
 
 @pytest.mark.parametrize("wrong", ["", "udp"])
 def test_an_unknown_transport_is_refused(wrong: str) -> None:
-    with pytest.raises(st.InvalidArgument, match='give "best", "grpc", "socket" or "shared"'):
+    with pytest.raises(st.InvalidArgument, match='give "best", "grpc", "socket", "tcp" or "shared"'):
         st.connect("localhost:1", transport=wrong)
 
 
@@ -125,3 +126,25 @@ async def test_programs_find_the_new_socket_of_a_restarted_host(own_cluster: Loc
 async def test_a_host_that_stops_removes_its_socket(own_cluster: LocalCluster, sockets: Path) -> None:
     own_cluster.stop()
     assert _paths(sockets) == []
+
+
+async def test_a_program_that_sees_no_unix_socket_of_the_host_uses_its_tcp_port(sockets: Path) -> None:
+    with running_cluster(hosts=1, supernodes=1, data_ports=True) as cluster:
+        for path in _paths(sockets):
+            path.unlink()
+
+        def blocking() -> str | None:
+            with st.connect(cluster.address, transport="socket") as rt:
+                return _use(rt, b"1")
+
+        assert await asyncio.to_thread(blocking) == "tcp"
+        async with aio.connect(cluster.address, transport="socket") as awaited:
+            assert await _await_use(awaited, b"2") == "tcp"
+
+
+def test_a_host_without_a_data_port_has_no_streams_over_tcp(own_cluster: LocalCluster) -> None:
+    with (
+        st.connect(own_cluster.address, transport="tcp") as rt,
+        pytest.raises(st.Unavailable, match=r"no stream over a socket leads to .* it offers none to this caller"),
+    ):
+        rt.channel("transports/none").put(b"1", timeout=3)

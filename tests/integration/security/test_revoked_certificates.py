@@ -22,7 +22,7 @@ from tests.support.certificates import ask
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
-    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False) as made:
+    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False, data_ports=True) as made:
         yield made
 
 
@@ -32,7 +32,7 @@ def issued(cluster: LocalCluster, role: Role, name: str) -> TlsFiles:
     return files
 
 
-@pytest.fixture(params=["grpc", "socket"])
+@pytest.fixture(params=["grpc", "socket", "tcp"])
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport of each client of a test."""
     monkeypatch.setenv("STAMPEDE_TRANSPORT", request.param)

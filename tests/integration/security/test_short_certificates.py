@@ -29,7 +29,7 @@ SHORT = timedelta(seconds=4)
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
-    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False) as made:
+    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False, data_ports=True) as made:
         yield made
 
 
@@ -39,7 +39,7 @@ def certificates(cluster: LocalCluster) -> ClusterCertificates:
     return cluster.certificates
 
 
-@pytest.fixture(params=["grpc", "socket"])
+@pytest.fixture(params=["grpc", "socket", "tcp"])
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport of each client of a test."""
     monkeypatch.setenv("STAMPEDE_TRANSPORT", request.param)

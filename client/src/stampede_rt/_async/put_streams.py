@@ -34,8 +34,9 @@ class PutStream:
         self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
-        """Whether the stream is open and goes to the host of `binding`."""
-        return self.target == binding.target and not self.exchange.broken
+        """Whether the stream is open and goes to the host of `binding`, and a new one would not be faster."""
+        is_behind = not self.puts and self.exchange.is_outdated
+        return self.target == binding.target and not self.exchange.broken and not is_behind
 
     def is_free(self, ends_s: float) -> bool:
         """Whether a put that gives up at `ends_s` waits for no put that gives up later."""

@@ -15,7 +15,9 @@ class Transport(StrEnum):
 
     GRPC = "grpc"
     SOCKET = "socket"
-    """A socket for each stream. A program that chooses it gets an error where there is none."""
+    """A Unix or TCP socket for each stream. A program that chooses it gets an error where there is none."""
+    TCP = "tcp"
+    """A TCP socket for each stream, also to a host on the same machine. Else the program gets an error."""
     SHARED = "shared"
     """As SOCKET, and memory shared with the host for reads of the newest items. Else the program gets an error."""
     BEST = "best"
@@ -29,4 +31,4 @@ def parse_transport(given: str | None) -> Transport:
         return Transport(stated)
     except ValueError:
         where = "transport" if given is not None else f"${VARIABLE}"
-        raise InvalidArgument(f'{where} is {stated!r}; give "best", "grpc", "socket" or "shared"') from None
+        raise InvalidArgument(f'{where} is {stated!r}; give "best", "grpc", "socket", "tcp" or "shared"') from None

@@ -15,6 +15,7 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.requests_async import Requests, spawn
+from stampede_rt.transports.socket_routes import SocketRoute
 from stampede_rt.transports.streams_async import closed
 
 Response = TypeVar("Response")
@@ -23,13 +24,19 @@ Response = TypeVar("Response")
 class CallStream:
     """An open bidirectional stream with a task that reads its responses."""
 
-    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]], route: SocketRoute) -> None:
         self._call = call
+        self._route, self._late_arrivals = route, route.late_arrivals
         self._target = target
         self._forks = forking.forks()
         self._requests = Requests(call, tasks)
         self.broken = False
         spawn(tasks, self._read())
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether a new stream may be faster than this one. Then the owner should replace this one while it is idle."""
+        return self._route.late_arrivals != self._late_arrivals
 
     async def _read(self) -> None:
         error: StampedeError = Unavailable(f"{self._target} ended the stream")

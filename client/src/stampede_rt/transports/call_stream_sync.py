@@ -16,6 +16,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
+from stampede_rt.transports.socket_routes import SocketRoute
 from stampede_rt.transports.streams_sync import limit_of
 from stampede_rt.transports.watchdog import Watchdog
 
@@ -24,6 +25,7 @@ class StreamEndpoint(Protocol):
     """The part of an endpoint that its streams use."""
 
     target: str
+    route: SocketRoute
     is_stuck: bool
 
     def begin_bidi(self, method: BidiMethod, *, in_turn: bool, reads_on: bool) -> Any:
@@ -41,11 +43,17 @@ class CallStream:
         self._target = endpoint.target
         self._call = endpoint.begin_bidi(method, in_turn=in_turn, reads_on=True)
         self.broken = False
+        self._route, self._late_arrivals = endpoint.route, endpoint.route.late_arrivals
         self._forks = forking.forks()
         endpoint.opened(self)
         # Only the thread that opened this stream may use it. When that thread ends, Python drops this object, and the
         # library closes the stream.
         when_dropped(self, self._call.cancel)
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether a new stream may be faster than this one. Then the owner should replace this one while it is idle."""
+        return self._route.late_arrivals != self._late_arrivals
 
     def _error(self, error: BaseException) -> StampedeError:
         self.cancel()

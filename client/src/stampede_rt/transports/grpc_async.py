@@ -62,7 +62,7 @@ class ServerEndpoint(Stubs):
         transport: Transport = Transport.GRPC,
     ) -> None:
         self.target = target
-        self.route = SocketRoute(target, transport)
+        self.route = SocketRoute(target, transport, tls)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         methods = BidiMethods(self._channel)
@@ -113,20 +113,22 @@ class ServerEndpoint(Stubs):
     def gets(self) -> GetExchange:
         """Return an open stream for gets that has room for one more get. Nearly always it is the first stream."""
         for exchange in self._gets:
-            if exchange.takes_more:
+            if exchange.is_outdated:
+                exchange.end_if_idle()
+            elif exchange.takes_more:
                 return exchange
         self._gets = [exchange for exchange in self._gets if not exchange.broken]
-        exchange = GetExchange(self._begin_bidi(self.channels.Get), self.target, self._tasks)
+        exchange = GetExchange(self._begin_bidi(self.channels.Get), self.target, self._tasks, self.route)
         self._gets.append(exchange)
         return exchange
 
     def puts(self) -> PutExchange:
         """Open a stream for puts. The caller closes it."""
-        return PutExchange(self._begin_bidi(self._put), self.target, self._tasks)
+        return PutExchange(self._begin_bidi(self._put), self.target, self._tasks, self.route)
 
     def enqueues(self) -> PutExchange:
         """Open a stream for puts into a queue. The caller closes it."""
-        return PutExchange(self._begin_bidi(self._enqueue), self.target, self._tasks)
+        return PutExchange(self._begin_bidi(self._enqueue), self.target, self._tasks, self.route)
 
     def duplex(
         self,
@@ -134,7 +136,7 @@ class ServerEndpoint(Stubs):
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
         """Open a stream whose puts do not wait for their acks. The stream passes each response to `on_response`."""
-        return PutDuplex(self._begin_bidi(self._put), self.target, self._tasks, on_response, on_end)
+        return PutDuplex(self._begin_bidi(self._put), self.target, self._tasks, self.route, on_response, on_end)
 
     def _begin_bidi(self, method: BidiMethod) -> Any:
         """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed."""
@@ -155,7 +157,7 @@ class ServerEndpoint(Stubs):
         if connected is None:
             return Transport.GRPC.value
         connected.close()
-        return Transport.SOCKET.value
+        return (Transport.SOCKET if connected.is_local else Transport.TCP).value
 
     async def share_memory(self, channel_id: bytes, epoch: int) -> RingMapping | None:
         """Return the ring of a channel; None if this host shares no memory. Takes at most 4 s, see `receive_ring`."""
@@ -172,7 +174,8 @@ class ServerEndpoint(Stubs):
         connected = await connect(self.route, self._ask_for_sockets)
         if connected is None:
             return self._begin(method)
-        return await SocketCall.begun(connected, method, opening_of(method.name, self._metadata(), self.route.ticket))
+        opening = opening_of(method.name, self._metadata(), self.route.ticket if connected.is_local else b"")
+        return await SocketCall.begun(connected.socket, method, opening, connected.tls)
 
     async def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
         request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())
@@ -190,6 +193,8 @@ class ServerEndpoint(Stubs):
     async def aclose(self) -> None:
         """End all calls and streams, without waiting for them. `ended` waits."""
         self._is_closed = True
+        if self.route.tcp.reaching is not None:
+            self.route.tcp.reaching.cancel()
         for call in tuple(self._socket_calls):
             call.cancel()
         await self._channel.close(None)
@@ -212,15 +217,20 @@ class _WaitingGet(NamedTuple):
 class GetExchange(CallStream):
     """Gets on one open stream, at most CALLS_MAX at the same time, each with a call id."""
 
-    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]], route: SocketRoute) -> None:
         self._waiting: dict[int, _WaitingGet] = {}
         self._next_id = 0
-        super().__init__(call, target, tasks)
+        super().__init__(call, target, tasks, route)
 
     @property
     def takes_more(self) -> bool:
         """Whether the stream is open and has room for another call."""
         return not self.broken and len(self._waiting) < CALLS_MAX
+
+    def end_if_idle(self) -> None:
+        """End the stream unless a get waits on it."""
+        if not self._waiting:
+            self.cancel()
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
         """Give `request` a call id, send it, and return all responses.
@@ -268,9 +278,9 @@ class PutExchange(CallStream):
     one_at_a_time = False
     """Whether a stream has at most one put under way."""
 
-    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]], route: SocketRoute) -> None:
         self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
-        super().__init__(call, target, tasks)
+        super().__init__(call, target, tasks, route)
 
     async def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
@@ -314,12 +324,13 @@ class PutDuplex(CallStream):
         call: Any,
         target: str,
         tasks: set[asyncio.Task[None]],
+        route: SocketRoute,
         on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> None:
         self._on_response = on_response
         self._on_end = on_end
-        super().__init__(call, target, tasks)
+        super().__init__(call, target, tasks, route)
 
     def send(self, request: bytes) -> None:
         """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""

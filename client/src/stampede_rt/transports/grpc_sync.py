@@ -60,7 +60,7 @@ class ServerEndpoint(Stubs):
         transport: Transport = Transport.GRPC,
     ) -> None:
         self.target = target
-        self.route = SocketRoute(target, transport)
+        self.route = SocketRoute(target, transport, tls)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         methods = BidiMethods(self._channel)
@@ -117,9 +117,8 @@ class ServerEndpoint(Stubs):
         connected = connect(self.route, self._ask_for_sockets)
         if connected is None:
             return self._begin_over_grpc(method, reads_on=reads_on)
-        call = SocketCall(
-            connected, method, opening_of(method.name, self._metadata(), self.route.ticket), in_turn=in_turn
-        )
+        opening = opening_of(method.name, self._metadata(), self.route.ticket if connected.is_local else b"")
+        call = SocketCall(connected.socket, method, opening, in_turn=in_turn, tls=connected.tls)
         with self._mutex:
             self._socket_calls.add(call)
             over = self._closed
@@ -150,7 +149,7 @@ class ServerEndpoint(Stubs):
         if connected is None:
             return Transport.GRPC.value
         connected.close()
-        return Transport.SOCKET.value
+        return (Transport.SOCKET if connected.is_local else Transport.TCP).value
 
     def share_memory(self, channel_id: bytes, epoch: int) -> RingMapping | None:
         """Return the ring of a channel; None: the host shares no memory. Blocks for 4 s at most; see `receive_ring`."""
@@ -168,6 +167,8 @@ class ServerEndpoint(Stubs):
     def gets(self) -> GetExchange:
         """Return this thread's open stream for gets."""
         exchange: GetExchange | None = getattr(self._of_thread, "gets", None)
+        if exchange is not None and exchange.is_outdated:
+            exchange.cancel()
         if exchange is None or exchange.broken:
             exchange = self._of_thread.gets = GetExchange(self, self.channels.Get, self._watchdog)
         return exchange

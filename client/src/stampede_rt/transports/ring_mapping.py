@@ -19,6 +19,7 @@ from stampede_rt.transports import forking, futexes
 from stampede_rt.transports.socket_errors import error_of
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX, RECEIVED_BYTES_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
+from stampede_rt.transports.tcp_route import SocketConnection
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
 
@@ -130,7 +131,7 @@ class RingMapping:
 
 def receive_ring(
     route: SocketRoute,
-    connected: socket.socket | None,
+    connected: SocketConnection | None,
     metadata: Iterable[tuple[str, str]],
     channel_id: bytes,
     epoch: int,
@@ -142,11 +143,11 @@ def receive_ring(
     """
     if connected is None:
         return None
-    if not route.shares_memory:
+    if not (route.shares_memory and connected.is_local):
         connected.close()
         return None
     try:
-        return _receive_ring(connected, opening_of(SHARE_METHOD, metadata, route.ticket), channel_id, epoch)
+        return _receive_ring(connected.socket, opening_of(SHARE_METHOD, metadata, route.ticket), channel_id, epoch)
     except OSError as error:
         connected.close()
         raise Unavailable(f"no shared memory came over the host's socket: {error.strerror or error}") from error

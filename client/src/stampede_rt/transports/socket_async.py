@@ -7,6 +7,7 @@ import socket
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
+from ssl import SSLError
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -21,6 +22,7 @@ from stampede_rt.transports.socket_limits import (
     SILENCE_S_MAX,
     UNREAD_BYTES_MAX,
 )
+from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of, head_of
 
@@ -28,14 +30,15 @@ from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_
 class SocketCall(asyncio.BufferedProtocol):
     """A stream with the methods of a call of grpc.aio. It is the protocol of its connection."""
 
-    def __init__(self, method: BidiMethod, opening: bytes) -> None:
-        """Send the encoded opening once connected."""
-        self._method = method
+    def __init__(self, method: BidiMethod, opening: bytes, tls: TlsLayer | None = None) -> None:
+        """Send the encoded opening once connected. `tls`: that of the connection, after its handshake."""
+        self._method, self._tls = method, tls
         self._opening = opening
         self._transport: Any = None
         self._frames = FrameReader(RECEIVED_BYTES_MAX)
         # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
+        self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
         self._came: deque[Frame] = deque()
         self._unread_bytes = 0
         # the end of the stream; no response comes after it
@@ -49,10 +52,12 @@ class SocketCall(asyncio.BufferedProtocol):
         self._watch: asyncio.TimerHandle | None = None
 
     @classmethod
-    async def begun(cls, connected: socket.socket, method: BidiMethod, opening: bytes) -> SocketCall:
+    async def begun(
+        cls, connected: socket.socket, method: BidiMethod, opening: bytes, tls: TlsLayer | None = None
+    ) -> SocketCall:
         """Return a stream over a new connection."""
         forking.keep_out_of_children(connected)
-        call = cls(method, opening)
+        call = cls(method, opening, tls)
         try:
             await asyncio.get_running_loop().create_connection(lambda: call, sock=connected)
         except BaseException:
@@ -66,19 +71,19 @@ class SocketCall(asyncio.BufferedProtocol):
         """Send the opening."""
         self._transport = transport
         transport.set_write_buffer_limits(0)
-        transport.write(frame_of(FrameKind.OPENING, self._opening))
+        self._send(frame_of(FrameKind.OPENING, self._opening))
         self._watch = self._loop.call_later(SILENCE_S_MAX, self._listen)
 
     def get_buffer(self, _sizehint: int) -> memoryview:
         """Return the place for the next bytes."""
-        return self._frames.place(self._buffer)
+        return self._frames.place(self._buffer) if self._tls is None else self._sealed
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take the received frames. While the program reads no messages, further messages wait at the host."""
         self._heard_s = self._loop.time()
         try:
-            frames = self._frames.take(self._buffer, nbytes)
-        except InvalidArgument as error:
+            frames = self._frames.take(self._buffer, nbytes) if self._tls is None else self._opened(self._tls, nbytes)
+        except (InvalidArgument, SSLError) as error:
             self._end(broken(str(error)))
             return
         for kind, body in frames:
@@ -92,6 +97,13 @@ class SocketCall(asyncio.BufferedProtocol):
             self._is_paused = True
             self._transport.pause_reading()
         _wake(self._news)
+
+    def _opened(self, tls: TlsLayer, nbytes: int) -> list[Frame]:
+        tls.feed(self._sealed[:nbytes])
+        frames: list[Frame] = []
+        while opened_bytes := tls.read(self._frames.place(self._buffer)):
+            frames += self._frames.take(self._buffer, opened_bytes)
+        return frames
 
     def pause_writing(self) -> None:
         """The system takes no more bytes."""
@@ -116,13 +128,16 @@ class SocketCall(asyncio.BufferedProtocol):
             if self._is_over:
                 raise self._error or broken("the stream has ended")
             if len(message) <= JOINED_BYTES_MAX:
-                self._transport.write(frame_of(FrameKind.MESSAGE, message))
+                self._send(frame_of(FrameKind.MESSAGE, message))
             else:
-                self._transport.write(head_of(FrameKind.MESSAGE, len(message)))
-                self._transport.write(message)
+                self._send(head_of(FrameKind.MESSAGE, len(message)))
+                self._send(message)
             while self._is_full and not self._is_over:
                 self._room = self._loop.create_future()
                 await self._room
+
+    def _send(self, data: bytes) -> None:
+        self._transport.write(data if self._tls is None else self._tls.seal((data,)))
 
     def __aiter__(self) -> SocketCall:
         return self

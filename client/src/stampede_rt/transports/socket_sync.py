@@ -19,6 +19,7 @@ from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
 from stampede_rt.transports.socket_limits import RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
+from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
 
@@ -29,15 +30,23 @@ _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
 class SocketCall:
     """A stream with the methods of `GrpcCall`."""
 
-    def __init__(self, connected: socket.socket, method: BidiMethod, opening: bytes, *, in_turn: bool) -> None:
-        """Send the encoded opening over the new connection.
+    def __init__(
+        self,
+        connected: socket.socket,
+        method: BidiMethod,
+        opening: bytes,
+        *,
+        in_turn: bool,
+        tls: TlsLayer | None = None,
+    ) -> None:
+        """Send the encoded opening over the new connection. `tls`: that of the connection, after its handshake.
 
         `in_turn`: one thread uses the stream, and reads the answer to each request before it sends the next one. Then
         `send` may block. Otherwise any thread may send while another one reads, and `send` does not block.
         """
         self._method = method
         self._in_turn = in_turn
-        self._socket = connected
+        self._socket, self._tls = connected, tls
         self._forks = forking.forks()
         self._frames = FrameReader(RECEIVED_BYTES_MAX)
         self._came: deque[Frame] = deque()
@@ -47,6 +56,7 @@ class SocketCall:
         self._backlog = _Backlog(connected)
         # a new buffer for each read would take longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
+        self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
         self._limit = ReadLimit()
         connected.setblocking(True)
         self._readable = select.poll()  # unlike SO_RCVTIMEO, poll keeps its time limit even if many signals come
@@ -113,18 +123,26 @@ class SocketCall:
             self._left_s()  # raises if the limit is over
             raise silent(SILENCE_S_MAX)
         try:
-            came_bytes = self._socket.recv_into(self._frames.place(self._buffer), 0, _NOW)
+            place = self._frames.place(self._buffer) if self._tls is None else self._sealed
+            came_bytes = self._socket.recv_into(place, 0, _NOW)
+            if not came_bytes:
+                raise cancelled() if self._is_cancelled else broken("the host has closed it")
+            self._take(came_bytes)
         except BlockingIOError:
             return
         except OSError as error:
             raise (cancelled() if self._is_cancelled else broken(error.strerror or str(error))) from error
-        if not came_bytes:
-            raise cancelled() if self._is_cancelled else broken("the host has closed it")
-        try:
-            self._came.extend(self._frames.take(self._buffer, came_bytes))
         except InvalidArgument as error:
             self.cancel()
             raise broken(str(error)) from error
+
+    def _take(self, came_bytes: int) -> None:
+        if self._tls is None:
+            self._came.extend(self._frames.take(self._buffer, came_bytes))
+            return
+        self._tls.feed(self._sealed[:came_bytes])
+        while opened_bytes := self._tls.read(self._frames.place(self._buffer)):
+            self._came.extend(self._frames.take(self._buffer, opened_bytes))
 
     def _left_s(self) -> float:
         """Return for how long the thread may wait for bytes. Cancels the stream and raises if its limit is over."""
@@ -140,8 +158,8 @@ class SocketCall:
 
         Send the rest on this thread or on another one. The caller holds the mutex.
         """
-        left = [memoryview(one) for one in buffers]
         try:
+            left = [memoryview(one) for one in (buffers if self._tls is None else (self._tls.seal(buffers),))]
             if not self._backlog.writes:
                 left = _send_some(self._socket, left)
             if left and self._in_turn:

@@ -59,8 +59,8 @@ class ChannelStats:
     - `consumers` lists the taken places; `policy.consumers` counts all places.
     - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
       round trip of the call. The offset is None in a list of channels.
-    - `transport`: how this program reaches the channel's data: "grpc", "socket", or "shared" while reads of the newest
-      items need no call; None in a list of channels.
+    - `transport`: how this program reaches the channel's data: "grpc", "socket" (a Unix socket), "tcp", or "shared"
+      while reads of the newest items need no call; None in a list of channels.
     - `subscriptions` and `waiting_gets` do not count readers that follow the channel in shared memory.
     - `copies`: the copies that the host feeds: proxies and replicas.
     - `replicated`: all items with a smaller seq are replicated, so that readers see them; None without replicas.

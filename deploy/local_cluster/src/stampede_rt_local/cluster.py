@@ -34,7 +34,7 @@ class LocalCluster:
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each
     host has a folder for recorded channels, or the URL of an object store; then the folders are in `archive_folder`.
-    `on_line` and `on_exit`: see ServiceProcess.
+    `data_ports`: whether the hosts also serve TCP sockets. `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class LocalCluster:
         metrics: str = "",
         archive: Path | str | None = None,
         archive_folder: Path | None = None,
+        data_ports: bool = False,
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
@@ -66,7 +67,7 @@ class LocalCluster:
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
-        self._listen, self._archive = parse_address(listen), archive
+        self._listen, self._archive, self._data_ports = parse_address(listen), archive, data_ports
         self._archive_folder = archive_folder or default_folder()
         self._durable, self._host_namespaces = durable, tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
@@ -74,8 +75,7 @@ class LocalCluster:
         self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
         if secret_file is not None or not tls:
             self._shared += ["--secret-file", str(self.secret.path)]
-        if allow_insecure_anywhere:
-            self._shared.append("--allow-insecure-anywhere")
+        self._shared += ["--allow-insecure-anywhere"] if allow_insecure_anywhere else []
         self._metrics_place = parse_address(metrics) if metrics else None
         self.metrics: dict[str, str] = {}
         ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
@@ -208,6 +208,8 @@ class LocalCluster:
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
         arguments += ["--drain-seconds", "0"]  # all hosts end together, so there is nowhere to go
+        if self._data_ports:
+            arguments += ["--data-port", "0"]
         if isinstance(self._archive, Path):
             arguments += ["--archive", str(self._archive / name)]
         elif self._archive is not None:

@@ -40,7 +40,7 @@ class _Service:
         seconds = self._settings.drain_seconds
         before = partial(host.give_away, seconds) if seconds else None
         running = asyncio.create_task(server.run(host.leave, before))  # from here on it handles stop signals
-        entering = asyncio.create_task(host.enter(served.advertise, local_target=served.local))
+        entering = asyncio.create_task(host.enter(served.advertise, local_target=served.local, tcp_target=served.tcp))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None
         if not server.stopping.is_set():

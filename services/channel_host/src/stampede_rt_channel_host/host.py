@@ -243,14 +243,18 @@ class ChannelHost:
             server,
         )
 
-    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
+    async def enter(
+        self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "", tcp_target: str = ""
+    ) -> None:
         """Register the host under the address `target`, and keep the lease from then on.
 
-        `local_target`: the Unix socket at which the host serves streams; empty: there is none.
+        `local_target` and `tcp_target`: the Unix socket and the TCP port at which the host serves streams, "unix:PATH"
+        and "tcp:PORT"; empty: there is none.
 
         Waits until the directory knows the host. Raises the directory's refusal, or after `timeout_s` the last failure.
         """
         self._gatekeeper.target, self._gatekeeper.local_target = target, local_target
+        self._gatekeeper.tcp_target = tcp_target
         self.copies.target = target
         self.store.rings.fence_boottime = self._lease.fence_boottime
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))

@@ -31,6 +31,8 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
         own["--metrics"] = _with_own_port(settings.metrics, number)
     if settings.advertise:
         own["--advertise"] = _with_own_port(settings.advertise, number)
+    if settings.data_port:
+        own["--data-port"] = str(settings.data_port + number)
     if settings.data_dir is not None:
         own["--data-dir"] = str(settings.data_dir / f"process-{number}")
     if (folder := settings.folder_of_archive) is not None:

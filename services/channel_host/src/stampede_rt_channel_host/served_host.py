@@ -61,10 +61,13 @@ class ServedHost:
         self._health: asyncio.Task[None] | None = None
         self._objects = _objects_of(settings)
         self.host = self._make_host()
-        self.address = self.advertise = self.local = ""
+        self.address = self.advertise = self.local = self.tcp = ""
 
     async def listen(self) -> None:
-        """Listen, at a Unix socket, too. Raises CannotListen, NotAllowed, SettingsError, PermissionDenied."""
+        """Listen, at a Unix socket and the TCP port for data, too.
+
+        Raises CannotListen, NotAllowed, SettingsError, PermissionDenied.
+        """
         settings, tls = self._settings, self._credentials.tls
         if self._objects is not None:
             await check_store(self._objects.store)
@@ -78,6 +81,9 @@ class ServedHost:
             tls.require_address(self.advertise)
         await self.server.start()
         self.local = await self._listen_locally()
+        if settings.data_port is not None:
+            insecure = settings.allow_insecure_anywhere
+            self.tcp = f"tcp:{self.server.bind_sockets(settings.data_port, allow_insecure_anywhere=insecure)}"
 
     async def _listen_locally(self) -> str:
         """Listen at a Unix socket, too. Returns its target; empty if the system does not let it."""

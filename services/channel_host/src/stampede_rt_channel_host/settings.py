@@ -57,6 +57,17 @@ class HostSettings(ServiceSettings):
             help="the address at which others reach the host; default: --listen",
         ),
     )
+    data_port: int | None = field(
+        default=None,
+        metadata=setting(
+            metavar="PORT",
+            minimum=0,
+            maximum=65535,
+            help="a second port at the same address, at which programs of other machines exchange data over TCP "
+            "sockets, which takes less time than gRPC (0: any free port); they must reach it under the same number; "
+            "default: none, they use gRPC",
+        ),
+    )
     name: str = field(
         default="",
         metadata=setting(
@@ -179,8 +190,9 @@ class HostSettings(ServiceSettings):
             minimum=1,
             maximum=PROCESSES_MAX,
             help='how many host processes to run; "auto": one for each core; with 2 or more the hosts are NAME-0, '
-            "NAME-1, ..., their ports count up from those of --listen, --advertise and --metrics, and each has a "
-            f"folder of its own in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands for the number",
+            "NAME-1, ..., their ports count up from those of --listen, --advertise, --data-port and --metrics, "
+            f"and each has a folder of its own in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands "
+            "for the number",
         ),
     )
 
@@ -206,6 +218,8 @@ class HostSettings(ServiceSettings):
         for flag, text in (("--listen", self.listen), ("--advertise", self.advertise), ("--metrics", self.metrics)):
             if text and parse_address(text).port + last > 65535:
                 raise ValueError(f"{flag} {text} leaves no ports for {self.processes} processes; take a lower port")
+        if (self.data_port or 0) + last > 65535:
+            raise ValueError(f"--data-port {self.data_port} leaves no ports for {self.processes} processes")
         if self.memory_bytes_max // self.processes < MEMORY_BYTES_MIN:
             raise ValueError(
                 f"--memory-bytes-max leaves each of {self.processes} processes less than {MEMORY_BYTES_MIN} bytes; "

@@ -27,10 +27,11 @@ from stampede_rt_runtime.pacing import PacingInterceptor
 from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.reflecting import describe_services, noting_names
 from stampede_rt_runtime.sockets.server import SocketServer
+from stampede_rt_runtime.sockets.tcp_socket import listen_over_tcp
 from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.tracing import tracing_interceptors
-from stampede_rt_runtime.values import Address
+from stampede_rt_runtime.values import Address, parse_address
 
 logger = logging.getLogger(__name__)
 
@@ -111,6 +112,19 @@ class ServiceServer:
             raise CannotListen(f"{checked} cannot be listened at")
         self.address = str(Address(checked.host, port))
         return self.address
+
+    def bind_sockets(self, port: int, *, allow_insecure_anywhere: bool = False) -> int:
+        """Serve streams over TCP sockets, too, at the host of `bind` and `port`. Returns the port that is bound.
+
+        `port`: 0 for any free one. Call this after `bind`. Raises CannotListen.
+        """
+        listening = listen_over_tcp(
+            parse_address(self.address).host,
+            port,
+            allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None,
+        )
+        self.sockets.listen_over_tcp(listening, None if self._tls is None else self._tls.socket_context())
+        return int(listening[0].getsockname()[1])
 
     async def start(self) -> None:
         """Serve the registered services at the bound address. With `reflection` also describe them to callers.

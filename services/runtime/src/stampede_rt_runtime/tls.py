@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import ssl
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -10,6 +12,7 @@ import grpc
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.tls import TlsFiles, TlsMaterial, TlsReader
+from stampede_rt.security.tls_contexts import server_context
 from stampede_rt.security.tls_diagnosis import check_own_certificate
 from stampede_rt_runtime.identity import Identity, Role
 
@@ -53,6 +56,20 @@ class ServiceTls:
             newest,  # type: ignore[arg-type, unused-ignore]  # None is documented: nothing has changed
             require_client_authentication=True,
         )
+
+    def socket_context(self) -> Callable[[], ssl.SSLContext]:
+        """A function that returns the TLS of a new connection over a socket, with the files' present contents."""
+        material = self.reader.current()
+        made = server_context(material)
+
+        def newest() -> ssl.SSLContext:
+            nonlocal material, made
+            found = self.reader.current()
+            if found is not material:
+                material, made = found, server_context(found)
+            return made
+
+        return newest
 
     def require_name(self, name: str, flag: str) -> None:
         """Raises PermissionDenied if the service's configured name differs from that in its certificate."""

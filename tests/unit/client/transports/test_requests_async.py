@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.transports.grpc_async import GetExchange
+from stampede_rt.transports.socket_routes import SocketRoute
 from stampede_rt.v1 import channel_service_pb2 as pb
 
 
@@ -35,7 +37,7 @@ class StoppedCall:
 @pytest.mark.parametrize("gives_up", ["cancelled", "too late"])
 async def test_gets_that_are_given_up_leave_nothing_behind_while_a_host_is_stopped(gives_up: str) -> None:
     call, tasks = StoppedCall(room=3), set[asyncio.Task[None]]()
-    exchange = GetExchange(call, "a host", tasks)
+    exchange = GetExchange(call, "a host", tasks, SocketRoute("a host", Transport.GRPC))
     for _ in range(5000):
         timeout_s = 0 if gives_up == "too late" else None
         get = asyncio.ensure_future(exchange.get(pb.GetRequest(channel_id=bytes(16)), timeout_s))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import socket
 from collections import Counter
@@ -10,7 +11,7 @@ import pytest
 from stampede_rt_runtime.sockets import server
 from stampede_rt_runtime.sockets.hangups import CLOSED_PER_TURN, HangupWatcher
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
-from tests.support.raw_stream import RawStream
+from tests.support.raw_stream import raw_stream
 from tests.support.socket_port import ECHO, HOLD, Open, port_fixture, until
 
 port = port_fixture()
@@ -68,8 +69,8 @@ async def test_a_caller_that_ends_with_many_streams_has_a_few_of_them_closed_in_
         lose(self, connection)
 
     monkeypatch.setattr(server.SocketServer, "lost", lost)
-    async with port() as one:
-        streams = [RawStream(*await asyncio.open_unix_connection(one.target.removeprefix("unix:"))) for _ in range(40)]
+    async with port() as one, contextlib.AsyncExitStack() as stack:
+        streams = [await stack.enter_async_context(raw_stream(one.target)) for _ in range(40)]
         for stream in streams:
             await stream.begin(method)
         served = one.server.sockets._streams

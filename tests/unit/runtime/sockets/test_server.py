@@ -21,6 +21,7 @@ from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.working import GRPC_COSTS, SOCKET_COSTS
 from stampede_rt_runtime.sockets import server, stream_socket
+from stampede_rt_runtime.sockets.openings import unread_by_peer
 from tests.support.raw_stream import RawStream, raw_stream
 from tests.support.socket_port import (
     AT_ONCE,
@@ -28,8 +29,10 @@ from tests.support.socket_port import (
     FAIL,
     FLOOD,
     HOLD,
+    LOCAL,
     READ_LATER,
     REFUSE,
+    TCP,
     Open,
     Streams,
     port_fixture,
@@ -37,6 +40,8 @@ from tests.support.socket_port import (
 )
 
 port = port_fixture()
+plain = port_fixture(LOCAL, TCP)
+local = port_fixture(LOCAL)
 
 SECRET = Secret(text="right", path=Path("secret"))
 OVERLOADED, UNAUTHENTICATED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0], grpc.StatusCode.UNAUTHENTICATED.value[0]
@@ -116,8 +121,8 @@ async def test_a_defect_ends_the_stream_as_unknown_and_is_logged(port: Open, cap
     assert [record.exc_info is not None for record in caplog.records if record.levelno >= logging.ERROR] == [True]
 
 
-async def test_only_a_caller_with_the_secret_is_served(port: Open) -> None:
-    async with port(secret=SECRET) as one:
+async def test_only_a_caller_with_the_secret_is_served(plain: Open) -> None:
+    async with plain(secret=SECRET) as one:
         for secret in ("", "wrong"):
             async with raw_stream(one.target) as stream:
                 await stream.begin(ECHO, secret=secret)
@@ -143,9 +148,9 @@ async def test_a_caller_of_another_cluster_is_refused(port: Open) -> None:
             assert (await stream.status()).code == 0
 
 
-async def test_streams_over_sockets_and_over_grpc_count_towards_the_same_limits(port: Open) -> None:
+async def test_streams_over_sockets_and_over_grpc_count_towards_the_same_limits(plain: Open) -> None:
     limits = Limits(concurrent_rpcs_max=4, streams_max=2)
-    async with port(limits=limits) as one, grpc.aio.insecure_channel(one.server.address) as channel:
+    async with plain(limits=limits) as one, grpc.aio.insecure_channel(one.server.address) as channel:
         over_grpc: Any = channel.stream_stream(HOLD)(timeout=20)
         await one.streams.held.acquire()
         async with raw_stream(one.target) as first, raw_stream(one.target) as second:
@@ -221,10 +226,10 @@ async def test_a_caller_that_reads_nothing_is_disconnected_after_a_while(
 
 
 async def test_an_idle_stream_gets_signs_of_life_and_no_second_one_before_it_has_read_the_first(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    local: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "ALIVE_SECONDS", 0.01)
-    async with port() as one, raw_stream(one.target) as stream:
+    async with local() as one, raw_stream(one.target) as stream:
         await echoed(stream)
         for _ in range(3):
             assert await stream.frame() == (FrameKind.ALIVE, b"")
@@ -232,7 +237,7 @@ async def test_an_idle_stream_gets_signs_of_life_and_no_second_one_before_it_has
         stream.writer.transport.pause_reading()  # type: ignore[attr-defined]
         for now_s in range(10):
             made.look(float(now_s))
-        assert stream_socket._unread_by_peer(made.socket)
+        assert unread_by_peer(made.socket)
         stream.writer.transport.resume_reading()  # type: ignore[attr-defined]
         assert len(await stream.reader.read(1000)) <= 2 * len(stream_socket.ALIVE)
 
@@ -249,7 +254,7 @@ async def test_a_stop_waits_for_streams_and_then_ends_them(port: Open) -> None:
                 pass
 
 
-async def test_a_stream_counts_with_the_costs_of_its_transport(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stream_counts_with_the_costs_of_its_transport(plain: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fixed fault: streams over sockets counted with the costs of gRPC, 250 us for a message, and got too small a
     share.
     """
@@ -259,7 +264,7 @@ async def test_a_stream_counts_with_the_costs_of_its_transport(port: Open, monke
         found.append((current_work()._costs, context._work._costs))
 
     monkeypatch.setattr(Streams, "hold", tell)
-    async with port() as one:
+    async with plain() as one:
         async with raw_stream(one.target) as stream:
             await stream.begin(HOLD)
             await stream.status()
@@ -273,6 +278,6 @@ async def test_a_connection_that_was_accepted_as_the_service_ends_is_closed() ->
     ours, theirs = socket.socketpair()
     with ours:
         ending = server.SocketServer([], Limits(), RefusedCalls())
-        ending._accepted(theirs)
+        ending._accepted_locally(theirs)
         await ending.stop(0)
         await until(lambda: theirs.fileno() < 0)

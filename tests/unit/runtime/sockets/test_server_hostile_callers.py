@@ -16,9 +16,11 @@ from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, frame_o
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets import accepting, frame_buffers, server, stream_socket
 from tests.support.raw_stream import raw_stream
-from tests.support.socket_port import ECHO, HOLD, READ_LATER, Open, paused, port_fixture, until
+from tests.support.socket_port import ECHO, HOLD, LOCAL, READ_LATER, TCP, Open, paused, port_fixture, until
 
 port = port_fixture()
+plain = port_fixture(LOCAL, TCP)
+local = port_fixture(LOCAL)
 
 INVALID = grpc.StatusCode.INVALID_ARGUMENT.value[0]
 OVERDUE = grpc.StatusCode.DEADLINE_EXCEEDED.value[0]
@@ -108,25 +110,29 @@ async def test_a_frame_that_comes_byte_by_byte_is_ended_after_a_while(
         assert (await status).code == OVERDUE
 
 
-async def test_only_so_many_sockets_without_an_opening_are_kept(port: Open) -> None:
-    async with port(limits=Limits(refusals_max=2)) as one, raw_stream(one.target) as a, raw_stream(one.target) as b:
+async def test_only_so_many_sockets_without_an_opening_are_kept(plain: Open) -> None:
+    async with (
+        plain(limits=Limits(refusals_max=2)) as one,
+        raw_stream(one.target) as a,
+        raw_stream(one.target) as b,
+    ):
         for stream in (a, b):
             await stream.send_bytes(b"\x01")
         async with raw_stream(one.target) as stream:
             assert (await stream.status()).code == OVERLOADED
         assert one.server.refused_calls.count == 1
         a.writer.transport.abort()
-        await until(lambda: len(one.server.sockets._unopened) == 1)
+        await until(lambda: sum(map(len, one.server.sockets._unopened.values())) == 1)
         async with raw_stream(one.target) as stream:
             await stream.begin(HOLD)
             await asyncio.wait_for(one.streams.held.acquire(), 20)
 
 
 async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "connections_max", lambda: 2)
-    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+    async with plain() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
         await first.begin(HOLD)
         await one.streams.held.acquire()
         assert (await second.status()).code == OVERLOADED
@@ -148,9 +154,9 @@ async def test_the_port_reads_only_the_opening_of_a_caller_that_is_not_admitted_
 
 
 async def test_many_streams_that_open_together_begin_a_few_in_each_turn_of_the_loop(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    local: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with port() as one:
+    async with local() as one:
         begun: list[int] = []
         begin = one.server.sockets._begin_some
 
@@ -170,7 +176,7 @@ async def test_many_streams_that_open_together_begin_a_few_in_each_turn_of_the_l
 
 
 async def test_a_caller_with_many_openings_delays_those_of_another_by_one_opening_only(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    local: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[str] = []
     serve = server.SocketServer._serve
@@ -181,7 +187,7 @@ async def test_a_caller_with_many_openings_delays_those_of_another_by_one_openin
 
     monkeypatch.setattr(server.SocketServer, "_serve", noted)
     monkeypatch.setattr(server, "OPENED_PER_TURN", 0)
-    async with port() as one, contextlib.AsyncExitStack() as stack:
+    async with local() as one, contextlib.AsyncExitStack() as stack:
         for secret in (*["many"] * 10, "good"):
             await (await stack.enter_async_context(raw_stream(one.target))).begin(HOLD, secret=secret)
         await until(lambda: sum(map(len, one.server.sockets._openings.values())) == 11)
@@ -190,10 +196,9 @@ async def test_a_caller_with_many_openings_delays_those_of_another_by_one_openin
     assert begun.index("good") == 1
 
 
-async def test_connections_are_accepted_a_few_at_a_time(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    async with port() as one, contextlib.AsyncExitStack() as stack:
-        acceptor = one.server.sockets._acceptor
-        assert acceptor is not None
+async def test_connections_are_accepted_a_few_at_a_time(local: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with local() as one, contextlib.AsyncExitStack() as stack:
+        acceptor = one.server.sockets._acceptors[0]
         acceptor._loop.remove_reader(acceptor._listening)
         accept, take, pause = acceptor._accept_some, acceptor._take, acceptor._pause
         accepted: list[socket.socket] = []
@@ -225,11 +230,10 @@ async def test_connections_are_accepted_a_few_at_a_time(port: Open, monkeypatch:
     assert pauses_s == [accepting.PAUSE_SECONDS] * (20 // accepting.ACCEPTED_AT_ONCE)
 
 
-async def test_a_server_without_a_free_file_accepts_again_later(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_server_without_a_free_file_accepts_again_later(local: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accepting, "RETRY_SECONDS", 0.01)
-    async with port() as one:
-        acceptor = one.server.sockets._acceptor
-        assert acceptor is not None
+    async with local() as one:
+        acceptor = one.server.sockets._acceptors[0]
         listening, failures = acceptor._listening, [OSError(errno.EMFILE, "Too many open files")]
 
         class Full:
@@ -250,11 +254,11 @@ async def test_a_server_without_a_free_file_accepts_again_later(port: Open, monk
 
 @pytest.mark.parametrize("is_waited_for", [False, True], ids=["with the opening", "while the method reads"])
 async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
-    port: Open, monkeypatch: pytest.MonkeyPatch, *, is_waited_for: bool
+    plain: Open, monkeypatch: pytest.MonkeyPatch, *, is_waited_for: bool
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 2)
     frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
-    async with port() as one, contextlib.AsyncExitStack() as stack:
+    async with plain() as one, contextlib.AsyncExitStack() as stack:
         streams = [await stack.enter_async_context(raw_stream(one.target)) for _ in range(10)]
         for stream in streams:
             await stream.begin(ECHO)
@@ -273,11 +277,11 @@ async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
 
 
 async def test_the_place_of_a_frame_that_never_ends_goes_to_another_one(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
     frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
-    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+    async with plain() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
         for stream in (first, second):
             await stream.begin(ECHO)
             stream.writer.write(frame[:-1])
@@ -291,11 +295,11 @@ async def test_the_place_of_a_frame_that_never_ends_goes_to_another_one(
 
 
 async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
     frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
-    async with port() as one, raw_stream(one.target) as first:
+    async with plain() as one, raw_stream(one.target) as first:
         await first.begin(ECHO)
         first.writer.write(frame[:-1])
         async with raw_stream(one.target) as second:
@@ -308,12 +312,12 @@ async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
 
 
 async def test_a_stream_reads_nothing_while_its_long_frame_waits_for_a_place(
-    port: Open, monkeypatch: pytest.MonkeyPatch
+    plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
     whole, long = frame_of(FrameKind.MESSAGE, bytes(200_000)), frame_of(FrameKind.MESSAGE, bytes(20_000))
     short = [frame_of(FrameKind.MESSAGE, name) for name in (b"1", b"2", b"3")]
-    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+    async with plain() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
         for stream in (first, second):
             await stream.begin(ECHO)
         first.writer.write(whole[:-1])
@@ -328,9 +332,9 @@ async def test_a_stream_reads_nothing_while_its_long_frame_waits_for_a_place(
         assert [await second.message() for _ in range(2)] == [long[5:], b"3"]
 
 
-async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_socket_of_another_user_is_refused(local: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "is_of_this_user", lambda connected: False)
-    async with port() as one, raw_stream(one.target) as stream:
+    async with local() as one, raw_stream(one.target) as stream:
         status = await stream.status()
         assert status.code == grpc.StatusCode.PERMISSION_DENIED.value[0]
         assert "another user" in status.message

@@ -42,7 +42,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self._access = access
         # the addresses of the data services; set once the server listens, before the host gets a lease
         self.target = ""
-        self.local_target = ""
+        self.local_target = self.tcp_target = ""
 
     async def Ping(  # noqa: N802
         self, request: pb.GatekeeperServicePingRequest, context: Context
@@ -93,6 +93,12 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
     def _sockets(self, machine: str, context: Context) -> list[pb.DataEndpoint]:
         """The sockets for a caller on that machine, best first."""
+        local = self._local_sockets(machine, context)
+        if self.tcp_target:
+            local.append(pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self.tcp_target))
+        return local
+
+    def _local_sockets(self, machine: str, context: Context) -> list[pb.DataEndpoint]:
         if not self.local_target or not machine or machine != this_machine():
             return []
         ticket = self._tickets.issue(context.auth_context())

@@ -18,6 +18,7 @@ from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.ring_writer import ClockReading, ring_size
 from stampede_rt_runtime.access.control import is_denied
 from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.sockets.stream_socket import LOCAL_PEER
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +52,7 @@ class Rings:
         ring.
         """
         write: Any = getattr(context, "write_with_file", None)
-        if write is None or not futexes.is_supported():
+        if write is None or context.peer() != LOCAL_PEER or not futexes.is_supported():
             raise InvalidArgument("memory is shared only over the Unix socket of the host, on Linux and x86-64")
         if unsuited := _unsuited(hosted):
             await context.write(pb.ShareMemoryResponse(detail=unsuited).SerializeToString())

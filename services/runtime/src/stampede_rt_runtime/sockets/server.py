@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import ssl
 from collections import OrderedDict, deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
@@ -19,6 +20,7 @@ from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, VersionMismatch
 from stampede_rt.status import encode_status
 from stampede_rt.transports.machine import is_of_this_user
+from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.v1 import socket_stream_pb2 as pb
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, frame_of
 from stampede_rt_runtime.limits import Limits
@@ -28,8 +30,10 @@ from stampede_rt_runtime.sockets.accepting import Acceptor
 from stampede_rt_runtime.sockets.context import OK, Metadata, SocketContext, status_of
 from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
-from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from stampede_rt_runtime.sockets.stream_socket import LOCAL_PEER, StreamSocket
+from stampede_rt_runtime.sockets.tcp_socket import peer_of
 from stampede_rt_runtime.sockets.tickets import SocketTickets
+from stampede_rt_runtime.sockets.tls_stream import HandshakeSteps, TlsStream
 from stampede_rt_runtime.sockets.unix_socket import listen_at_new_path
 
 logger = logging.getLogger(__name__)
@@ -60,8 +64,9 @@ class _Stream:
 class SocketServer:
     """The RPCs with streams in both directions, each over a socket of its own.
 
-    Order of use, on the event loop that serves: make it, register servicers as on a grpc.aio.Server, `listen_locally`,
-    `stop`. `interceptors` are those of the gRPC server, so that both count and limit calls together.
+    Order of use, on the event loop that serves: make it, register servicers as on a grpc.aio.Server, `listen_locally`
+    and `listen_over_tcp`, `stop`. `interceptors` are those of the gRPC server, so that both count and limit calls
+    together.
     """
 
     def __init__(
@@ -76,11 +81,13 @@ class SocketServer:
         self._find: Callable[[_CallDetails], Awaitable[Any]] = find
         self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
-        self._unopened: set[StreamSocket] = set()
+        # those without an opening, apart, so that callers of other machines do not keep local ones out
+        self._unopened: dict[bool, set[StreamSocket]] = {True: set(), False: set()}
         # one line for each credential: a caller with a thousand openings delays other callers by one opening only
         self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
         self._changed = asyncio.Event()
-        self._acceptor: Acceptor | None = None
+        self._acceptors: list[Acceptor] = []
+        self._steps = HandshakeSteps()
         self._connecting: set[asyncio.Task[Any]] = set()
         self._sweep: asyncio.Task[None] | None = None
         self._path: Path | None = None
@@ -106,15 +113,28 @@ class SocketServer:
     async def listen_locally(self, folder: Path | None = None) -> str:
         """Listen at a Unix socket. Returns its target, "unix:PATH". Raises CannotListen."""
         listening, self._path = listen_at_new_path(folder)
-        self._acceptor = Acceptor(listening, self._accepted)
-        self._acceptor.start()
-        self._sweep = self._sweep or asyncio.create_task(self._look_forever())
+        self._accept(listening, self._accepted_locally)
         return f"unix:{self._path}"
+
+    def listen_over_tcp(
+        self, listening: Sequence[socket.socket], context: Callable[[], ssl.SSLContext] | None = None
+    ) -> None:
+        """Accept the connections of these TCP sockets.
+
+        `context`: returns the TLS of a new connection, whose callers must bring a certificate; None: plain text.
+        """
+        for one in listening:
+            self._accept(one, partial(self._accepted_over_tcp, context))
+
+    def _accept(self, listening: socket.socket, take: Callable[[socket.socket], object]) -> None:
+        self._acceptors.append(Acceptor(listening, take))
+        self._acceptors[-1].start()
+        self._sweep = self._sweep or asyncio.create_task(self._look_forever())
 
     async def stop(self, grace_s: float) -> None:
         """Accept no more connections, wait at most `grace_s` until all streams have ended, and end the others."""
-        if self._acceptor is not None:
-            self._acceptor.close()
+        for acceptor in self._acceptors:
+            acceptor.close()
         if self._path is not None:
             self._path.unlink(missing_ok=True)
         try:
@@ -137,27 +157,53 @@ class SocketServer:
             connecting.cancel()
         self._hangups.close()
 
-    def _accepted(self, accepted: socket.socket) -> None:
+    def _accepted_locally(self, accepted: socket.socket) -> None:
+        """Serve a connection of this user's programs."""
+        error = None
+        if not is_of_this_user(accepted):
+            error = PermissionDenied("the socket belongs to another user of this machine")
+        self._accepted(accepted, error, self._connection())
+
+    def _accepted_over_tcp(self, context: Callable[[], ssl.SSLContext] | None, accepted: socket.socket) -> None:
+        """Serve a connection of anybody who reaches the port."""
+        try:
+            made = self._connection(peer_of(accepted))
+        except OSError:  # it has gone
+            accepted.close()
+            return
+        if context is None:
+            self._accepted(accepted, None, made)
+            return
+        handshake_s = self._limits.handshake_millis_max / 1000
+        secured = TlsStream(made, TlsLayer(context()), self._steps, self._buffers.short, handshake_s)
+        self._accepted(accepted, None, made, secured)
+
+    def _accepted(
+        self,
+        accepted: socket.socket,
+        error: StampedeError | None,
+        made: StreamSocket,
+        secured: TlsStream | None = None,
+    ) -> None:
         """Serve a connection.
 
-        Refuse one of another user, or beyond the limits, before the service reads any of its bytes.
+        Refuse one with an error, or beyond the limits, before the service reads any of its bytes.
         """
-        error = self._refusal(accepted)
+        error = error or self._too_many(made.is_local)
         if error is not None:  # without time for the peer to read: there may be many
             with contextlib.suppress(OSError), accepted:
-                accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
+                if secured is None:
+                    accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
             return
-        made = self._connection()
-        connect = asyncio.get_running_loop().connect_accepted_socket(lambda: made, accepted)
+        self._streams[made] = _Stream(made)
+        self._unopened[made.is_local].add(made)
+        connect = asyncio.get_running_loop().connect_accepted_socket(lambda: secured or made, accepted)
         connecting = asyncio.create_task(connect)
         self._connecting.add(connecting)
         connecting.add_done_callback(partial(self._connected, made, accepted))
 
-    def _connection(self) -> StreamSocket:
-        made = StreamSocket(self, self._limits, self._hangups, self._buffers)
-        self._streams[made] = _Stream(made)
-        self._unopened.add(made)
-        return made
+    def _connection(self, peer: str = LOCAL_PEER) -> StreamSocket:
+        return StreamSocket(self, self._limits, self._hangups, self._buffers, peer)
 
     def _connected(self, connection: StreamSocket, accepted: socket.socket, connecting: asyncio.Task[Any]) -> None:
         self._connecting.discard(connecting)
@@ -165,21 +211,20 @@ class SocketServer:
             accepted.close()  # a task that was cancelled before its first step has not closed it
             self.lost(connection)
 
-    def _refusal(self, accepted: socket.socket) -> StampedeError | None:
-        if not is_of_this_user(accepted):
-            return PermissionDenied("the socket belongs to another user of this machine")
-        if len(self._unopened) < self._limits.refusals_max and len(self._streams) < connections_max() // 2:
+    def _too_many(self, is_local: bool) -> StampedeError | None:
+        unopened = len(self._unopened[is_local])
+        if unopened < self._limits.refusals_max and len(self._streams) < connections_max() // 2:
             return None
         error = Overloaded(
-            f"{len(self._streams)} sockets are open at this service, {len(self._unopened)} of them without a "
-            "StreamOpening, and more than it serves; close some streams, or go to another host"
+            f"{len(self._streams)} sockets are open at this service, {unopened} of them without a StreamOpening, and "
+            "more than it serves; close some streams, or go to another host"
         )
         self._refused.note(error)
         return error
 
     def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
         """Begin to serve a stream. Raises VersionMismatch."""
-        self._unopened.discard(connection)
+        self._unopened[connection.is_local].discard(connection)
         if opening.protocol_version != PROTOCOL_VERSION:
             raise VersionMismatch(
                 f"the caller has version {opening.protocol_version} of the frames of streams, and this service version "
@@ -216,7 +261,7 @@ class SocketServer:
         self._streams.pop(connection, None)
 
     def _let_go(self, connection: StreamSocket) -> None:
-        self._unopened.discard(connection)
+        self._unopened[connection.is_local].discard(connection)
         stream = self._streams.get(connection)
         if stream is not None and stream.task is not None:
             stream.task.cancel()
@@ -228,7 +273,8 @@ class SocketServer:
         connection, metadata = stream.connection, _metadata(opening)
         try:
             handler = await self._find(_CallDetails(opening.method, metadata))
-            context = SocketContext(connection, metadata, "unix:", self.tickets.proof_of(opening.ticket), handler)
+            proof = self.tickets.proof_of(opening.ticket) if connection.is_local else connection.proof
+            context = SocketContext(connection, metadata, connection.peer, proof, handler)
             await handler.stream_stream(context, context)
             connection.end(OK)
         except AbortError:

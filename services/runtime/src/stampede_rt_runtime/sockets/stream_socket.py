@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import os
 import socket
-import termios
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -20,6 +18,8 @@ from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers, FramePlace
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
+from stampede_rt_runtime.sockets.openings import opening_in, unfinished, unread_by_peer
+from stampede_rt_runtime.sockets.tickets import Proof
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
 STALL_SECONDS_MAX = 30.0  # the longest time for which a peer may take no bytes from the service
@@ -27,6 +27,7 @@ LINGER_SECONDS = 2.0  # the time that a peer has to read the status after the en
 _MESSAGE_OVERHEAD_BYTES = 64  # the memory of a waiting message beside its bytes
 _JOINED_BYTES_MAX = 2**16  # up to this length a copy of a message takes less time than a second system call
 
+LOCAL_PEER = "unix:"
 ALIVE = frame_of(FrameKind.ALIVE)
 
 Write = Callable[[bytes], None]
@@ -50,8 +51,19 @@ class SocketOwner(Protocol):
 class StreamSocket(asyncio.BufferedProtocol):
     """Reads and writes the frames of one stream."""
 
-    def __init__(self, owner: SocketOwner, limits: Limits, hangups: HangupWatcher, buffers: FrameBuffers) -> None:
+    def __init__(
+        self,
+        owner: SocketOwner,
+        limits: Limits,
+        hangups: HangupWatcher,
+        buffers: FrameBuffers,
+        peer: str = LOCAL_PEER,
+    ) -> None:
+        """`peer`: the other side, as gRPC names it."""
         self.socket: Any = None
+        self.peer, self.is_local = peer, peer == LOCAL_PEER
+        self.proof: Proof = {}
+        """The certificate of the connection; nothing without TLS."""
         self.is_opened = False
         self.is_over = False
         """Whether the status was written."""
@@ -81,6 +93,8 @@ class StreamSocket(asyncio.BufferedProtocol):
         """Wait for the opening, for a limited time."""
         self._transport, self.socket = transport, transport.get_extra_info("socket")
         transport.set_write_buffer_limits(0)
+        if not self.is_local:
+            self._write(ALIVE)  # the greeting: the caller learns that this host has the connection
         opening_s = self._limits.handshake_millis_max / 1000
         self._deadline = self._loop.call_later(opening_s, self._opening_overdue, opening_s)
 
@@ -203,8 +217,8 @@ class StreamSocket(asyncio.BufferedProtocol):
 
         The peer gets a file of its own. Raises InternalError if the peer has gone, or takes nothing at present.
         """
-        if self.is_over or self._is_closing or self._transport.get_write_buffer_size():
-            raise InternalError("the stream has ended, or its caller takes nothing")
+        if not self.is_local or self.is_over or self._is_closing or self._transport.get_write_buffer_size():
+            raise InternalError("the stream has ended, or its caller takes nothing, or is at another machine")
         frame = frame_of(FrameKind.MESSAGE, message)
         try:
             with socket.socket(fileno=os.dup(self.socket.fileno())) as own:
@@ -245,7 +259,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         if self._is_closing or self.is_over or not self.is_opened:
             return
         if self._frame_since_s is not None and now_s - self._frame_since_s > FRAME_SECONDS_MAX:
-            self._owner.failed(self, _unfinished(self._frames.unfinished_bytes))
+            self._owner.failed(self, unfinished(FRAME_SECONDS_MAX, self._frames.unfinished_bytes))
             return
         waiting_bytes = self._transport.get_write_buffer_size()
         if not waiting_bytes or waiting_bytes != self._stalled_bytes:
@@ -253,7 +267,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         elif now_s - self._stalled_since_s > STALL_SECONDS_MAX:
             self.abort()
             return
-        if not (self._has_written or waiting_bytes or _unread_by_peer(self.socket)):
+        if not (self._has_written or waiting_bytes or unread_by_peer(self.socket)):
             self._write(ALIVE)
         self._has_written = False
 
@@ -302,7 +316,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             assert self._deadline is not None, "a connection has a deadline until it is opened"
             self._deadline.cancel()
             self.is_opened = True
-            self._owner.opened(self, _opening_in(body))
+            self._owner.opened(self, opening_in(body))
             self._pause()  # until the method reads: so the caller is admitted before it can send more
         elif kind == FrameKind.MESSAGE and not self._has_ended:
             self._messages.append(body)
@@ -328,25 +342,6 @@ class StreamSocket(asyncio.BufferedProtocol):
     def _opening_overdue(self, opening_s: float) -> None:
         text = f"no whole StreamOpening came within {opening_s:g} s; send it when the socket opens"
         self._owner.failed(self, DeadlineExceeded(text))
-
-
-def _opening_in(body: bytes) -> pb.StreamOpening:
-    try:
-        return pb.StreamOpening.FromString(body)
-    except Exception as error:  # any error of a generated parser is due to the caller's bytes
-        raise InvalidArgument(f"the {len(body)} bytes that were sent are no StreamOpening") from error
-
-
-def _unfinished(came_bytes: int) -> DeadlineExceeded:
-    return DeadlineExceeded(
-        f"{came_bytes} bytes of a frame came, and not the rest within {FRAME_SECONDS_MAX:g} s; send smaller messages, "
-        "or over a faster network"
-    )
-
-
-def _unread_by_peer(unix_socket: Any) -> bool:
-    """Whether the peer of `unix_socket` has bytes to read. Then a sign of life would tell it nothing new."""
-    return fcntl.ioctl(unix_socket, termios.TIOCOUTQ, bytes(4)) != bytes(4)
 
 
 def _wake(waiting: asyncio.Future[None] | None) -> None:

@@ -1,0 +1,34 @@
+"""The opening of a stream over a socket, and the state of its frames and bytes."""
+
+from __future__ import annotations
+
+import fcntl
+import termios
+from typing import Any
+
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument
+from stampede_rt.v1 import socket_stream_pb2 as pb
+
+
+def opening_in(body: bytes) -> pb.StreamOpening:
+    """The opening in a frame. Raises InvalidArgument."""
+    try:
+        return pb.StreamOpening.FromString(body)
+    except Exception as error:  # any error of a generated parser is due to the caller's bytes
+        raise InvalidArgument(f"the {len(body)} bytes that were sent are no StreamOpening") from error
+
+
+def unfinished(seconds: float, came_bytes: int) -> DeadlineExceeded:
+    """The error of a frame of which only some bytes came within that time."""
+    return DeadlineExceeded(
+        f"{came_bytes} bytes of a frame came, and not the rest within {seconds:g} s; send smaller messages, "
+        "or over a faster network"
+    )
+
+
+def unread_by_peer(connected: Any) -> bool:
+    """Whether the peer has not taken all bytes. Then a sign of life would tell it nothing new.
+
+    Over TCP its system takes bytes for it, until its buffer is full.
+    """
+    return fcntl.ioctl(connected, termios.TIOCOUTQ, bytes(4)) != bytes(4)
