@@ -89,7 +89,8 @@ def load(cluster: LocalCluster) -> Iterator[Load]:
 
 
 def opened(rt: Any, replicas: int = 1, **policy: Any) -> Any:
-    return rt.queue("jobs", host="h1", replicas=replicas, ack="replica", **policy)
+    """The queue. A message that was on its way to its taker when the owner died comes again when its lease ends."""
+    return rt.queue("jobs", host="h1", replicas=replicas, ack="replica", lease="5s", **policy)
 
 
 def in_sync(queue: Any) -> list[bytes]:
@@ -105,13 +106,14 @@ def test_after_a_killed_owner_nothing_acknowledged_is_lost_and_nothing_settled_c
     cluster: LocalCluster, replicas: int
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
-        queue = opened(rt, replicas, lease="10m")  # longer than a loaded machine takes for this test
+        queue = opened(rt, replicas)
         eventually(lambda: len(in_sync(queue)) == replicas, "the replicas are in sync")
         incarnation = queue.incarnation
         assert queue.put(b"0").copies == replicas + 1
         queue.get(timeout=5).ack()
         queue.put(b"1000000")
-        leased = queue.get(timeout=5)  # it stays leased while the owner dies
+        leased = queue.get(timeout=5)
+        leased.extend("10m")  # it stays leased while the owner dies
         with load(cluster) as running:
             running.passes(50)
             cluster.hosts[0].kill()
