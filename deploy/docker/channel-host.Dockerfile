@@ -28,12 +28,12 @@ COPY deploy/local_cluster/pyproject.toml deploy/local_cluster/
 COPY demos/pyproject.toml demos/
 COPY benchmarks/pyproject.toml benchmarks/
 COPY web/pyproject.toml web/
-RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-install-workspace --python python3 --package stampede-rt-channel-host
+RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-install-workspace --python python3 --package stampede-rt-channel-host --extra objects
 
 COPY client/src client/src
 COPY services/runtime/src services/runtime/src
 COPY services/channel_host/src services/channel_host/src
-RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-editable --python python3 --package stampede-rt-channel-host
+RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-editable --python python3 --package stampede-rt-channel-host --extra objects
 
 
 FROM docker.io/library/python:3.11-slim-bookworm

@@ -72,3 +72,11 @@ def test_a_number_of_processes_out_of_range_is_refused(text: str) -> None:
 
 def test_auto_is_one_process_for_each_core() -> None:
     assert parse_processes("auto") == min(len(os.sched_getaffinity(0)), PROCESSES_MAX)
+
+
+def test_the_processes_share_an_object_store_and_have_folders_and_parts_of_the_cache_of_their_own() -> None:
+    words = ["--processes", "2", "--archive", "s3://b/rig", "--archive-cache-bytes", "2 GiB"]
+    found = each(*words, "--data-dir", "/data")
+    assert [one.archive for one in found] == ["s3://b/rig"] * 2
+    assert [one.folder_of_archive for one in found] == [Path(f"/data/archive/process-{at}") for at in range(2)]
+    assert [one.archive_cache_bytes for one in found] == [2**30] * 2

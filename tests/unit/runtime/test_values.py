@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stampede_rt_runtime import archive_places
+from stampede_rt_runtime.archive_places import check_archive, default_folder, folder_of, parse_archive
 from stampede_rt_runtime.values import (
     Address,
     format_size,
@@ -81,3 +85,56 @@ def test_a_boolean_has_the_usual_words(text: str, value: bool) -> None:
 def test_a_list_may_have_spaces_and_empty_places() -> None:
     assert parse_list(parse_target)(" a:1, b:2,, ") == ("a:1", "b:2")
     assert parse_list(parse_target)("") == ()
+
+
+@pytest.mark.parametrize("text", ["s3://bucket/rig", "s3://bucket", "gs://b/p", "az://c/p", "file:///mnt/nas"])
+def test_the_url_of_an_object_store_stays_a_url(text: str) -> None:
+    assert parse_archive(text) == text
+    assert parse_archive(f" {text}/ ") == text
+
+
+def test_everything_else_is_a_folder() -> None:
+    assert parse_archive("/data/archive") == Path("/data/archive")
+    assert parse_archive("archive") == Path("archive")
+
+
+@pytest.mark.parametrize(
+    "text", ["s3://key:secret@bucket/p", "s3://b/p?versionId=1", "s3://b/p#x", "az://c/p?sig=abc", "s3://user@b/p"]
+)
+def test_a_url_with_credentials_or_options_is_refused_and_not_repeated(text: str) -> None:
+    with pytest.raises(ValueError, match="without credentials") as caught:
+        parse_archive(text)
+    assert text not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["ftp://host/p", "http://host/p", "s3://", "s3:///p", "file://", "file:///", "memory:///"]
+)
+def test_an_unknown_or_incomplete_url_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="s3://BUCKET/PREFIX"):
+        parse_archive(text)
+
+
+def test_the_folder_of_an_object_store_is_the_named_one_or_in_the_data_folder_or_in_the_state_of_the_user(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert folder_of(None, None, Path("d")) is None
+    assert folder_of(Path("a"), None, Path("d")) == Path("a")
+    assert folder_of("s3://b", Path("f"), Path("d")) == Path("f")
+    assert folder_of("s3://b", None, Path("d")) == Path("d/archive")
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert folder_of("s3://b", None, None) == default_folder() == Path("/state/stampede/archive")
+    monkeypatch.delenv("XDG_STATE_HOME")
+    assert default_folder() == Path.home() / ".local/state/stampede/archive"
+
+
+def test_a_folder_for_an_object_store_without_one_is_refused() -> None:
+    check_archive("s3://b", Path("f"))
+    with pytest.raises(ValueError, match="give the URL of the store"):
+        check_archive(Path("a"), Path("f"))
+
+
+def test_a_url_without_the_extra_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive_places, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"extra \[objects\]"):
+        check_archive("s3://b", None)
