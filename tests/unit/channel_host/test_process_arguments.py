@@ -74,6 +74,14 @@ def test_auto_is_one_process_for_each_core() -> None:
     assert parse_processes("auto") == min(len(os.sched_getaffinity(0)), PROCESSES_MAX)
 
 
+@pytest.mark.parametrize("url", ["s3://key:topsecret@b/rig", "az://c/rig?sig=topsecret"])
+def test_the_error_for_a_url_with_credentials_does_not_repeat_them(url: str) -> None:
+    with pytest.raises(SettingsError, match="without credentials") as caught:
+        settings_of("--archive", url)
+    assert "topsecret" not in str(caught.value)
+    assert "//" in str(caught.value)
+
+
 def test_the_processes_share_an_object_store_and_have_folders_and_parts_of_the_cache_of_their_own() -> None:
     words = ["--processes", "2", "--archive", "s3://b/rig", "--archive-cache-bytes", "2 GiB"]
     found = each(*words, "--data-dir", "/data")

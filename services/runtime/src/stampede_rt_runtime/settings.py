@@ -15,6 +15,7 @@ import argparse
 import dataclasses
 import difflib
 import json
+import re
 import textwrap
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -29,6 +30,7 @@ EXIT_BAD_SETTINGS = 2
 # One file serves a whole deployment. A service ignores the tables of others, but refuses a misspelt table.
 TABLES = ("frontend", "supernode", "host", "web", "dev")
 SAMPLE_COLUMNS = 100
+_CREDENTIALS = re.compile(r"(?<=://)[^/\s]*(?=@)|(?<=\?).*")  # of a URL
 
 
 class SettingsError(Exception):
@@ -113,7 +115,8 @@ class _Setting:
             value = self._parse(text)
             self._check(value)
         except ValueError as error:
-            raise SettingsError(f"{source}: {text!r} cannot be used; allowed: {error}") from None
+            shown = _CREDENTIALS.sub("...", text)
+            raise SettingsError(f"{source}: {shown!r} cannot be used; allowed: {error}") from None
         return value
 
     def _parse(self, text: str) -> Any:
