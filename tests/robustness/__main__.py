@@ -29,19 +29,19 @@ from tests.robustness.campaign import (
     RARELY_COMPACTED_FAULTS,
     REPLICATED,
     SECURED_FAULTS,
-    WEATHERS,
+    LINK_CONDITIONS,
     Findings,
     in_rounds,
     run_campaign,
-    run_weathers,
+    run_link_conditions,
 )
 from tests.robustness.directory.simulate import run_seeds
 from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
 SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, COPIES_SHARE, LAGGING_SHARE = 0.2, 0.15, 0.15, 0.15, 0.15
-HOSTILE_SHARE, WEATHER_SHARE = 0.1, 0.1
-NAMES = ("secured", "open", "hosts", "copies", "lagging", "hostile", "weather")
+HOSTILE_SHARE, BAD_LINKS_SHARE = 0.1, 0.1
+NAMES = ("secured", "open", "hosts", "copies", "lagging", "hostile", "bad_links")
 
 
 def arguments() -> argparse.Namespace:
@@ -111,11 +111,11 @@ def campaigns(folder: Path, seconds: float, seed: int) -> dict[str, Callable[[],
             hosts=1,
             compacts_early=False,
         ),
-        "weather": lambda: run_weathers(
-            folder / "weather",
+        "bad_links": lambda: run_link_conditions(
+            folder / "bad_links",
             "Directory behind bad links",
             seed=seed + 3,
-            each_s=max(10.0, seconds * WEATHER_SHARE / len(WEATHERS)),
+            each_s=max(10.0, seconds * BAD_LINKS_SHARE / len(LINK_CONDITIONS)),
         ),
     }
 

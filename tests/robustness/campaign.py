@@ -68,7 +68,7 @@ LAGGING = {"replicas": 1, "ack": "host"}
 EMPTY: Mapping[str, Any] = MappingProxyType({})
 CALLERS, HOST_ACTORS, WORKERS, HOSTS = 6, 3, 4, 3
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
-WEATHERS = {
+LINK_CONDITIONS = {
     "delay of 50 to 100 ms": (0.05, 0.05, 0.0, 0.0),
     "delay of 250 to 500 ms": (0.25, 0.25, 0.0, 0.0),
     "1 % loss": (0.002, 0.01, 0.01, 0.0),
@@ -146,25 +146,25 @@ async def run_campaign(
         return await campaign.run(title, body)
 
 
-async def run_weathers(folder: Path, title: str, *, seed: int, each_s: float) -> Findings:
+async def run_link_conditions(folder: Path, title: str, *, seed: int, each_s: float) -> Findings:
     """Simulate each kind of bad network, and kill the leader with SIGKILL in the middle of each."""
     async with running_cluster(folder, relayed=True) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 
         async def body() -> None:
-            for kind in WEATHERS:
-                await campaign.attempt(kind, lambda scene, kind=kind: _weather(scene, kind, each_s))  # type: ignore[misc]
+            for kind in LINK_CONDITIONS:
+                await campaign.attempt(kind, lambda scene, kind=kind: _under_conditions(scene, kind, each_s))  # type: ignore[misc]
 
         return await campaign.run(title, body)
 
 
-async def _weather(scene: Scene, kind: str, each_s: float) -> None:
+async def _under_conditions(scene: Scene, kind: str, each_s: float) -> None:
     """Put one kind of bad network before every supernode. Raises FaultHadNoEffect if no relay applied it."""
     supernodes = scene.cluster.supernodes
     began = time.monotonic()
     relays = [one.relay for one in supernodes if one.relay is not None]
     for relay in relays:
-        await relay.set_weather(*WEATHERS[kind])
+        await relay.set_conditions(*LINK_CONDITIONS[kind])
     await asyncio.sleep(each_s / 2)
     victim = await scene.cluster.leader()
     killed = time.monotonic()
@@ -172,9 +172,9 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
     recovery = await scene.recovery(killed)
     await victim.start()
     await asyncio.sleep(each_s / 2)
-    counts = [await relay.set_weather(0, 0, 0, 0) for relay in relays]
+    counts = [await relay.set_conditions(0, 0, 0, 0) for relay in relays]
     chunks, stalled, waited_millis, cuts = (sum(column) for column in zip(*counts, strict=True))
-    _, _, stall_share, cut_share = WEATHERS[kind]
+    _, _, stall_share, cut_share = LINK_CONDITIONS[kind]
     if not waited_millis or (stall_share and not stalled) or (cut_share and not cuts):
         raise FaultHadNoEffect(
             f"of {chunks} chunks {stalled} were stalled, {waited_millis} ms in all, {cuts} connections cut"

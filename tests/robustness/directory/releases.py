@@ -11,7 +11,7 @@ from stampede_rt_supernode.replication.network.refusals import Refusals
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
 from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
-from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.support.newer_release import NEW_LEVEL, NewerReplica
 from tests.support.supernode.list_machine import PromiseBroken
 
@@ -121,8 +121,8 @@ class UpgradeWorld(DirectoryWorld):
     # Whether a member has applied the newer release's level.
     has_risen = False
 
-    def __init__(self, seed: int, *, size: int, weather: Weather) -> None:
-        super().__init__(seed, size=size, weather=weather)
+    def __init__(self, seed: int, *, size: int, fault_rates: FaultRates) -> None:
+        super().__init__(seed, size=size, fault_rates=fault_rates)
         self.members = {
             name: UpgradedMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
         }

@@ -37,13 +37,13 @@ from tests.robustness.histories.channel_model import (
     check_channel_histories,
 )
 from tests.robustness.histories.operations import Recorder
-from tests.robustness.replication.simulate import weather_of
-from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.fault_rates import FaultRates
+from tests.robustness.replication.simulate import draw_fault_rates
 from tests.robustness.replication.world import TIMING
 from tests.robustness.report import Simulated
 from tests.support.supernode.list_machine import PromiseBroken
 
-STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
+FAULT_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
 # Long enough that hosts renew at the successor of a leader whose disk hangs. Short enough that the hanging leader,
 # while it still believes that it leads, counts these hosts as lost if their last renewal was a while before.
@@ -56,23 +56,23 @@ NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 class Caller:
     """One sequential caller in simulated time, see `tests.robustness.real_cluster.callers.Caller`."""
 
-    def __init__(self, number: int, storm: DirectoryStorm) -> None:
-        self._storm, self._world = storm, storm.world
+    def __init__(self, number: int, trial: DirectoryTrial) -> None:
+        self._trial, self._world = trial, trial.world
         self._value = 1_000_000 * (number + 1)
         self._prefix = "sim/" if number < CALLERS else QUEUES
         self._seen: dict[str, Seen] = {}
         self._host_of: dict[str, bytes] = {}
 
     async def run(self) -> None:
-        self._storm.calling += 1
-        while not self._storm.over:
+        self._trial.calling += 1
+        while not self._trial.over:
             name = f"{self._prefix}{int(self._world.now / 3)}-{self._world.random_source.randrange(NAMES)}"
             await self._once(name)
             await self._world.sleep(self._world.random_source.expovariate(1 / 0.04))
-        self._storm.calling -= 1
+        self._trial.calling -= 1
 
     async def _once(self, name: str) -> None:
-        call, invoked, recorder = self._choose(name), self._world.now, self._storm.recorder
+        call, invoked, recorder = self._choose(name), self._world.now, self._trial.recorder
         answer = await self._answer(name, call)
         if answer is None:
             recorder.ambiguous(name, call, invoked)
@@ -81,7 +81,7 @@ class Caller:
         if isinstance(answer, Seen):
             self._seen[name] = answer
             if not name.startswith(QUEUES):
-                self._storm.put(self._host_of[name], answer)
+                self._trial.put(self._host_of[name], answer)
         elif not isinstance(answer, StampedeError):
             self._seen.pop(name, None)
 
@@ -127,7 +127,7 @@ class Caller:
         return None if unknown else outcome
 
 
-class DirectoryStorm:
+class DirectoryTrial:
     """Makes faults and calls, and runs hosts, until the world ends."""
 
     def __init__(self, world: DirectoryWorld) -> None:
@@ -140,13 +140,13 @@ class DirectoryStorm:
         self._peers = [SimPeer(world, number, self.name_ownership) for number in range(PEERS)]
         for number in range(CALLERS + QUEUE_CALLERS):
             drive(Caller(number, self).run)
-        weather = world.weather
+        fault_rates = world.fault_rates
         long = world.lease_ttl_nanos == LONG_TTL_NANOS
         for rate, happen in (
-            (weather.crashes, self._crash),
-            (weather.partitions, self._partition),
-            (weather.freezes, self._freeze),
-            (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
+            (fault_rates.crashes, self._crash),
+            (fault_rates.partitions, self._partition),
+            (fault_rates.freezes, self._freeze),
+            (fault_rates.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (0.0 if long else 0.15, self._cut_leader_off),
             (0.2 if long else 0.15, self._hang_before_a_renewal if long else self._hang_leader),
             (0.3, self._set_wall_clock),
@@ -282,14 +282,16 @@ class DirectoryStorm:
         world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
 
-def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryStorm:
+def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryTrial:
     """Run one seed: faults, healing, checks. Raises PromiseBroken or NotLinearizable. The arguments plant faults."""
     random_source = random.Random(f"directory-{seed}")
-    size, weather = random_source.choice([3, 3, 3, 5]), weather_of(random_source)
+    size, fault_rates = random_source.choice([3, 3, 3, 5]), draw_fault_rates(random_source)
     if seed % 5 in (1, 3):  # only leaders that freeze (1), or are cut off or hang (3), so that others succeed them
-        weather = Weather(delay_mean=weather.delay_mean)
+        fault_rates = FaultRates(delay_mean=fault_rates.delay_mean)
     ttl_nanos, timing = (LONG_TTL_NANOS, SOON_SUCCEEDED) if seed % 5 == 1 else (LEASE_TTL_NANOS, TIMING)
-    world = DirectoryWorld(seed, size=size, weather=weather, leases=leases, lease_ttl_nanos=ttl_nanos, timing=timing)
+    world = DirectoryWorld(
+        seed, size=size, fault_rates=fault_rates, leases=leases, lease_ttl_nanos=ttl_nanos, timing=timing
+    )
     with (
         mock.patch("secrets.token_bytes", world.random_source.randbytes),
         mock.patch("secrets.randbits", world.random_source.getrandbits),
@@ -299,18 +301,18 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
             member.disk.forgets = forgets
             member.start()
         _revive(world)
-        storm = DirectoryStorm(world)
-        world.run_until(STORM_SECONDS)
-        storm.over = True
-        _calm(storm)
-    check_channel_histories(storm.recorder.operations)
-    return storm
+        trial = DirectoryTrial(world)
+        world.run_until(FAULT_SECONDS)
+        trial.over = True
+        _heal_and_check(trial)
+    check_channel_histories(trial.recorder.operations)
+    return trial
 
 
-def digest_of(storm: DirectoryStorm) -> str:
+def digest_of(trial: DirectoryTrial) -> str:
     """A hash of the whole run. Runs that differ anywhere drew other random numbers from then on."""
-    random_state = storm.world.random_source.getstate()
-    happened = (storm.recorder.operations, storm.ownership.puts, storm.name_ownership.grants, random_state)
+    random_state = trial.world.random_source.getstate()
+    happened = (trial.recorder.operations, trial.ownership.puts, trial.name_ownership.grants, random_state)
     return hashlib.sha256(repr(happened).encode()).hexdigest()
 
 
@@ -321,29 +323,29 @@ def _revive(world: DirectoryWorld) -> None:
     world.after(0.4, lambda: _revive(world))
 
 
-def _calm(storm: DirectoryStorm) -> None:
+def _heal_and_check(trial: DirectoryTrial) -> None:
     """Heal everything. Then read every name at every supernode, as a part of the history."""
-    world = storm.world
-    world.weather = Weather()
+    world = trial.world
+    world.fault_rates = FaultRates()
     world.unblock(list(world.wires))
     world.unreachable.clear()
     for member in world.members.values():
         member.frozen_until = 0.0
         world.restart(member)
-    names = sorted({operation.key for operation in storm.recorder.operations})
+    names = sorted({operation.key for operation in trial.recorder.operations})
     waiting: set[tuple[str, str]] = set()
     for member in world.members.values():
         for name in names:
             waiting.add((member.member.member_id, name))
-            drive(lambda member=member, name=name: _read_until_answered(storm, member, name, waiting))
-    if not world.run_until(world.now + HEAL_SECONDS, lambda: not waiting and not storm.calling):
+            drive(lambda member=member, name=name: _read_until_answered(trial, member, name, waiting))
+    if not world.run_until(world.now + HEAL_SECONDS, lambda: not waiting and not trial.calling):
         raise PromiseBroken(
-            f"{len(waiting)} reads and {storm.calling} callers find no answer {HEAL_SECONDS} s after everything healed"
+            f"{len(waiting)} reads and {trial.calling} callers find no answer {HEAL_SECONDS} s after everything healed"
         )
 
 
-async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, waiting: set[tuple[str, str]]) -> None:
-    world = storm.world
+async def _read_until_answered(trial: DirectoryTrial, member: Any, name: str, waiting: set[tuple[str, str]]) -> None:
+    world = trial.world
     while True:
         invoked = world.now
         method, request = request_of(name, Resolve(), world.random_source)
@@ -351,7 +353,7 @@ async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, wa
         refused = isinstance(outcome, StampedeError)
         if outcome is not None and (not refused or outcome.reason in FINAL):
             answer = refusal_of(outcome.reason) if refused else shown(name, outcome)
-            storm.recorder.done(name, Resolve(), invoked, answer)
+            trial.recorder.done(name, Resolve(), invoked, answer)
             waiting.discard((member.member.member_id, name))
             return
         await world.sleep(0.1)
@@ -363,15 +365,15 @@ def run_seeds(first: int, count: int) -> Simulated:
     failed, operations, acknowledged, puts, began = [], 0, 0, 0, time.monotonic()
     for seed in range(first, first + count):
         try:
-            storm = run(seed)
+            trial = run(seed)
         except Exception:  # noqa: BLE001 - every failure is reported with its seed
             failed.append(seed)
             print(f"seed {seed} failed:", file=sys.stderr)
             traceback.print_exc()
             continue
-        operations += len(storm.recorder.operations)
-        acknowledged += acknowledged_writes(storm.recorder.operations)
-        puts += storm.ownership.puts
+        operations += len(trial.recorder.operations)
+        acknowledged += acknowledged_writes(trial.recorder.operations)
+        puts += trial.ownership.puts
     return Simulated(count, failed, operations, acknowledged, puts, time.monotonic() - began)
 
 

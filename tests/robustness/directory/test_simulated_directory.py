@@ -29,21 +29,21 @@ TWO_LEADERS_AT_ONCE = (3, 18)
 
 
 @pytest.mark.parametrize("block", range(BLOCKS))
-def test_histories_are_linearizable_and_nothing_has_two_owners_in_bad_weather(block: int) -> None:
+def test_histories_are_linearizable_and_nothing_has_two_owners_under_faults(block: int) -> None:
     writes = puts = grants = 0
     for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
         try:
-            storm = simulate.run(seed)
+            trial = simulate.run(seed)
         except Exception as error:
             error.add_note(f"replay: python -m tests.robustness.directory.simulate --first {seed} --seeds 1")
             raise
-        writes += acknowledged_writes(storm.recorder.operations)
-        puts += storm.ownership.puts
-        grants += storm.name_ownership.grants
+        writes += acknowledged_writes(trial.recorder.operations)
+        puts += trial.ownership.puts
+        grants += trial.name_ownership.grants
     # Simulated time is the same on every machine, so these numbers do not depend on the load.
-    assert writes > 60, "the weather was so bad that nothing was tested"
-    assert puts > 50, "the weather was so bad that no host served"
-    assert grants > 30, "the weather was so bad that no peer was in"
+    assert writes > 60, "the faults were so many that nothing was tested"
+    assert puts > 50, "the faults were so many that no host served"
+    assert grants > 30, "the faults were so many that no peer was in"
 
 
 def test_a_seed_gives_the_same_run_in_every_process() -> None:
@@ -84,7 +84,7 @@ class NeverFenced(HostLease):
 
 
 @pytest.fixture(autouse=True)
-def _no_complaints_of_the_weather() -> Iterator[None]:
+def _no_log_lines_of_injected_faults() -> Iterator[None]:
     logging.disable(logging.WARNING)
     yield
     logging.disable(logging.NOTSET)

@@ -12,13 +12,13 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReleaseOutdated
 from tests.robustness.directory import upgrading
 from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld
-from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.fault_rates import FaultRates
 
 SEEDS_IN_SUITE, BLOCKS = 24, 2
 
 
 @pytest.fixture(autouse=True)
-def _no_complaints_of_the_weather() -> Iterator[None]:
+def _no_log_lines_of_injected_faults() -> Iterator[None]:
     logging.disable(logging.WARNING)
     yield
     logging.disable(logging.NOTSET)
@@ -46,7 +46,7 @@ def test_a_seed_gives_the_same_upgrade_every_time() -> None:
 
 
 def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_comes_in_with_the_newer_release() -> None:
-    world = UpgradeWorld(1, size=3, weather=Weather())
+    world = UpgradeWorld(1, size=3, fault_rates=FaultRates())
     members = list(world.members.values())
     for member in members:
         member.start()

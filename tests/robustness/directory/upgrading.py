@@ -29,12 +29,12 @@ from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS
 from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld
-from tests.robustness.replication.simulate import settled_members, weather_of
-from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.fault_rates import FaultRates
+from tests.robustness.replication.simulate import draw_fault_rates, settled_members
 from tests.support.newer_release import NEW_LEVEL, encode_cap
 from tests.support.supernode.list_machine import PromiseBroken
 
-STORM_SECONDS, HEAL_SECONDS = 16.0, 20.0
+FAULT_SECONDS, HEAL_SECONDS = 16.0, 20.0
 NEWCOMERS_MAX = 3
 HOST_ID = (1).to_bytes(16, "big")
 
@@ -52,12 +52,12 @@ class Upgrade:
         self._newcomers: list[UpgradedMember] = []
         self._waiting = list(world.members.values())
         world.random_source.shuffle(self._waiting)
-        weather = world.weather
+        fault_rates = world.fault_rates
         for rate, happen in (
-            (weather.crashes, self._crash),
-            (weather.partitions, self._split),
-            (weather.freezes, self._freeze),
-            (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
+            (fault_rates.crashes, self._crash),
+            (fault_rates.partitions, self._split),
+            (fault_rates.freezes, self._freeze),
+            (fault_rates.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (world.random_source.choice([0.3, 0.7]), self._upgrade),
             (0.15, self._go_back),
             (world.random_source.choice([0.0, 0.1, 0.5]), self._switch_off),
@@ -200,7 +200,7 @@ def _revive(world: UpgradeWorld) -> None:
 def run(seed: int) -> Upgrade:
     """Run one seed: faults, healing, checks. Raises PromiseBroken."""
     random_source = random.Random(f"upgrade-{seed}")
-    world = UpgradeWorld(seed, size=random_source.choice([3, 3, 5]), weather=weather_of(random_source))
+    world = UpgradeWorld(seed, size=random_source.choice([3, 3, 5]), fault_rates=draw_fault_rates(random_source))
     world.level_tick_seconds = random_source.choice([TICK_SECONDS, 8.0])
     with (
         mock.patch("secrets.token_bytes", world.random_source.randbytes),
@@ -210,20 +210,20 @@ def run(seed: int) -> Upgrade:
         for member in world.members.values():
             member.start()
         _revive(world)
-        storm = Upgrade(world)
-        world.run_until(STORM_SECONDS)
-        storm.over = True
-        _calm(storm)
-    return storm
+        trial = Upgrade(world)
+        world.run_until(FAULT_SECONDS)
+        trial.over = True
+        _heal_and_check(trial)
+    return trial
 
 
-def _calm(storm: Upgrade) -> None:
+def _heal_and_check(trial: Upgrade) -> None:
     """Heal everything and upgrade all members.
 
     Then the level rises by itself, the command works, and all states agree.
     """
-    world = storm.world
-    world.weather = Weather()
+    world = trial.world
+    world.fault_rates = FaultRates()
     world.unblock(list(world.wires))
     for member in world.members.values():
         member.frozen_until = member.off_until = 0.0
@@ -234,14 +234,14 @@ def _calm(storm: Upgrade) -> None:
     if not world.run_until(end, lambda: all(one.machine.feature_level == NEW_LEVEL for one in members)):
         levels = {one.member.member_id: one.machine.feature_level for one in members}
         raise PromiseBroken(f"all run the newer release, and the level does not rise: {levels}")
-    before = storm.capped
-    while storm.capped == before and world.now < end:
-        storm._register()
-        storm._open()
+    before = trial.capped
+    while trial.capped == before and world.now < end:
+        trial._register()
+        trial._open()
         world.run_until(world.now + 0.5)
-        storm.cap()
+        trial.cap()
         world.run_until(world.now + 0.5)
-    if storm.capped == before:
+    if trial.capped == before:
         raise PromiseBroken(f"the newer release's command does not work {HEAL_SECONDS} s after all run it")
 
     def agree() -> bool:

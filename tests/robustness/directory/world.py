@@ -23,8 +23,8 @@ from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeep
 from stampede_rt_supernode.servicers.peer_servicer import PeerServicer
 from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryServicer
 from tests.robustness.directory.tasks import Resume, drive, wait
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.sim_member import SimMember
-from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import TIMING, World
 from tests.support.supernode.list_machine import PromiseBroken
 
@@ -254,7 +254,7 @@ class DirectoryWorld(World):
         seed: int,
         *,
         size: int,
-        weather: Weather,
+        fault_rates: FaultRates,
         leases: type[LeaseKeeper] = _Leases,
         lease_ttl_nanos: int = LEASE_TTL_NANOS,
         timing: RaftTiming = TIMING,
@@ -270,7 +270,7 @@ class DirectoryWorld(World):
         self._held_from: dict[object, int] = {}
         self._held: dict[object, list[Callable[[], None]]] = {}
         self._applied_first = 0
-        super().__init__(seed, size=size, weather=weather, timing=timing)
+        super().__init__(seed, size=size, fault_rates=fault_rates, timing=timing)
         self.members = {
             name: DirectoryMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
         }
@@ -354,7 +354,7 @@ class DirectoryWorld(World):
 
     def trip(self) -> float | None:
         """The time that a message between a caller and a service takes; None: it is lost."""
-        if self.random_source.random() < self.weather.loss / 2:
+        if self.random_source.random() < self.fault_rates.loss / 2:
             return None
         slow = self.random_source.random() < 0.04
         return self.random_source.uniform(0.1, 3.0) if slow else self.random_source.expovariate(1 / 0.003)

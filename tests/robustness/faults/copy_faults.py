@@ -252,13 +252,13 @@ async def slow_links(scene: Scene) -> None:
         kind = scene.rng.choice([*SLOW_LINKS])
         began = time.monotonic()
         for relay in relays:
-            await relay.set_weather(*SLOW_LINKS[kind])
+            await relay.set_conditions(*SLOW_LINKS[kind])
         try:
             await asyncio.sleep(DISTURBED_SECONDS)
             await owner.kill()
             recovery = await found.go_on(began)
         finally:
-            counts = [await relay.set_weather(0, 0, 0, 0) for relay in relays]
+            counts = [await relay.set_conditions(0, 0, 0, 0) for relay in relays]
         await started(owner)
         chunks, waited_millis = sum(one[0] for one in counts), sum(one[2] for one in counts)
         if not chunks or not (waited_millis or len(SLOW_LINKS[kind]) > DELAYS):

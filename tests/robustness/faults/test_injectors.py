@@ -17,7 +17,7 @@ from tests.robustness.faults.hostile_callers import FAULTS, QUOTAS, Puts
 from tests.robustness.faults.noise import giant_frame
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
-from tests.robustness.real_cluster.relay import Weather
+from tests.robustness.real_cluster.relay import LinkConditions
 from tests.robustness.report import TITLE
 from tests.support.service_process import shift_wall_clock
 
@@ -51,11 +51,11 @@ def test_the_wall_clock_of_a_process_follows_its_file_and_no_other_clock_does(
     assert time.monotonic_ns() > 0
 
 
-def test_a_relay_counts_the_effects_of_its_weather() -> None:
-    weather = Weather(delay_s=0.5, stall_share=1.0, cut_share=1.0)
-    assert weather.wait_s() >= 0.7
-    assert weather.cuts_now()
-    chunks, stalled, waited_millis, cuts = (int(word) for word in weather.counts().split())
+def test_a_relay_counts_the_effects_of_its_conditions() -> None:
+    conditions = LinkConditions(delay_s=0.5, stall_share=1.0, cut_share=1.0)
+    assert conditions.wait_s() >= 0.7
+    assert conditions.cuts_now()
+    chunks, stalled, waited_millis, cuts = (int(word) for word in conditions.counts().split())
     assert (chunks, stalled, cuts) == (1, 1, 1)
     assert waited_millis >= 700
 

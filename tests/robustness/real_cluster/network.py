@@ -15,26 +15,26 @@ from typing import Self
 from stampede_rt_local import namespaces
 from stampede_rt_local.namespaces import NetworkNamespace, ip, run
 
-WITNESS_PORT = 7598
-WITNESS_SECONDS = 0.3
+PROBE_PORT = 7598
+PROBE_SECONDS = 0.3
 
 
 class Network(namespaces.NamespaceNetwork):
     """Namespaces that reach each other unless a test cuts a link.
 
-    Each has a witness, which sends and receives datagrams.
+    Each has a probe socket, which sends and receives datagrams.
     """
 
     def __init__(self, size: int) -> None:
         super().__init__(size)
         self._drops_silently = shutil.which("iptables") is not None
-        self._witnesses: dict[str, socket.socket] = {}
+        self._probe_sockets: dict[str, socket.socket] = {}
 
     def __enter__(self) -> Self:
         super().__enter__()
         try:
             for namespace in self.namespaces:
-                self._witnesses[namespace.name] = _socket_inside(namespace)
+                self._probe_sockets[namespace.name] = _socket_inside(namespace)
         except BaseException:
             self.close()
             raise
@@ -42,8 +42,8 @@ class Network(namespaces.NamespaceNetwork):
 
     def close(self) -> None:
         """Remove everything that was made."""
-        for witness in self._witnesses.values():
-            witness.close()
+        for probe_socket in self._probe_sockets.values():
+            probe_socket.close()
         super().close()
 
     def block(self, sender: NetworkNamespace, receiver: NetworkNamespace) -> None:
@@ -71,14 +71,14 @@ class Network(namespaces.NamespaceNetwork):
     def ways(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
         """All pairs of which a datagram of the first reaches the second at this moment.
 
-        Blocks for WITNESS_SECONDS at most.
+        Blocks for PROBE_SECONDS at most.
         """
         tokens: dict[bytes, tuple[NetworkNamespace, NetworkNamespace]] = {}
         for sender, receiver in itertools.permutations(namespaces, 2):
             tokens[token := secrets.token_bytes(8)] = (sender, receiver)
             with contextlib.suppress(OSError):  # the system told the sender that there is no route
-                self._witnesses[sender.name].sendto(token, (receiver.address, WITNESS_PORT))
-        deadline = time.monotonic() + WITNESS_SECONDS
+                self._probe_sockets[sender.name].sendto(token, (receiver.address, PROBE_PORT))
+        deadline = time.monotonic() + PROBE_SECONDS
         arrived = set()
         for receiver in {receiver for _, receiver in tokens.values()}:
             arrived |= {tokens[token] for token in self._inbox(receiver, deadline) if token in tokens}
@@ -86,7 +86,7 @@ class Network(namespaces.NamespaceNetwork):
 
     def _inbox(self, namespace: NetworkNamespace, deadline: float) -> Iterator[bytes]:
         """The datagrams that have arrived there, and those that arrive until `deadline`."""
-        inbox = self._witnesses[namespace.name]
+        inbox = self._probe_sockets[namespace.name]
         while True:
             inbox.settimeout(max(0.001, deadline - time.monotonic()))
             try:
@@ -100,9 +100,9 @@ def _socket_inside(namespace: NetworkNamespace) -> socket.socket:
 
     def make() -> socket.socket:
         namespace.enter()
-        witness = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        witness.bind((namespace.address, WITNESS_PORT))
-        return witness
+        probe_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        probe_socket.bind((namespace.address, PROBE_PORT))
+        return probe_socket
 
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(make).result()

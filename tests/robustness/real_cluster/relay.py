@@ -1,12 +1,12 @@
 """A TCP relay that simulates a bad network: `python -m tests.robustness.real_cluster.relay LISTEN_HOST:PORT
 TO_HOST:PORT`.
 
-Lines on stdin set the weather: `delay_s jitter_s stall_share cut_share [bytes_per_s]`. The relay answers each line with
-the counts of the weather before: chunks, stalled chunks, milliseconds of all waits, and cut connections. Every chunk
-waits for the delay and up to the jitter. A `stall_share` of the chunks waits 0.2 to 0.6 s more, like a TCP reader for a
-lost segment (RFC 6298). At a `cut_share` of the chunks the relay resets the connection. All connections share
-`bytes_per_s` in each direction. The bytes of one connection stay in order; those of different connections may overtake
-each other.
+Lines on stdin set the conditions of the link: `delay_s jitter_s stall_share cut_share [bytes_per_s]`. The relay answers
+each line with the counts of the former conditions: chunks, stalled chunks, milliseconds of all waits, and cut
+connections. Every chunk waits for the delay and up to the jitter. A `stall_share` of the chunks waits 0.2 to 0.6 s
+more, like a TCP reader for a lost segment (RFC 6298). At a `cut_share` of the chunks the relay resets the connection.
+All connections share `bytes_per_s` in each direction. The bytes of one connection stay in order; those of different
+connections may overtake each other.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CHUNKS_WAITING_MAX = 256
 
 
 @dataclass(slots=True)
-class Weather:
+class LinkConditions:
     """The delays and cuts of chunks, with counts of them."""
 
     delay_s: float = 0.0
@@ -67,15 +67,15 @@ class _Way:
 
 
 class Relay:
-    """Relays each connection to `target`, under the present weather."""
+    """Relays each connection to `target`, under the present conditions."""
 
     def __init__(self, target: tuple[str, int]) -> None:
-        self.weather = Weather()
+        self.conditions = LinkConditions()
         self._target = target
         self._inward, self._outward = _Way(), _Way()
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Relay one connection, until either side closes it or the weather cuts it."""
+        """Relay one connection, until either side closes it or the relay resets it."""
         try:
             far_reader, far_writer = await asyncio.open_connection(*self._target)
         except OSError:
@@ -101,10 +101,10 @@ class Relay:
         try:
             with contextlib.suppress(OSError):
                 while chunk := await reader.read(CHUNK_BYTES):
-                    if self.weather.cuts_now() or sending.done():
+                    if self.conditions.cuts_now() or sending.done():
                         return
-                    await way.carry(len(chunk), self.weather.bytes_per_s)
-                    await waiting.put((now() + self.weather.wait_s(), chunk))
+                    await way.carry(len(chunk), self.conditions.bytes_per_s)
+                    await waiting.put((now() + self.conditions.wait_s(), chunk))
         finally:
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
@@ -127,7 +127,7 @@ async def main(listen: str, to: str) -> None:
     async with await asyncio.start_server(relay.serve, host, int(port)):
         print("ready", flush=True)
         while line := await asyncio.to_thread(sys.stdin.readline):
-            former, relay.weather = relay.weather, Weather(*map(float, line.split()))
+            former, relay.conditions = relay.conditions, LinkConditions(*map(float, line.split()))
             print(former.counts(), flush=True)
 
 

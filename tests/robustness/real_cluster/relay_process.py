@@ -33,8 +33,8 @@ class RelayProcess:
         assert self._process.stdout is not None
         await self._process.stdout.readline()
 
-    async def set_weather(self, *figures: float) -> list[int]:
-        """Set the weather. Returns the counts of the weather before (see `relay`)."""
+    async def set_conditions(self, *figures: float) -> list[int]:
+        """Set the conditions of the link. Returns the counts of the former conditions (see `relay`)."""
         assert self._process is not None
         assert self._process.stdin is not None
         assert self._process.stdout is not None

@@ -17,7 +17,7 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
     Outgoing,
 )
 from tests.robustness.replication.raft_rules import Said, check_match
-from tests.support.supernode.list_machine import Ignorant, ListMachine, PromiseBroken
+from tests.support.supernode.list_machine import ListMachine, OlderListMachine, PromiseBroken
 from tests.support.supernode.simulated_disk import Disk, DiskStore
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ class SimMember:
         )
         self.disk = Disk()
         self.said = Said(member.member_id)
-        # Whether it does not know the command `FORK`, like a member of an older release.
-        self.forks = self.has_forked = False
+        # Whether it does not know the command `NEWER_COMMAND`, like a member of an older release.
+        self.is_older = self.was_older = False
         self.machine = ListMachine(world.history)
         self.replica: RaftReplica | None = None
         self.frozen_until = 0.0
@@ -101,8 +101,8 @@ class SimMember:
 
     def start(self) -> None:
         """Start from the disk, without connections."""
-        self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
-        self.has_forked |= self.forks  # other members may learn a little later that the cause has ended
+        self.machine = OlderListMachine(self.world.history) if self.is_older else ListMachine(self.world.history)
+        self.was_older |= self.is_older  # other members may learn a little later that the cause has ended
         self._starts += 1
         self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
         self.replica = self._open()
@@ -177,25 +177,30 @@ class SimMember:
         self.world.fault(member_id, self.member.member_id, why)
 
     def has_room(self, member_id: str) -> bool:
-        if self.world.random_source.random() < self.world.weather.full_links:
+        if self.world.random_source.random() < self.world.fault_rates.full_links:
             return False
         wire = self.world.wires.get((self.member.member_id, member_id), Wire())
         return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
     def _write(self) -> tuple[float, float]:
         """Spend the time of a commit. Perhaps the power fails during it."""
-        weather, random_source, start, began = self.world.weather, self.world.random_source, self._starts, self.now
-        seconds = random_source.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
-        if random_source.random() < weather.disk_hangs:
+        fault_rates, random_source, start, began = (
+            self.world.fault_rates,
+            self.world.random_source,
+            self._starts,
+            self.now,
+        )
+        seconds = random_source.expovariate(1 / fault_rates.disk_seconds) if fault_rates.disk_seconds else 0.0
+        if random_source.random() < fault_rates.disk_hangs:
             seconds += random_source.uniform(0.2, 4.0)
-        if random_source.random() < weather.disk_crash:
+        if random_source.random() < fault_rates.disk_crash:
             self.world.at(began + seconds * random_source.uniform(0.0, 1.1), lambda: self._lose_power(start))
         self._waited += seconds
         return began, self.now
 
     def _lose_power(self, start: int) -> None:
         """Cut the power, unless the process has ended since `start`, or everything was healed meanwhile."""
-        if self.replica and self._starts == start and self.world.weather.disk_crash:
+        if self.replica and self._starts == start and self.world.fault_rates.disk_crash:
             self.crash()
 
     def _plan(self, delay: float) -> None:
@@ -223,9 +228,9 @@ class SimMember:
         """Check the entries that it committed in this step against the rules of Raft."""
         status, log, committed = replica.status(), replica._log, self.world.committed
         commit_index, changed_at = log.commit_index, log.configurations.current_index
-        if status.diverged_at and not self.forks:
+        if status.diverged_at and not self.is_older:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
-        if status.doubts and not any(one.has_forked for one in self.world.members.values()):
+        if status.doubts and not any(one.was_older for one in self.world.members.values()):
             raise PromiseBroken(f"{self.member.member_id} holds states for doubtful: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)

@@ -17,12 +17,12 @@ from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.sim_member import SimMember
-from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
 from tests.support.supernode.list_machine import PromiseBroken
 
-STORM_SECONDS = 12.0
+FAULT_SECONDS = 12.0
 [PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")
 OFTEN = 15  # entries between two snapshots: few, so that most seeds have many snapshots
 PROCESSES_MAX = 12
@@ -33,9 +33,9 @@ SILENCE_SECONDS = RaftTiming().link_silence_seconds
 HEAL_SECONDS = 8.0
 
 
-def weather_of(random_source: random.Random) -> Weather:
+def draw_fault_rates(random_source: random.Random) -> FaultRates:
     """Draw the kinds and rates of faults."""
-    return Weather(
+    return FaultRates(
         loss=random_source.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
         delay_mean=random_source.choice([0.001, 0.005, 0.03, 0.15]),
         unruly=random_source.choice([0.0, 0.0, 0.05, 0.3]),
@@ -52,23 +52,23 @@ def weather_of(random_source: random.Random) -> Weather:
     )
 
 
-class Storm:
+class Trial:
     """Makes faults and calls in a world, until it ends."""
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._commands = 0
         self.over = self._outvoted = False
-        weather = world.weather
+        fault_rates = world.fault_rates
         for rate, happen in (
-            (weather.crashes, self._crash),
-            (weather.partitions, self._partition),
-            (weather.isolations, self._isolate),
-            (weather.freezes, self._freeze),
-            (weather.outvotes, self._outvote),
-            (weather.link_breaks, self._break_wire),
-            (weather.changes, self._change),
-            (weather.snapshots, self._snapshot),
+            (fault_rates.crashes, self._crash),
+            (fault_rates.partitions, self._partition),
+            (fault_rates.isolations, self._isolate),
+            (fault_rates.freezes, self._freeze),
+            (fault_rates.outvotes, self._outvote),
+            (fault_rates.link_breaks, self._break_wire),
+            (fault_rates.changes, self._change),
+            (fault_rates.snapshots, self._snapshot),
             (25.0, self._propose),
             (8.0, self._read),
         ):
@@ -237,35 +237,37 @@ def _revive(world: World) -> None:
 def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World:
     """Run one seed: faults, healing, checks. Raises PromiseBroken. `rules` and `forgets` plant faults."""
     random_source = random.Random(f"weather-{seed}")
-    size, weather, every = random_source.choice([1, 2, 3, 3, 3, 5]), weather_of(random_source), OFTEN
+    size, fault_rates, every = random_source.choice([1, 2, 3, 3, 3, 5]), draw_fault_rates(random_source), OFTEN
     if seed % 5 == 4:  # as in production: the snapshot is old, and many entries came after it
-        weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
+        fault_rates, every = replace(fault_rates, changes=2.0, snapshots=0.2), PRODUCTION
     elif seed % 5 == 2:  # leaders come and go, and leave entries behind that only they have
-        weather = replace(weather, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
+        fault_rates = replace(fault_rates, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
     elif seed % 5 == 3:  # messages of one tenure arrive in a later one
         size, every = 5, PRODUCTION
-        weather = Weather(delay_mean=weather.delay_mean, full_links=weather.full_links, outvotes=1.0)
+        fault_rates = FaultRates(delay_mean=fault_rates.delay_mean, full_links=fault_rates.full_links, outvotes=1.0)
     kept_log_bytes = (1, 4000, 100_000)[seed % 3]
-    world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes)
+    world = World(
+        seed, size=size, fault_rates=fault_rates, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes
+    )
     for member in world.members.values():
         member.disk.forgets = forgets
         member.start()
     _revive(world)
-    storm = Storm(world)
-    world.run_until(STORM_SECONDS)
-    storm.over = True
-    calm(world)
+    trial = Trial(world)
+    world.run_until(FAULT_SECONDS)
+    trial.over = True
+    heal_and_check(world)
     return world
 
 
-def calm(world: World) -> None:
+def heal_and_check(world: World) -> None:
     """Heal everything. Then check that every member answers and that all agree.
 
     The healing begins only after the last late message has arrived.
     """
     stalls_end = max((wire.stalled_until for wire in world.wires.values()), default=0.0)
-    late_until = max(world.now + world.weather.late_seconds_max, stalls_end)
-    world.weather = Weather()
+    late_until = max(world.now + world.fault_rates.late_seconds_max, stalls_end)
+    world.fault_rates = FaultRates()
     world.unblock(list(world.wires))
     for member in world.members.values():
         member.frozen_until = 0.0
@@ -274,7 +276,7 @@ def calm(world: World) -> None:
     settled = settled_members(world, world.now + HEAL_SECONDS)
     end = world.now + HEAL_SECONDS
     for number, member in enumerate(settled):
-        command, served = f"calm-{number}".encode(), False
+        command, served = f"healed-{number}".encode(), False
         while not served and world.now < end:
             outcomes = world.propose(member, command, timeout=2.0)
             world.run_until(end, lambda outcomes=outcomes: bool(outcomes))

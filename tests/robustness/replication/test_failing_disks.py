@@ -116,11 +116,11 @@ async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(m
     await write(machines[0], ["before"])
     leader = machines[IDS.index(await machines[0].ask("leader"))]
     leader.disk.lose_power()  # without a restart: every write gives EIO from now on
-    witness = next(machine for machine in machines if machine is not leader)
-    while not (await witness.ask("propose after")).isdigit():
+    survivor = next(machine for machine in machines if machine is not leader)
+    while not (await survivor.ask("propose after")).isdigit():
         pass
     assert await leader.ended() == EXIT_DISK
-    assert "after" in (await witness.ask("entries")).split()
+    assert "after" in (await survivor.ask("entries")).split()
     await leader.come_back()
     assert (await leader.ask("entries")).split()[0] == "before"
 
@@ -128,10 +128,10 @@ async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(m
 async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on(machines: list[Machine]) -> None:
     await write(machines[0], ["before"])
     leader = machines[IDS.index(await machines[0].ask("leader"))]
-    witness = next(machine for machine in machines if machine is not leader)
+    survivor = next(machine for machine in machines if machine is not leader)
     leader.disk.freeze()
     stuck = asyncio.create_task(leader.ask("propose stuck"))
-    while not (await witness.ask("propose meanwhile")).isdigit():
+    while not (await survivor.ask("propose meanwhile")).isdigit():
         pass
     assert await stuck in (UNKNOWN_OUTCOME, REFUSED)
     # The member must not go on to call itself the leader.

@@ -32,10 +32,10 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
 from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, ReadIndexRequest
 from stampede_rt_supernode.replication.wire.records import MalformedMessage
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.hostile_messages import Liar
 from tests.robustness.replication.raft_rules import Committed
-from tests.robustness.replication.simulate import Storm, calm, weather_of
-from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.simulate import Trial, draw_fault_rates, heal_and_check
 from tests.robustness.replication.world import World
 from tests.support.supernode.list_machine import History, ListMachine
 
@@ -215,10 +215,10 @@ class Outsider:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
-    world = World(seed, size=3, weather=Weather())
+    world = World(seed, size=3, fault_rates=FaultRates())
     for member in world.members.values():
         member.start()
-    outsider, storm = Outsider(world), Storm(world)
+    outsider, trial = Outsider(world), Trial(world)
     outsider.begin()
     assert world.run_until(5.0, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))
     world.run_until(world.now + 2.0)  # two members may win their pre-votes together; the later one then leads
@@ -230,14 +230,14 @@ def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
     assert (status.is_leader, status.term) == (True, term)
     assert len(world.history.acknowledged) > acknowledged + 100
     assert outsider.heard == 0
-    outsider.over = storm.over = True
-    calm(world)
+    outsider.over = trial.over = True
+    heal_and_check(world)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_outsiders_are_forgotten_after_bad_weather(seed: int) -> None:
+def test_outsiders_are_forgotten_after_faults(seed: int) -> None:
     """A member that is cut off may listen to outsiders. No process ends, and the members find each other again."""
-    world = World(seed, size=3, weather=weather_of(random.Random(seed)))
+    world = World(seed, size=3, fault_rates=draw_fault_rates(random.Random(seed)))
     world.history, world.committed, world.may_be_misled = Credulous(), Unjudged(), True
     for member in world.members.values():
         member.start()
@@ -245,7 +245,7 @@ def test_outsiders_are_forgotten_after_bad_weather(seed: int) -> None:
     outsider.begin()
     world.run_until(8.0)
     outsider.over = True
-    world.weather = Weather()
+    world.fault_rates = FaultRates()
     for member in world.members.values():
         world.restart(member)
     ends = world.now + 20.0

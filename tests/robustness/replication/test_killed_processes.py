@@ -92,9 +92,9 @@ async def test_acknowledged_commands_survive_the_killing_of_every_member(cluster
 async def test_the_others_serve_again_after_one_is_killed(cluster: list[MemberProcess]) -> None:
     await write(cluster[0], ["before"])
     for victim in range(3):
-        witness = cluster[(victim + 1) % 3]
+        survivor = cluster[(victim + 1) % 3]
         await cluster[victim].kill()
-        await write_at_last(witness, f"after{victim}")
+        await write_at_last(survivor, f"after{victim}")
         await cluster[victim].start()
         assert (await cluster[victim].ask("entries")).split()[0] == "before"
 
@@ -102,8 +102,8 @@ async def test_the_others_serve_again_after_one_is_killed(cluster: list[MemberPr
 async def test_a_frozen_leader_is_replaced_and_does_not_answer_from_the_past(cluster: list[MemberProcess]) -> None:
     await write(cluster[0], ["before"])
     leader = cluster[IDS.index(await cluster[0].ask("leader"))]
-    witness = next(member for member in cluster if member is not leader)
+    survivor = next(member for member in cluster if member is not leader)
     leader.send_signal(signal.SIGSTOP)
-    await write_at_last(witness, "meanwhile")
+    await write_at_last(survivor, "meanwhile")
     leader.send_signal(signal.SIGCONT)
     assert "meanwhile" in (await leader.ask("entries")).split()

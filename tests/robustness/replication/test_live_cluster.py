@@ -275,7 +275,7 @@ async def test_a_replica_logs_once_why_it_has_no_link(
         assert len([text for text in caplog.messages if "this is member 'm0'" in text]) == 1
 
 
-class Swallower:
+class SilentMember:
     """A member that accepts every stream, reads it, and answers nothing."""
 
     def __init__(self) -> None:
@@ -293,9 +293,9 @@ class Swallower:
 
 
 async def test_a_link_without_answers_is_replaced(tmp_path: Path) -> None:
-    swallower, server = Swallower(), grpc.aio.server()
+    silent, server = SilentMember(), grpc.aio.server()
     handler = grpc.stream_stream_rpc_method_handler(
-        swallower.exchange,
+        silent.exchange,
         request_deserializer=pb.RaftServiceExchangeRequest.FromString,
         response_serializer=pb.RaftServiceExchangeResponse.SerializeToString,
     )
@@ -310,7 +310,7 @@ async def test_a_link_without_answers_is_replaced(tmp_path: Path) -> None:
         await cluster.all[0].stop()
         await cluster.start(cluster.all[0])
         async with asyncio.timeout(SECONDS_MAX):
-            await swallower.second_stream.wait()
+            await silent.second_stream.wait()
     await server.stop(None)
 
 

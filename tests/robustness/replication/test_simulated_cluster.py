@@ -16,11 +16,11 @@ from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot, Message, VoteRequest
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.simulate import PRODUCTION, run
-from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
-from tests.support.supernode.list_machine import FORK, PromiseBroken
+from tests.support.supernode.list_machine import NEWER_COMMAND, PromiseBroken
 
 SEEDS_IN_SUITE = 40
 SEEDS_IN_BLOCK = 100
@@ -61,9 +61,9 @@ class StandsAtOnce(PreVoteElections):
         pass
 
 
-def calm_cluster(rules: type = PreVoteElections) -> tuple[World, str, int]:
+def cluster_without_faults(rules: type = PreVoteElections) -> tuple[World, str, int]:
     """Three members without faults that have elected. Returns the world, the leader and the term."""
-    world = World(1, size=3, weather=Weather(), rules=rules)
+    world = World(1, size=3, fault_rates=FaultRates(), rules=rules)
     for member in world.members.values():
         member.start()
     world.run_until(5.0)  # at the first election, two members may stand together
@@ -83,7 +83,7 @@ def leader_of(world: World) -> tuple[str, int] | None:
     [PreVoteElections, pytest.param(StandsAtOnce, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
 )
 def test_a_member_that_cannot_hear_the_leader_does_not_unseat_it(rules: type) -> None:
-    world, leader, term = calm_cluster(rules)
+    world, leader, term = cluster_without_faults(rules)
     deaf = next(name for name in world.members if name != leader)
     world.block([(leader, deaf), (deaf, leader)])
     world.run_until(world.now + 30.0)
@@ -91,7 +91,7 @@ def test_a_member_that_cannot_hear_the_leader_does_not_unseat_it(rules: type) ->
 
 
 def test_a_leader_without_a_majority_stops_leading_and_answers_no_read() -> None:
-    world, leader, _ = calm_cluster()
+    world, leader, _ = cluster_without_faults()
     cut = [ends for ends in world.wires if leader in ends]
     world.block(cut)
     outcomes = world.read(world.members[leader], timeout=20.0)
@@ -107,7 +107,7 @@ def test_a_leader_without_a_majority_stops_leading_and_answers_no_read() -> None
 
 def test_a_new_leader_serves_within_five_seconds_of_the_loss_of_the_old_one() -> None:
     for victims in (1, 3):
-        world, leader, _ = calm_cluster()
+        world, leader, _ = cluster_without_faults()
         lost = list(world.members.values()) if victims == 3 else [world.members[leader]]
         for member in lost:
             member.crash()
@@ -118,7 +118,7 @@ def test_a_new_leader_serves_within_five_seconds_of_the_loss_of_the_old_one() ->
 
 @pytest.mark.parametrize("leader_restarts", [False, True])
 def test_a_member_with_an_older_copy_of_its_disk_is_refused_and_nothing_is_lost(leader_restarts: bool) -> None:
-    world, name, _ = calm_cluster()
+    world, name, _ = cluster_without_faults()
     leader = world.members[name]
     victim, away = (member for member in world.members.values() if member is not leader)
     former = victim.disk.survive()
@@ -142,22 +142,22 @@ def test_a_member_with_an_older_copy_of_its_disk_is_refused_and_nothing_is_lost(
 
 @pytest.mark.parametrize("with_snapshot", [False, True])
 def test_a_member_whose_state_differs_notices_it_and_never_leads(with_snapshot: bool) -> None:
-    world = World(5, size=3, weather=Weather(), snapshot_every=5 if with_snapshot else PRODUCTION)
+    world = World(5, size=3, fault_rates=FaultRates(), snapshot_every=5 if with_snapshot else PRODUCTION)
     for member in world.members.values():
         member.start()
     leader = leading(world)
-    forked, third = (member for member in world.members.values() if member is not leader)
-    forked.crash()
-    forked.forks = True
-    world.restart(forked)
+    older, third = (member for member in world.members.values() if member is not leader)
+    older.crash()
+    older.is_older = True
+    world.restart(older)
     world.run_until(world.now + 3.0)
-    for command in [b"before", FORK, *(b"after-%d" % number for number in range(12))]:
+    for command in [b"before", NEWER_COMMAND, *(b"after-%d" % number for number in range(12))]:
         outcomes = world.propose(leader, command, timeout=10.0)
         assert world.run_until(world.now + 10.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
-    assert forked.replica is not None
-    at = world.history.acknowledged[FORK]
-    assert world.run_until(world.now + 2.0, lambda: forked.replica.status().diverged_at > 0)  # type: ignore[union-attr]
-    assert forked.replica.status().diverged_at >= at
+    assert older.replica is not None
+    at = world.history.acknowledged[NEWER_COMMAND]
+    assert world.run_until(world.now + 2.0, lambda: older.replica.status().diverged_at > 0)  # type: ignore[union-attr]
+    assert older.replica.status().diverged_at >= at
     # Its log is sound, so its vote counts: with it the third member leads at once. Without it, it never does.
     leader.crash()
     assert world.run_until(world.now + 10.0, lambda: third.replica.status().is_leader)  # type: ignore[union-attr]
@@ -206,7 +206,7 @@ class ForgetsWhatItSends(PreVoteElections):
 )
 def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
     """The transfer of a snapshot of 12 kB takes 2 s, and the members take a snapshot every second."""
-    world = World(3, size=3, weather=Weather(), rules=rules, snapshot_every=50, kept_log_bytes=1_000_000)
+    world = World(3, size=3, fault_rates=FaultRates(), rules=rules, snapshot_every=50, kept_log_bytes=1_000_000)
     for member in world.members.values():
         member.start()
     away = next(member for member in world.members.values() if member is not leading(world))
@@ -280,7 +280,7 @@ def leading(world: World) -> SimMember:
 
 def with_snapshot(rules: type) -> World:
     """Three members that have just written snapshots, and will write no further ones for long."""
-    world = World(1, size=3, weather=Weather(), rules=rules, snapshot_every=PRODUCTION)
+    world = World(1, size=3, fault_rates=FaultRates(), rules=rules, snapshot_every=PRODUCTION)
     for member in world.members.values():
         member.start()
     outcomes = world.propose(leading(world), b"before", timeout=5.0)
@@ -402,16 +402,16 @@ def is_caught(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) ->
     return False
 
 
-def forking(world: World, *, leads: bool) -> tuple[SimMember, SimMember]:
-    """Returns a member that does not know the command FORK, and leads if `leads`; and the leader."""
-    forked = next(iter(world.members.values()))
-    forked.forks = True
+def with_older_member(world: World, *, leads: bool) -> tuple[SimMember, SimMember]:
+    """Returns a member that does not know the command NEWER_COMMAND, and leads if `leads`; and the leader."""
+    older = next(iter(world.members.values()))
+    older.is_older = True
     for member in world.members.values():
         member.start()
     for _ in range(50):
         leader = leading(world)
-        if (leader is forked) is leads:
-            return forked, leader
+        if (leader is older) is leads:
+            return older, leader
         assert leader.replica is not None
         leader.replica.change_members(HandOver(lambda left: None))
         world.run_until(world.now + 5.0, lambda leader=leader: not _leads(leader))  # type: ignore[misc]
@@ -422,10 +422,10 @@ def _leads(member: SimMember) -> bool:
     return member.replica is not None and member.replica.status().is_leader
 
 
-def fork(world: World, forked: SimMember) -> None:
+def diverge(world: World, older: SimMember) -> None:
     """Let another caller send the command. A state that no known command has made has no digest."""
-    other = next(one for one in world.members.values() if one is not forked and one.replica is not None)
-    for command in (b"before", FORK, b"after"):
+    other = next(one for one in world.members.values() if one is not older and one.replica is not None)
+    for command in (b"before", NEWER_COMMAND, b"after"):
         outcomes = world.propose(other, command, timeout=10.0)
         assert world.run_until(world.now + 10.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
 
@@ -447,13 +447,13 @@ def diverged(member: SimMember) -> bool:
 
 @pytest.mark.parametrize("size", [3, 5])
 def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_on(size: int) -> None:
-    world = World(6, size=size, weather=Weather(), snapshot_every=PRODUCTION)
-    forked, _ = forking(world, leads=True)
-    fork(world, forked)
-    assert world.run_until(world.now + 3.0, lambda: diverged(forked))
+    world = World(6, size=size, fault_rates=FaultRates(), snapshot_every=PRODUCTION)
+    older, _ = with_older_member(world, leads=True)
+    diverge(world, older)
+    assert world.run_until(world.now + 3.0, lambda: diverged(older))
     assert world.run_until(world.now + 1.0, lambda: any(_leads(one) for one in world.members.values()))
     other = leading(world)
-    assert other is not forked
+    assert other is not older
     check_served(world, other)
     world.run_until(world.now + 5.0)
     assert doubts(world) == [[]] * size
@@ -461,31 +461,31 @@ def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_o
 
 @pytest.mark.parametrize("leads", [True, False])
 def test_while_no_majority_of_equal_states_is_known_differing_states_are_in_doubt_and_all_go_on(leads: bool) -> None:
-    world = World(7, size=3, weather=Weather(), snapshot_every=PRODUCTION)
-    forked, leader = forking(world, leads=leads)
-    one, away = (member for member in world.members.values() if member is not forked)
+    world = World(7, size=3, fault_rates=FaultRates(), snapshot_every=PRODUCTION)
+    older, leader = with_older_member(world, leads=leads)
+    one, away = (member for member in world.members.values() if member is not older)
     one, away = (away, one) if away is leader else (one, away)
     away.crash()
-    fork(world, forked)
-    follower = one if leads else forked
+    diverge(world, older)
+    follower = one if leads else older
     assert world.run_until(world.now + 3.0, lambda: doubts(world) == [[follower.member.member_id]] * 2)
     check_served(world, one)
-    assert not diverged(forked)
+    assert not diverged(older)
     world.restart(away)
-    assert world.run_until(world.now + 10.0, lambda: diverged(forked))
+    assert world.run_until(world.now + 10.0, lambda: diverged(older))
     assert world.run_until(world.now + 10.0, lambda: _leads(one) or _leads(away))
     world.run_until(world.now + 3.0)
     assert doubts(world) == [[]] * 3
 
 
 def test_a_doubt_ends_with_a_restart_that_ends_its_cause() -> None:
-    world = World(8, size=2, weather=Weather(), snapshot_every=PRODUCTION)
-    forked, _ = forking(world, leads=True)
-    fork(world, forked)
+    world = World(8, size=2, fault_rates=FaultRates(), snapshot_every=PRODUCTION)
+    older, _ = with_older_member(world, leads=True)
+    diverge(world, older)
     assert world.run_until(world.now + 3.0, lambda: any(doubts(world)))
-    forked.crash()
-    forked.forks = False
-    world.restart(forked)
+    older.crash()
+    older.is_older = False
+    world.restart(older)
     leader = leading(world)
     assert world.run_until(world.now + 10.0, lambda: not any(doubts(world)))
     check_served(world, leader)

@@ -27,9 +27,9 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
 )
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
+from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.raft_rules import Committed
 from tests.robustness.replication.sim_member import SimMember, Wire
-from tests.robustness.replication.weather import Weather
 from tests.support.supernode.list_machine import History, PromiseBroken
 
 TIMING = RaftTiming(tick_seconds=0.05)
@@ -43,14 +43,14 @@ class World:
         seed: int,
         *,
         size: int,
-        weather: Weather,
+        fault_rates: FaultRates,
         rules: type = PreVoteElections,
         snapshot_every: int = 15,
         kept_log_bytes: int = 1,
         timing: RaftTiming = TIMING,
     ) -> None:
         self.random_source = random.Random(seed)
-        self.weather = weather
+        self.fault_rates = fault_rates
         self.rules = rules
         self.snapshot_every = snapshot_every
         # By default few entries, so that a member that lags behind gets snapshots.
@@ -114,16 +114,16 @@ class World:
 
     def send(self, sender: str, to: str, message: Message) -> None:
         wire = self.wires.get((sender, to), Wire())  # there is no connection to outsiders
-        if not wire.up or wire.blocked or self.random_source.random() < self.weather.loss:
+        if not wire.up or wire.blocked or self.random_source.random() < self.fault_rates.loss:
             return
         data, generation = encode_message(message).SerializeToString(), wire.generation
-        arrival = max(self.now, wire.stalled_until) + self.random_source.expovariate(1 / self.weather.delay_mean)
+        arrival = max(self.now, wire.stalled_until) + self.random_source.expovariate(1 / self.fault_rates.delay_mean)
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
-        if self.random_source.random() < self.weather.unruly:
-            arrival += self.random_source.random() * self.weather.unruly_seconds
+        if self.random_source.random() < self.fault_rates.unruly:
+            arrival += self.random_source.random() * self.fault_rates.unruly_seconds
             if not isinstance(message, ForwardedCommand) and self.random_source.random() < 0.5:
-                again = self.now + self.random_source.random() * self.weather.late_seconds_max
+                again = self.now + self.random_source.random() * self.fault_rates.late_seconds_max
                 self.at(again, lambda: self._arrive(sender, to, generation, data))
         else:
             arrival = wire.last_arrival = max(arrival, wire.last_arrival)

@@ -121,17 +121,17 @@ class ListMachine:
         return restore
 
 
-FORK = b"what only newer releases know"
+NEWER_COMMAND = b"a command of newer releases"
 
 
-class Ignorant(ListMachine):
-    """A machine of a release that does not know the command FORK, and refuses it."""
+class OlderListMachine(ListMachine):
+    """A machine of a release that does not know the command NEWER_COMMAND, and refuses it."""
 
     _refused_at = 0
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """Apply a command like every other machine, but refuse FORK."""
-        if command != FORK:
+        """Apply a command like every other machine, but refuse NEWER_COMMAND."""
+        if command != NEWER_COMMAND:
             return super().apply(index, command)
         self._refused_at = index
         return b"refused"

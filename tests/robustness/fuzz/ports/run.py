@@ -15,11 +15,11 @@ from stampede_rt_runtime.identity import Role
 from tests.robustness.fuzz.messages import KnownValues
 from tests.robustness.fuzz.ports.cluster import FuzzedCluster, fuzzed_cluster
 from tests.robustness.fuzz.ports.command_line import check_commands
-from tests.robustness.fuzz.ports.garden import first_known, keep_garden
 from tests.robustness.fuzz.ports.hostile_caller import HostileCaller
 from tests.robustness.fuzz.ports.methods import methods_of
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
 from tests.robustness.fuzz.ports.socket_calls import socket_target
+from tests.robustness.fuzz.ports.target_objects import first_known, keep_targets
 
 GOOD = "good"
 # the budget, and the memory that the allocator may keep and gRPC may buffer (docs/security.md)
@@ -51,15 +51,15 @@ async def run(
         async with cluster.connect() as rt:
             await rt.channel(GOOD, max_items=100)
             known = await first_known(cluster, GOOD)
-            gardening = asyncio.create_task(keep_garden(rt, cluster, known))
+            keeping = asyncio.create_task(keep_targets(rt, cluster, known))
             outcome.before_mib = cluster.memory_mib()
             good = asyncio.create_task(_good_client(rt, outcome))
             await _attack(cluster, known, inputs, seconds, told)
-            assert not gardening.done(), gardening.exception()
-            gardening.cancel()
+            assert not keeping.done(), keeping.exception()
+            keeping.cancel()
             _judge_leases(cluster)
             good.cancel()
-            await asyncio.wait({good, gardening})
+            await asyncio.wait({good, keeping})
             await _check_serves(cluster)
             if commands:
                 await check_commands(cluster.environment(), outcome)

@@ -71,7 +71,7 @@ async def first_known(cluster: FuzzedCluster, good: str) -> KnownValues:
     return known
 
 
-async def keep_garden(rt: Any, cluster: FuzzedCluster, known: KnownValues) -> None:
+async def keep_targets(rt: Any, cluster: FuzzedCluster, known: KnownValues) -> None:
     """Make the missing things again and learn their ids, each second until cancelled. Ignores failures."""
     while True:
         with suppress(st.StampedeError, TimeoutError):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weather:
+class FaultRates:
     """The faults of a run. Rates are per simulated second and cluster; times are in seconds."""
 
     loss: float = 0.0
