@@ -158,7 +158,7 @@ async def test_a_host_that_nobody_named_gets_no_message_and_no_pause(pair: Pair)
     call = stub.HandOverQueue()
     opening = pb.HandOverQueueOpen(queue_id=pair.queue.queue_id, epoch=1, host_id=OTHER_ID)
     await call.write(pb.HandOverQueueRequest(open=opening))
-    with pytest.raises(grpc.aio.AioRpcError, match="nobody has asked this host"):
+    with pytest.raises(grpc.aio.AioRpcError, match="no caller has asked this host"):
         await call.read()
     assert pair.at_source().record.epoch == 1
     assert await payloads(pair.at_source()) == [b"a", b"b", b"c"]

@@ -80,7 +80,7 @@ async def test_a_second_server_on_the_same_port_is_refused() -> None:
 async def test_a_port_taken_between_check_and_bind_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None:
     async with serving(Probe().register) as first:
         monkeypatch.setattr("stampede_rt_runtime.listen._try_bind", lambda *_: None)
-        with pytest.raises(CannotListen, match="cannot be listened at"):
+        with pytest.raises(CannotListen, match="cannot listen at"):
             ServiceServer(secret=None).bind(first.address)
 
 

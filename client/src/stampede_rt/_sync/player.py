@@ -146,7 +146,7 @@ class Player(BackgroundStart, BoundToProcess):
     def _play_all(self) -> None:
         topics = [one for one in in_thread(self._source.topics) if self._request.chosen(one.name)]
         if not topics:
-            raise InvalidArgument(f"the file {self._source.path!r} has no topic that was chosen")
+            raise InvalidArgument(f"the file {self._source.path!r} has none of the chosen topics")
         schedule = self._plan(topics, time.time_ns())
         self._open(topics, schedule)
         self._holds.set()

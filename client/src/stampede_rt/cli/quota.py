@@ -50,7 +50,9 @@ def add_verbs(subparsers: Any) -> None:
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
     check = add_verb(verbs, "check", "tell the limits of one caller, and which setting says so", run_check)
     check.add_argument("who", metavar="WHO", help='its name, or "@ADDRESS"')
-    use = add_verb(verbs, "use", "tell who uses how much of each part of the cluster, and who was refused", run_use)
+    use = add_verb(
+        verbs, "use", "show the usage and the refusals of each caller at each service of the cluster", run_use
+    )
     use.add_argument("who", metavar="WHO", nargs="?", default="", help="a pattern; left out: everybody")
 
 
@@ -157,7 +159,7 @@ def run_use(arguments: argparse.Namespace) -> int:
         if part.failure:
             print(f"stampede: {escaped(part.part)} does not tell: {escaped(part.failure)}", file=sys.stderr)
     if all(part.failure for part in told):
-        raise StampedeError("no part of the cluster tells who uses how much")
+        raise StampedeError("no service of the cluster reported the usage of its quotas")
     rows = [
         {"who": use.subject, "at": part.part}
         | _limit_row(use.kind, use.limit)

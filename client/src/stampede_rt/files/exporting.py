@@ -126,7 +126,7 @@ def export_tables(
     """
     names = [topic.name for topic in source.topics() if chosen(topic.name)]
     if not names:
-        raise FileError(f"the file {source.path!r} has no topic that was chosen")
+        raise FileError(f"the file {source.path!r} has none of the chosen topics")
     rows: dict[str, int] = {}
     gaps: list[RecordingGap] = []
     for name, path in zip(names, _paths(names, Path(output), form), strict=True):

@@ -88,7 +88,7 @@ def words_of(memory: memoryview) -> memoryview:
 def size_of(memory: memoryview) -> RingSize:
     """Return the size that a mapped ring states. Raises InvalidArgument if the memory is not a ring of this layout."""
     if len(memory) < HEADER_WORDS * WORD_BYTES or len(memory) % WORD_BYTES or len(memory) > RING_BYTES_MAX:
-        raise InvalidArgument(f"{len(memory)} bytes are no ring in shared memory")
+        raise InvalidArgument(f"the shared memory of {len(memory)} bytes holds no ring")
     words = words_of(memory)
     if words[MAGIC_WORD] != MAGIC or words[VERSION_WORD] != LAYOUT_VERSION:
         raise InvalidArgument("the memory is not a ring of this version; install the same release on both sides")

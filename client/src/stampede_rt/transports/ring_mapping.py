@@ -179,7 +179,7 @@ def _response(connected: socket.socket, frames: FrameReader, files: list[int]) -
         data, received, _, _ = socket.recv_fds(connected, _RECEIVE_BYTES, _FILES_MAX, socket.MSG_CMSG_CLOEXEC)
         files += received
         if not data:
-            raise Unavailable("the host has closed the socket over which its memory was to come")
+            raise Unavailable("the host closed its socket before it sent its memory")
         for kind, body in frames.feed(data):
             if kind == FrameKind.MESSAGE:
                 return pb.ShareMemoryResponse.FromString(body)

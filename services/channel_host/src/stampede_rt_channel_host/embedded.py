@@ -222,7 +222,7 @@ class EmbeddedHost:
         await asyncio.wait({entering, stopping}, return_when=asyncio.FIRST_COMPLETED)
         stopping.cancel()
         if not entering.done():
-            raise Unavailable("the host was told to leave before the directory knew it")
+            raise Unavailable("the host was stopped before the directory had registered it")
         entering.result()
         self._started.set_result(None)
 

@@ -9,7 +9,9 @@ from stampede_rt_runtime.metrics.families import AnyFamily, Metric, counter, gau
 from stampede_rt_runtime.metrics.service_metrics import of_clocks
 
 BINDS = counter("stampede_frontend_binds_total", "Calls of clients and hosts that asked for the supernodes.")
-BINDS_WAITING = gauge("stampede_frontend_binds_waiting", "Such calls that wait until a supernode can serve.")
+BINDS_WAITING = gauge(
+    "stampede_frontend_binds_waiting", "Calls that asked for the supernodes and wait until one can serve."
+)
 SERVING = gauge(
     "stampede_frontend_supernode_serving", "1 if the supernode at this address can serve, else 0.", "supernode"
 )

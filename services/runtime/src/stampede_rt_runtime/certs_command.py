@@ -231,7 +231,7 @@ def serial_of(text: str) -> str:
 
 def _line(one: CertificateContents, now: datetime) -> str:
     who = str(one.identity or one.subject)
-    what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (of no role)"
+    what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (without a role)"
     where = f", called at {', '.join(one.addresses)}" if one.addresses else ""
     serial = serial_text(one.serial)
     return f"{what}{where}; {_validity(one, now)}; issued by {one.issuer}; serial {serial}; SHA-256 {one.sha256}"

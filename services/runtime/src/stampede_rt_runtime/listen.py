@@ -77,4 +77,4 @@ def _why(address: Address, error: OSError, flag: str) -> str:
         return f"this user may not listen at {address}; choose a port from 1024 up with {flag}"
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{address.host} is not an address of this machine; choose one of its own with {flag}"
-    return f"{address} cannot be listened at: {error.strerror}"
+    return f"the service cannot listen at {address}: {error.strerror}"

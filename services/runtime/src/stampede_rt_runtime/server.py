@@ -107,9 +107,9 @@ class ServiceServer:
         try:
             port = self._add_port(str(checked))
         except RuntimeError as error:  # another process took the port after the check
-            raise CannotListen(f"{checked} cannot be listened at: {error}") from error
+            raise CannotListen(f"the service cannot listen at {checked}: {error}") from error
         if port == 0:
-            raise CannotListen(f"{checked} cannot be listened at")
+            raise CannotListen(f"the service cannot listen at {checked}")
         self.address = str(Address(checked.host, port))
         return self.address
 

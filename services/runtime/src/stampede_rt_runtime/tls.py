@@ -106,7 +106,7 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
     check_own_certificate(reader)
     own = describe(reader.current().certificate)[0]
     if own.identity is None or own.identity.role is not role:
-        who = str(own.identity) if own.identity else f"{own.subject}, of no role"
+        who = str(own.identity) if own.identity else f"{own.subject}, without a role"
         raise PermissionDenied(
             f"the certificate {files.certificate} is one of {who}, but this service is a {role}; "
             f"issue it with `stampede certs issue --role {role}`"

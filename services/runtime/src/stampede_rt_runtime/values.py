@@ -50,7 +50,9 @@ def parse_target(text: str) -> str:
     """An address to call: `HOST:PORT` with a port above 0. Raises ValueError."""
     address = parse_address(text)
     if address.port == 0:
-        raise ValueError("HOST:PORT with a port from 1 to 65535; port 0 can only be listened at")
+        raise ValueError(
+            "HOST:PORT with a port from 1 to 65535; a service can listen at port 0, but no caller can call it"
+        )
     return str(address)
 
 

@@ -29,7 +29,9 @@ COMMIT_LAG = gauge(
 )
 APPLY_LAG = gauge("stampede_raft_apply_lag_entries", "Committed entries that the directory has not applied yet.")
 MEMBER_LAG = gauge(
-    "stampede_raft_member_lag_entries", "Told by the leader: entries that another member does not have yet.", "member"
+    "stampede_raft_member_lag_entries",
+    "Entries that another member does not have yet; only the leader reports them.",
+    "member",
 )
 WRITES = histogram(
     "stampede_raft_write_seconds", "How long a write of the log took, with the wait until the disk has it (fsync)."

@@ -524,7 +524,7 @@ complete -c stampede -n '_shtab_stampede_using quota check' -s h -l help -d 'sho
 complete -c stampede -n '_shtab_stampede_using quota check' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using quota check' -s o -l output -xka "table json jsonl" -d 'how to print; default table'
 complete -c stampede -n '_shtab_stampede_using quota check' -l local -d 'print instants as local time; default: UTC'
-complete -c stampede -n '_shtab_stampede_using quota; and test $_shtab_stampede_npos -eq 0' -a use -d 'tell who uses how much of each part of the cluster, and who was refused'
+complete -c stampede -n '_shtab_stampede_using quota; and test $_shtab_stampede_npos -eq 0' -a use -d 'show the usage and the refusals of each caller at each service of the cluster'
 complete -c stampede -n '_shtab_stampede_using quota use' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using quota use' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using quota use' -s o -l output -xka "table json jsonl" -d 'how to print; default table'

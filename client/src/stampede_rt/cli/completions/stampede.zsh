@@ -170,7 +170,7 @@ _shtab_stampede_quota_commands() {
     ls:'list all limits that were set, and the defaults'
     rm:'remove limits, so that the next pattern or the default holds'
     set:'set limits; the longest pattern that matches a caller holds for it'
-    use:'tell who uses how much of each part of the cluster, and who was refused'
+    use:'show the usage and the refusals of each caller at each service of the cluster'
   )
   _describe 'stampede quota commands' _commands
 }

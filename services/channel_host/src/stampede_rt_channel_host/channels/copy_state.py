@@ -91,7 +91,7 @@ class CopyState:
         demand.
         """
         if self.is_replica:
-            raise refusals.copy_cannot(name, "is a replica, which serves nobody before it becomes the owner")
+            raise refusals.copy_cannot(name, "is a replica, which serves no caller before it becomes the owner")
         if not self.is_ready:
             raise refusals.copy_cannot(name, "has lost its source, or has not caught up with it yet")
         stale, least = demand.max_staleness_nanos, demand.least_seq

@@ -39,7 +39,7 @@ class AllowedMoves:
         until_s = self._allowed.get((subject_id, epoch, to_host_id))
         if until_s is None or until_s < self._clock_s():
             raise PermissionDenied(
-                f"nobody has asked this host to hand {name} over to host {to_host_id.hex()}; move it with `stampede "
+                f"no caller has asked this host to hand {name} over to host {to_host_id.hex()}; move it with `stampede "
                 "move`, or call AllowMove here first",
                 metadata={"host_id": to_host_id.hex()},
             )

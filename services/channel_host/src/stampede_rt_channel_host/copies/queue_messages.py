@@ -83,7 +83,7 @@ class ArrivingQueue:
             self._facts = part.facts
         if part.more_body:
             if not self._runs:
-                raise _nonsense("bytes of no run")
+                raise _nonsense("bytes that belong to no run")
             self._runs[-1][1].extend(part.more_body)
         self._runs += [(run, bytearray(run.body)) for run in part.runs]
         part.ClearField("runs")
@@ -114,7 +114,7 @@ class ArrivingQueue:
     def values(self) -> QueueHandoff:
         """As `state`, for parts that need not be a whole queue. Raises InvalidArgument if some are missing."""
         if self._facts is None or not self._rest.ends:
-            raise _nonsense("no facts, or no end")
+            raise _nonsense("no `facts`, or no `ends`")
         rest, counters = self._rest, self._facts.counters
         return QueueHandoff(
             next_seq=self._facts.next_seq,
@@ -140,7 +140,7 @@ def _check(state: QueueHandoff) -> None:
     seqs = {seq for first, last in state.held for seq in range(first, last + 1)}
     stored = {seq for run in state.runs for seq in range(run.first_seq, run.end_seq)}
     if not (runs_ascend and held_ascend and seqs <= stored) or any(one.seq not in seqs for one in state.items):
-        raise _nonsense("messages without a run, or in no order")
+        raise _nonsense("messages without a run, or not in the order of seqs")
     if any(len(one.deliveries) < len(one.leases) for one in state.items) or max(seqs, default=0) >= state.next_seq:
         raise _nonsense("leases without a delivery, or a message of the future")
 

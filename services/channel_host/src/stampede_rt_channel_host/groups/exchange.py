@@ -124,7 +124,9 @@ class TimesExchange:
     def check_lease(self) -> None:
         """See `LinkHandler`."""
         if not self._channels.lease_held():
-            raise HostNotFound(f"host {self._identity.name} has no lease at present and speaks for no channel; wait")
+            raise HostNotFound(
+                f"host {self._identity.name} has no lease at present and cannot report for its channels; wait"
+            )
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         """See `LinkHandler`. Accepts only times of channels that the other host owns, as the directory says."""

@@ -113,7 +113,7 @@ CHANNEL_SUBSCRIPTIONS = gauge("stampede_channel_subscriptions_open", "Open subsc
 
 QUEUE_EVENTS = counter(
     "stampede_queue_messages_total",
-    "What happened to the messages of all queues: accepted, delivered, consumed, given_back, leases_expired, "
+    "Steps of the messages of all queues: accepted, delivered, consumed, given_back, leases_expired, "
     "terminated, dropped, dead_lettered, expelled or duplicates.",
     "event",
 )

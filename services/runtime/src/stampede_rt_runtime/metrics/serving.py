@@ -108,7 +108,7 @@ async def _listen(http: MetricsHttpServer, listen: Address) -> str:
     try:
         port = await http.listen(checked.host, checked.port)
     except OSError as error:
-        raise CannotListen(f"{checked} cannot be listened at for metrics: {error.strerror}") from error
+        raise CannotListen(f"{checked} cannot be used to serve metrics: {error.strerror}") from error
     address = str(Address(checked.host, port))
     if is_loopback_address(checked):
         logger.info("metrics are served", extra={"event": "metrics_served", "address": address})

@@ -76,7 +76,7 @@ def check_who(who: str) -> None:
     """Raises InvalidArgument for a pattern that matches no caller."""
     if not 0 < len(who) <= PATTERN_CHARACTERS_MAX or _WHO.fullmatch(who) is None:
         raise InvalidArgument(
-            f"who of a quota is {who[:64]!r}; write the name of a client, or @ADDRESS for callers that have none, such "
+            f"who of a quota is {who[:64]!r}; write the name of a client, or @ADDRESS for callers without a name, such "
             "as @10.0.0.7, with '*' for any run of characters and '?' for one"
         )
 

@@ -326,7 +326,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._has_ended = True
             _wake(self._came)
         else:
-            raise InvalidArgument(f"a frame of kind {kind} came where none may come; see socket_stream.proto")
+            raise InvalidArgument(f"a frame of kind {kind} came out of place; see socket_stream.proto")
 
     def _write_message(self, message: bytes) -> None:
         if len(message) <= _JOINED_BYTES_MAX:

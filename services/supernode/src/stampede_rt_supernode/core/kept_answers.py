@@ -113,8 +113,8 @@ class KeptAnswers:
         """
         if 0 < as_of_index < (self.marks[-2] if len(self.marks) > 1 else 0):
             raise Unavailable(
-                "the request was under way for too long, and nothing was done now; send it again with the same request "
-                "id, within 30 s after the first time",
+                "the request was under way for too long, and the directory did not perform it this time; send it again "
+                "with the same request id, within 30 s after the first time",
                 reason="AMBIGUOUS",
             )
 

@@ -186,7 +186,9 @@ def _address(arguments: argparse.Namespace) -> str:
     option = "--advertise" if arguments.advertise else "--listen"
     address = _read(option, parse_target, arguments.advertise or listen)
     if parse_address(address).host in ANYWHERE:
-        raise ValueError(f"nobody can call {address}; say with --advertise HOST:PORT where others reach this supernode")
+        raise ValueError(
+            f"no caller can reach {address}; say with --advertise HOST:PORT where others reach this supernode"
+        )
     return address
 
 
