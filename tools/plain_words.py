@@ -16,11 +16,11 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("client/src", "services", "benchmarks", "demos", "deploy", "tools", "web", "tests")
 GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
 
-FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of)\b(?![^.:]*\?)")
+FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,))\b(?![^.:]*\?)")
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b")
 TEST_NAMES = re.compile(
     r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"
-    r"|test_\w*_(whoever)(?:_|$)"
+    r"|test_\w*_(whoever|whatever|whom)(?:_|$)"
 )
 
 

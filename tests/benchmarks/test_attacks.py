@@ -25,7 +25,7 @@ def test_each_attack_has_a_row_in_the_table_of_the_docs() -> None:
     assert sorted(rows) == sorted(CASES)
 
 
-def test_puts_that_never_end_make_the_row_worse() -> None:
+def test_puts_without_an_answer_raise_the_quantiles() -> None:
     assert Good().quantile_ms(99) == math.inf
     good = Good([1.0] * 10)
     good.note(0.5)
@@ -73,7 +73,7 @@ def test_attacks_that_were_not_measured_are_named_and_the_others_are_in_the_tabl
     rows = re.findall(r"^\| `([a-z-]+)`: ", printed.out, re.MULTILINE)
     assert rows == [name for name in CASES if name != "resets"]
     assert printed.out.startswith("| attack | before |")
-    assert "use the transport 'socket'" in printed.out, "readers of shared memory would go past the host"
+    assert "use the transport 'socket'" in printed.out, "readers of shared memory would bypass the host"
     assert "resets was not measured: it was killed after 192 s" in printed.err
     assert f"{len(CASES)} of {len(CASES)}: {[*CASES][-1]}" in printed.err
     monkeypatch.setattr(sys, "argv", ["attacks", "malformed"])

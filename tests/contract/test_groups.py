@@ -56,7 +56,7 @@ async def test_a_group_that_is_set_up_otherwise_is_refused(surface: Surface) -> 
         await surface.group(name, [left, right], reference=right)
 
 
-async def test_a_group_that_nobody_made_is_not_found(surface: Surface) -> None:
+async def test_an_unknown_group_is_not_found(surface: Surface) -> None:
     with pytest.raises(st.GroupNotFound, match="contract/none"):
         await surface.group("contract/none")
 

@@ -130,7 +130,7 @@ async def test_a_put_that_would_wait_beyond_the_quota_is_refused_and_one_that_fi
     await channel.until(lambda status: status.waiting_puts == 0)
 
 
-async def test_answers_that_nobody_reads_count_as_bytes_in_flight() -> None:
+async def test_unread_answers_count_as_bytes_in_flight() -> None:
     async with running_host() as rig:
         channel = await rig.open()
         for number in range(8):

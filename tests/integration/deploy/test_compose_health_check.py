@@ -37,7 +37,7 @@ async def test_the_health_command_of_the_images_prints_its_finding() -> None:
     assert said.decode().strip() == f"{server.address}: SERVING"
 
 
-def test_nobody_at_the_address_is_not_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_address_without_a_service_is_not_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     (port,) = free_ports(1, "localhost")
     assert main([f"localhost:{port}"]) == 1
     assert "UNAVAILABLE" in capsys.readouterr().out

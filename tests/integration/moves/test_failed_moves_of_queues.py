@@ -153,7 +153,7 @@ async def test_a_second_host_gets_nothing_of_a_queue_that_is_on_its_way(pair: Pa
     assert (await pair.queue.status()).counters.held == 3
 
 
-async def test_a_host_that_nobody_named_gets_no_message_and_no_pause(pair: Pair) -> None:
+async def test_a_host_that_no_move_names_gets_no_message_and_no_pause(pair: Pair) -> None:
     stub = migration_service_pb2_grpc.MigrationServiceStub(pair.source.connection)
     call = stub.HandOverQueue()
     opening = pb.HandOverQueueOpen(queue_id=pair.queue.queue_id, epoch=1, host_id=OTHER_ID)

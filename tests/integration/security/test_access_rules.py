@@ -94,7 +94,7 @@ def test_only_a_caller_that_may_read_a_channel_sees_its_readers_and_writers(
     assert [one.subscriber.partition("#")[0] for one in seen.readers] == ["dash"]
 
 
-def test_nobody_finds_the_host_of_a_hidden_channel_by_opening_beside_it(
+def test_no_caller_finds_the_host_of_a_hidden_channel_by_an_open_beside_it(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     with st.connect(cluster.address) as rt:

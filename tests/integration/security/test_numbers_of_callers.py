@@ -80,19 +80,19 @@ def refusal(error: pytest.ExceptionInfo[grpc.RpcError]) -> str:
     return from_rpc_error(error.value, "the host").message
 
 
-def test_nobody_settles_under_the_number_of_another_callers_taker(operator: Operator) -> None:
+def test_no_caller_settles_with_the_taker_id_of_another_caller(operator: Operator) -> None:
     with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
         thief.settle(thief.pending())
     assert "belongs to worker-1, and worker-2 may not act for it; use a number of your own" in refusal(caught)
 
 
-def test_nobody_opens_a_stream_as_another_callers_taker(operator: Operator) -> None:
+def test_no_caller_opens_a_stream_with_the_taker_id_of_another_caller(operator: Operator) -> None:
     with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
         thief.take(thief.pending().taker_id)
     assert "belongs to worker-1, and worker-2 may not act for it" in refusal(caught)
 
 
-def test_nobody_settles_another_callers_delivery_on_a_stream_of_its_own(operator: Operator) -> None:
+def test_no_caller_settles_the_delivery_of_another_caller_on_its_own_stream(operator: Operator) -> None:
     with robbed(operator) as (thief, _):
         told = thief.take(OWN_NUMBER, thief.pending().delivery_id)
         [result] = [one for response in told for one in response.results]
@@ -100,7 +100,7 @@ def test_nobody_settles_another_callers_delivery_on_a_stream_of_its_own(operator
         assert thief.pending().taker_id != OWN_NUMBER
 
 
-def test_nobody_moves_another_callers_place_among_the_consumers(operator: Operator) -> None:
+def test_no_caller_moves_the_consumer_place_of_another_caller(operator: Operator) -> None:
     operator.add("reader-*", "read,consume", "tape", "--kind", "channel")
     tokens = [operator.token(name) for name in ("reader-1", "reader-2")]
     with st.connect(operator.cluster.address) as own, st.connect(operator.cluster.address, secret=tokens[0]) as rt:

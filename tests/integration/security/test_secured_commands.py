@@ -69,7 +69,7 @@ def test_every_verb_of_supernode_tells_a_caller_that_it_needs_a_certificate(
     assert printed.startswith(told)
 
 
-def test_doctor_finds_a_secured_cluster_healthy_and_tells_a_caller_what_it_lacks(
+def test_doctor_finds_a_secured_cluster_healthy_and_names_the_missing_certificate_of_a_caller(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert stampede(["doctor", "--url", cluster.address]) == 1

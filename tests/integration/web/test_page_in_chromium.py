@@ -149,7 +149,7 @@ def test_keys_stop_the_page_at_an_instant_and_step_from_item_to_item(tab: Tab, i
     page.wait_for_selector("article[aria-label='cam/left'] img")
 
 
-def test_a_click_on_the_time_line_shows_what_every_channel_held_then(tab: Tab) -> None:
+def test_a_click_on_the_time_line_shows_the_items_of_every_channel_at_that_time(tab: Tab) -> None:
     tab.page.select_option("#window", "600")
     tab.page.locator(".row canvas").first.click(position={"x": 3, "y": 10})
     tab.page.wait_for_selector("article[aria-label='cam/left'].none")
@@ -189,7 +189,7 @@ ARCHIVE_LINE = """() => {
 }"""
 
 
-def test_through_a_group_the_page_hides_what_the_group_hides(tab: Tab) -> None:
+def test_a_page_of_a_group_hides_the_items_that_the_group_hides(tab: Tab) -> None:
     tab.page.select_option("#group", "rig")
     tab.page.wait_for_selector("article[aria-label=imu] >> text=x 1")
 
@@ -211,7 +211,7 @@ def test_the_page_fits_and_is_readable_in_both_themes(
 
 
 @pytest.mark.parametrize("width", [400, 1280])
-def test_no_panel_breaks_a_word_of_what_the_doctor_says(browser: Any, page_server: LivePage, width: int) -> None:
+def test_no_panel_breaks_a_word_of_the_doctors_findings(browser: Any, page_server: LivePage, width: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": 800})
     advice = "start it again, or remove it with `stampede supernode remove s2`"
     told = [{"part": "supernode", "address": "localhost:30000", "state": "unreachable", "advice": advice}]

@@ -167,7 +167,7 @@ def test_steps_go_from_item_to_item(rt: st.Connection, page: LivePage) -> None:
     assert page.ask("step", channel="step/a", at=second.time)[1] == {"time": None}
 
 
-def test_through_a_group_the_page_shows_what_the_group_shows(rt: st.Connection, page: LivePage) -> None:
+def test_a_page_of_a_group_shows_the_items_that_the_group_shows(rt: st.Connection, page: LivePage) -> None:
     ahead, behind = rt.channel("through/ahead", max_age="10m"), rt.channel("through/behind", max_age="10m")
     group = rt.group("through", [ahead, behind])
     item = ahead.put(b"ahead")

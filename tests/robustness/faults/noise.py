@@ -49,7 +49,7 @@ SERVICES = (
 
 
 class _Trap:
-    """When a program unpickles it, it makes a file."""
+    """A pickle of this object makes a file when a program loads the pickle."""
 
     def __init__(self, canary: Path) -> None:
         self._canary = canary
@@ -59,7 +59,7 @@ class _Trap:
 
 
 async def noise(scene: Scene) -> None:
-    """Send all kinds to every port, without TLS and, if there are certificates, also with TLS."""
+    """Send noise of every kind to every port, without TLS and, if there are certificates, also with TLS."""
     began = time.monotonic()
     canary = scene.folder / "canary"
     trap = pickle.dumps(_Trap(canary))
@@ -107,7 +107,7 @@ def giant_frame() -> bytes:
 
 
 def giant_message() -> bytes:
-    """A frame that opens a stream with endless headers (CONTINUATION frames)."""
+    """Frames that open a stream with endless headers (CONTINUATION frames)."""
 
     def frame(kind: int, payload: bytes) -> bytes:
         return len(payload).to_bytes(3, "big") + bytes((kind, 0)) + (1).to_bytes(4, "big") + payload
@@ -139,7 +139,7 @@ def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles |
     contexts: list[ssl.SSLContext | None] = [None] if insider is None else [None, tls_context(insider)]
     ended = sum(_send(one, payload, context) for payload in payloads for context in contexts)
     if not ended:
-        raise FaultHadNoEffect(f"{one.name} hung up on none of {len(payloads)} connections full of noise")
+        raise FaultHadNoEffect(f"{one.name} ended none of {len(payloads)} connections with noise")
     return ended
 
 

@@ -34,11 +34,11 @@ def known_permits(world: World) -> list[bytes]:
 
 
 @pytest.mark.parametrize("thief", [DESTINATION, THIRD])
-async def test_a_host_that_nobody_named_gets_neither_the_channel_nor_a_pause(thief: int) -> None:
+async def test_a_host_that_no_move_names_gets_neither_the_channel_nor_a_pause(thief: int) -> None:
     story = Story(third=True)
     hosted = await story.source.store.bind(story.world.channel_id, 1)
     story.put()
-    with pytest.raises(StampedeError, match="nobody has asked"):
+    with pytest.raises(StampedeError, match="no caller has asked"):
         await story.world.hosts[thief].incoming.move_here(story.world.record)
     steal(story.world, thief, [])
     story.put()

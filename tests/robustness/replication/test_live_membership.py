@@ -222,7 +222,7 @@ async def test_a_leader_hands_over_at_once(tmp_path: Path) -> None:
         assert await cluster.leader() is not leader
 
 
-async def test_nobody_hands_over_when_nobody_is_there(tmp_path: Path) -> None:
+async def test_a_lone_leader_keeps_its_leadership(tmp_path: Path) -> None:
     async with LiveCluster(1, tmp_path) as cluster:
         await cluster.leader()
         assert not await running(cluster.all[0]).hand_over(timeout=2.0)

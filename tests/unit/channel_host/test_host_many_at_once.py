@@ -143,7 +143,7 @@ async def test_puts_that_wait_are_refused_in_pieces_and_in_their_order_and_none_
     assert ack.first_seq == 2
 
 
-async def test_room_that_comes_while_the_lease_is_lost_is_given_to_nobody(rig: Rig) -> None:
+async def test_room_that_comes_without_the_lease_goes_to_a_put_once_the_lease_is_back(rig: Rig) -> None:
     hosted, (run,) = await full(rig, 1)
     hosted.puts._may_serve = lambda: False
     hosted.channel.configure(Policy(max_items=10, on_full="block", max_age_nanos=3600 * 10**9), rig.now())

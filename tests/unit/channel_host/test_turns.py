@@ -40,7 +40,7 @@ def test_a_thread_sees_no_half_done_step_and_the_loop_goes_on_while_it_looks_aga
     assert state == [STEPS - 1, STEPS - 1]
 
 
-def test_after_the_end_of_the_loop_nobody_waits_for_it() -> None:
+def test_after_the_end_of_the_loop_no_call_waits_for_it() -> None:
     turns = Turns()
     with asyncio.Runner(loop_factory=turns.loop) as runner:
         runner.run(asyncio.sleep(0))

@@ -146,7 +146,7 @@ def test_show_says_that_a_certificate_has_expired(
     assert "EXPIRED on" in capsys.readouterr().out
 
 
-def test_certificates_are_renewed_in_their_files_for_the_same_part_addresses_and_lifetime(
+def test_certificates_are_renewed_in_their_files_for_the_same_identity_addresses_and_lifetime(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, parts = str(tmp_path / "ca"), tmp_path / "parts"
@@ -167,7 +167,9 @@ def test_certificates_are_renewed_in_their_files_for_the_same_part_addresses_and
     assert "host h1 of cluster lab, until" in capsys.readouterr().out
 
 
-def test_nothing_is_renewed_if_one_of_the_files_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_certificate_is_renewed_if_one_of_the_files_cannot_be_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ours, others = tmp_path / "ours", tmp_path / "others"
     for folder, cluster in ((ours, "lab"), (others, "far")):
         assert stampede(["certs", "init", str(folder), "--cluster", cluster]) == 0
@@ -221,7 +223,7 @@ def test_files_that_cannot_be_used_are_named(made: ClusterCertificates, tmp_path
         TlsReader(one)
 
 
-def test_a_reader_gives_new_files_and_waits_out_broken_ones(
+def test_a_reader_returns_new_files_and_waits_until_broken_ones_are_whole(
     made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)

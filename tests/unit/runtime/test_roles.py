@@ -34,7 +34,7 @@ def rpcs_of_the_contract() -> list[str]:
 
 
 @pytest.mark.parametrize("rpc", rpcs_of_the_contract())
-def test_every_rpc_of_the_contract_is_for_somebody(rpc: str) -> None:
+def test_every_rpc_of_the_contract_has_allowed_roles(rpc: str) -> None:
     assert roles_for(rpc), f"{rpc} has no row in roles.py: decide who may call it"
 
 

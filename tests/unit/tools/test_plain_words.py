@@ -8,14 +8,23 @@ from tools.plain_words import complaints, main
 
 
 @pytest.mark.parametrize(
-    "text", ["What was collected.", "Whose turn it is.", "Of two items the later one.", "Tell whoever asks."]
+    "text",
+    [
+        "What was collected.",
+        "Whose turn it is.",
+        "Of two items the later one.",
+        "Tell whoever asks.",
+        "Earlier, it waited.",
+    ],
 )
 def test_a_docstring_without_its_noun_is_found(text: str) -> None:
     (line,) = complaints("a.py", f'def f():\n    """{text}"""\n')
     assert line.startswith("a.py:2: name the noun instead of")
 
 
-@pytest.mark.parametrize("text", ["The collected items.", "Who leads?", "Whatsoever.", "Offers an item."])
+@pytest.mark.parametrize(
+    "text", ["The collected items.", "Who leads?", "Whatsoever.", "Earlier items count.", "Offers an item."]
+)
 def test_other_docstrings_pass(text: str) -> None:
     assert list(complaints("a.py", f'"""{text}"""\n')) == []
 
@@ -27,6 +36,7 @@ def test_other_docstrings_pass(text: str) -> None:
         ("test_who_waits_is_served", "who"),
         ("test_one_that_is_missing_is_replaced", "one_that"),
         ("test_messages_come_to_whoever_asks", "whoever"),
+        ("test_a_read_passes_whatever_the_rules", "whatever"),
     ],
 )
 def test_a_name_of_a_test_without_its_noun_is_found(name: str, words: str) -> None:

@@ -28,7 +28,7 @@ from stampede_rt_runtime.rpc import Context
 from stampede_rt_runtime.stream_headers import send_headers
 
 STREAMS_PER_TURN = 4
-"""The steps of so many streams take up to 0.5 ms. With 16, each step would take 0.3 us less (decision 0123)."""
+"""The steps of this number of streams take up to 0.5 ms. With 16, each step would take 0.3 us less (decision 0123)."""
 AT_ONCE_NANOS = 1_000_000
 
 
@@ -77,7 +77,7 @@ class TurnGate:
 class AtOnceBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
-    Beyond AT_ONCE_NANOS in one turn, messages go to their streams, of which the gates let a few go on in each turn.
+    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams go on in each turn.
     Pauses between answers count as time in which nothing was answered, so a loop with little to do needs no other turn.
     """
 
@@ -145,7 +145,7 @@ class PacedContext:
     def answer_at_once(self, take: Callable[[bytes, Callable[[bytes], None]], bool]) -> None:
         """See `SocketContext`. Streams over gRPC have no such way.
 
-        `take` gets a message only if the caller need not wait for its turn, and the work of `take` counts for it.
+        `take` gets a message only if the caller need not wait for its turn. The caller pays for the work of `take`.
         """
         answer = getattr(self._context, "answer_at_once", None)
         if answer is not None and self._at_once is not None:

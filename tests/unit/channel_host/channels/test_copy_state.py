@@ -25,7 +25,7 @@ def state_at(clock: Clock) -> CopyState:
     return state
 
 
-def test_a_copy_that_has_not_caught_up_serves_nobody() -> None:
+def test_a_copy_that_has_not_caught_up_serves_no_caller() -> None:
     state = CopyState()
     with pytest.raises(StaleBinding, match="has not caught up"):
         state.check("cam", 10, Freshness())
@@ -47,7 +47,7 @@ def test_a_copy_serves_reads_of_items_that_it_has() -> None:
         state.check("cam", 10, Freshness(least_seq=10))
 
 
-def test_a_copy_that_has_lost_its_source_serves_nobody_after_a_while() -> None:
+def test_a_copy_that_has_lost_its_source_serves_no_caller_after_a_while() -> None:
     clock = Clock()
     state = state_at(clock)
     clock.nanos += SERVED_STALENESS_NANOS_MAX

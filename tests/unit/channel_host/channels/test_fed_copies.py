@@ -85,7 +85,7 @@ def test_readers_that_want_the_owner_stay_and_only_a_few_move_at_a_time() -> Non
     assert sum(bool(one.sent_to) for one in moving) == READERS_MOVED_MAX
 
 
-def test_small_differences_move_nobody() -> None:
+def test_small_differences_move_no_reader() -> None:
     observers, copy = Observers(), copy_with(3)
     readers = [Reader(observers) for _ in range(4)]
     fed(copy).relieve("cam", copy, observers)

@@ -33,7 +33,7 @@ def test_a_percentile_out_of_range_is_refused(percent):
         percentile([1], percent)
 
 
-def test_an_account_counts_what_was_passed_over_and_what_came_again():
+def test_an_account_counts_skipped_and_repeated_items():
     account = SequenceAccount()
     for seq in (4, 5, 8, 8, 7, 9):
         account.add(seq)

@@ -29,7 +29,7 @@ def judged(own: OwnCluster, callers: str) -> type[StampedeError] | None:
     return None if error is None else type(error)
 
 
-def test_nobody_is_served_while_the_state_is_still_that_of_the_restored_cluster_or_of_none() -> None:
+def test_no_caller_is_served_while_the_state_is_of_the_restored_cluster_or_of_none() -> None:
     replica = DirectoryReplica()
     own = OwnCluster(replica)
     assert judged(own, "x") is Unavailable

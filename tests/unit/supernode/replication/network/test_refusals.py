@@ -1,4 +1,4 @@
-"""When the refusals of others hold for good: by the leader's word, or by that of most of the others."""
+"""A refusal by other members is final if the leader, or most of the others, confirm it."""
 
 from __future__ import annotations
 

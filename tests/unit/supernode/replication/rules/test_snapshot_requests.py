@@ -135,7 +135,7 @@ def test_only_so_many_requests_may_wait() -> None:
         alone.ask()
 
 
-def test_a_replica_alone_pauses_for_long_only_while_nobody_waits_for_it() -> None:
+def test_a_lone_replica_pauses_for_long_only_while_no_call_waits_for_it() -> None:
     alone = Alone(MemoryStore())
     timing = RaftTiming()
     assert alone.replica.pause_seconds() == timing.tick_seconds  # it does not lead yet
