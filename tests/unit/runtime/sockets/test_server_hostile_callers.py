@@ -57,9 +57,9 @@ async def test_another_version_of_the_frames_is_refused(port: Open) -> None:
     ("sent", "why"),
     [
         (head_of(FrameKind.MESSAGE, Limits().socket_request_bytes_max + 1), "it has at most"),
-        (frame_of(FrameKind.OPENING), "came where none may come"),
+        (frame_of(FrameKind.OPENING), "came out of place"),
         (frame_of(FrameKind.ALIVE), "which may not come here"),
-        (frame_of(FrameKind.END) + frame_of(FrameKind.MESSAGE, b"x"), "came where none may come"),
+        (frame_of(FrameKind.END) + frame_of(FrameKind.MESSAGE, b"x"), "came out of place"),
     ],
 )
 async def test_a_frame_that_may_not_come_ends_the_stream(port: Open, sent: bytes, why: str) -> None:
