@@ -141,7 +141,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
-        self._set_up_archive(archive, objects, access.accounts)
+        self._set_up_archive(archive, access.accounts, objects)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
@@ -154,7 +154,9 @@ class ChannelHost:
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
 
-    def _set_up_archive(self, folder: ArchiveFolder | None, objects: ObjectSettings | None, accounts: Accounts) -> None:
+    def _set_up_archive(
+        self, folder: ArchiveFolder | None, accounts: Accounts, objects: ObjectSettings | None = None
+    ) -> None:
         recordings, now = self.store.recordings, self.store.now
         recordings.archive = None if folder is None else _archive(folder, objects, accounts, now)
         recordings.write_retries = lambda window: retries_to(window, now())
