@@ -5,7 +5,7 @@ times a second: one item of 18 KB, or a run of 64 items of 64 B. The readers are
 two parts of the same length: in one of them a further reader subscribes, takes a second of items, and then reads no
 more. The order of the parts changes from round to round, so that other work on the machine counts for both alike. The
 benchmark reads the CPU time and the resident memory of the whole host process, and the age of each put when a reader
-has it.
+gets the put.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Putter:
         self._payload = bytes(size)
 
     def put_for(self, seconds: float, readers: int) -> Part:
-        """Put for so long."""
+        """Put items for `seconds`."""
         began, cpu_s, resident = st.now(), self._host.cpu_s(), self._host.resident_bytes()
         puts, most, due_s = 0, resident, time.monotonic()
         until_s = due_s + seconds
@@ -116,14 +116,14 @@ class Child:
         self._process = process
 
     def hear(self) -> str:
-        """The next line that it prints."""
+        """The next line that the process prints."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline().strip()
         assert line, "the process has ended"
         return line
 
     def tell(self, word: str) -> None:
-        """Send it a line."""
+        """Send a line to the process."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{word}\n")
         self._process.stdin.flush()

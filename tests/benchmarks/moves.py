@@ -158,7 +158,7 @@ class Load:
 
 
 def measure(moves: int, readers: int) -> None:
-    """Move the channel and the queue so many times, and print the table."""
+    """Move the channel and the queue this number of times, and print the table."""
     load = os.getloadavg()[0]
     with running_cluster(hosts=3, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
         all_of = Load(rt, readers)

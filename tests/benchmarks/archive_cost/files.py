@@ -41,7 +41,7 @@ def reading_files(folder: Path, largest: int) -> None:
 
 
 def fill(files: SegmentFiles, items: int) -> None:
-    """Write so many items, a microsecond apart."""
+    """Write this number of items, a microsecond apart."""
     payloads = [os.urandom(64)] * RUN_ITEMS
     runs: list[ArchivedRun] = []
     for seq in range(1, items + 1, RUN_ITEMS):

@@ -16,7 +16,7 @@ US = 1000
 
 
 def filled(rt: st.Connection, name: str, items: int, **policy: Any) -> tuple[st.Channel, int]:
-    """A channel with so many items, a microsecond apart, and the time of the first one."""
+    """A channel with this number of items, a microsecond apart, and the time of the first one."""
     channel = rt.channel(name, **policy)
     began = channel.stats().host_time - (items + 1) * US
     with channel.producer() as producer:

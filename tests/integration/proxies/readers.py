@@ -138,7 +138,7 @@ def all_saw(readers: list[Reading], last: int) -> None:
 
 
 def passes(producing: Producing, items: int) -> None:
-    """Let so many further items be put."""
+    """Let the producers put this number of further items."""
     goal = producing.last + items
     wait_until(lambda: producing.last >= goal, f"{items} further items")
 

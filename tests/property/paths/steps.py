@@ -157,7 +157,7 @@ def tick(rng: RandomSource, pair: PathPair) -> None:
 
 
 def forget(rng: RandomSource, pair: PathPair) -> None:
-    """Let so much time pass that the host forgets runs.
+    """Let time pass until the host forgets runs.
 
     No call may wait meanwhile, because its timer would use real time.
     """

@@ -156,7 +156,7 @@ def _numbers(items: st.Items) -> set[bytes]:
 
 
 def in_rounds(rounds: int, seed: int) -> list[str]:
-    """All faults, so many times, each round in an order of its own."""
+    """All faults, once in each round, and in another order in each round."""
     order = random.Random(seed)
     faults: list[str] = []
     for _ in range(rounds):

@@ -43,13 +43,13 @@ class Putting:
                 self._moved.notify_all()
 
     def wait_for_acks(self, count: int) -> None:
-        """Wait until so many further puts are acknowledged."""
+        """Wait until this number of further puts is acknowledged."""
         wanted = len(self.acked) + count
         with self._moved:
             assert self._moved.wait_for(lambda: len(self.acked) >= wanted, WAIT_SECONDS_MAX)
 
     def wait_for_refusals(self, count: int) -> None:
-        """Wait until the disk has refused so many further puts."""
+        """Wait until the disk has refused this number of further puts."""
         wanted = self.refused + count
         with self._moved:
             assert self._moved.wait_for(lambda: self.refused >= wanted, WAIT_SECONDS_MAX)

@@ -41,9 +41,9 @@ def test_histories_are_linearizable_and_nothing_has_two_owners_under_faults(bloc
         puts += trial.ownership.puts
         grants += trial.name_ownership.grants
     # Simulated time is the same on every machine, so these numbers do not depend on the load.
-    assert writes > 60, "the faults were so many that nothing was tested"
-    assert puts > 50, "the faults were so many that no host served"
-    assert grants > 30, "the faults were so many that no peer was in"
+    assert writes > 60, "there were too many faults: nothing was tested"
+    assert puts > 50, "there were too many faults: no host served"
+    assert grants > 30, "there were too many faults: no peer was in"
 
 
 def test_a_seed_gives_the_same_run_in_every_process() -> None:

@@ -37,7 +37,7 @@ class ByteSource:
         return int.from_bytes(self.take(width)) % bound
 
     def chance(self, percent: int) -> bool:
-        """True in so many of 100 cases."""
+        """True in this number of 100 cases."""
         return self.below(100) >= 100 - percent
 
     def choice(self, among: Sequence[T]) -> T:

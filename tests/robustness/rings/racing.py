@@ -115,7 +115,7 @@ def _read_interval(view: RingView, facts: list[int], newest: int) -> int:
 
 
 def race(seconds: float, readers: int = 2, seed: int = 1) -> Counter[str]:
-    """Race for so long. Returns how many items came by each way. Fails if a reader or the writer failed."""
+    """Race for this time. Returns how many items came by each way. Fails if a reader or the writer failed."""
     context = multiprocessing.get_context("fork")
     memory, ends, found = mmap.mmap(-1, SIZE.whole_bytes), context.Event(), context.Queue()
     jobs = [context.Process(target=write_on, args=(memory, ends, seed))]

@@ -32,7 +32,7 @@ def decode(body: bytes) -> Run:
 
 
 def write(files: SegmentFiles, first: int, blocks: int, limits: ArchiveLimits = NO_LIMITS) -> tuple[Segment, ...]:
-    """Write so many blocks of one run of two items. Returns all segments."""
+    """Write this number of blocks of one run of two items. Returns all segments."""
     segments: tuple[Segment, ...] = ()
     for number in range(blocks):
         segments = files.write([[ArchivedRun(number, run_at(first + 2 * number))]], limits)

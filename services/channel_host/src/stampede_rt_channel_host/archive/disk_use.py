@@ -15,7 +15,7 @@ from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 
 FOLDER_BYTES = 2**18
-"""The folder of a channel counts for so many bytes besides its files, because folders and files take inodes, too."""
+"""The bytes for which the folder of a channel counts besides its files: folders and files take inodes, too."""
 _FACTS_BYTES_MAX = 2**16
 
 

@@ -120,7 +120,7 @@ class LeaseThread:
             await _on(loop, registration.aclose())
         finally:
             loop.call_soon_threadsafe(loop.stop)
-            # not with another thread: the interpreter may be ending, and begins none
+            # a helper thread cannot wait here: an interpreter that is ending starts no thread
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), STOP_SECONDS_MAX)
 
@@ -136,7 +136,7 @@ class LeaseThread:
 
 
 def _run_loop(loop: asyncio.AbstractEventLoop, tell_end: Callable[[], object]) -> None:
-    """Run the loop until somebody stops it; then cancel its tasks, close it, and call `tell_end`."""
+    """Run the loop until another thread stops it; then cancel its tasks, close it, and call `tell_end`."""
     asyncio.set_event_loop(loop)
     try:
         loop.run_forever()

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel import Query, SubscriptionBatch
 from stampede_rt_channel_host.core.group import Horizon, RecordedStep, VisibleAll
 
 LATE_BYTES = 2**20
-"""About so many bytes of the archive are searched for late items at once."""
+"""One step searches about this number of bytes of the archive for late items."""
 
 
 class RecordedSteps:

@@ -84,7 +84,7 @@ class QueueCopies:
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 
     def unheard(self, seconds: float) -> list[QueueCopy]:
-        """The copies whose owners were silent for so long."""
+        """The copies whose owners were silent for this time."""
         latest = time.monotonic_ns() - int(seconds * 1e9)
         return [copy for copy in self if copy.heard_nanos < latest]
 

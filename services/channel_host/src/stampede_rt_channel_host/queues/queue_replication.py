@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChang
 
 READY_SECONDS_MAX = 3.0  # how long a replica that has to begin anew waits until the log has cleared its flag
 STALLED_NANOS = 1_000_000_000
-"""If the replicas lack a step for so long, the queue gives takers nothing more until they have it."""
+"""If the replicas lack a step for this time, the queue delivers no message until the replicas have the step."""
 Action = Callable[[], None]
 
 

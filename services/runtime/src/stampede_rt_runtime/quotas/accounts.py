@@ -109,7 +109,7 @@ class Account:
     def using(self, quota: Quota, amount: int = 1) -> Iterator[None]:
         """Use `amount` of the quota for the duration of the block.
 
-        Raises Overloaded if the caller may not use so much.
+        Raises Overloaded if the amount is beyond the quota of the caller.
         """
         self.check(quota, amount)
         self._used[quota] += amount

@@ -145,7 +145,7 @@ class CallerWork:
             self._loop_share.owe(self._costs.write_nanos)
 
     def spend_bytes(self, count: int) -> None:
-        """Count the time that the transport takes to read so many bytes."""
+        """Count the time that the transport takes to read a number of bytes."""
         self.spend(count * self._costs.kib_nanos >> 10)
 
     def received(self, message: Any) -> None:

@@ -19,7 +19,7 @@ def decoded(body: bytes) -> Run:
 
 
 def segment_of(blocks: int) -> tuple[bytes, list[int]]:
-    """The bytes of a segment of so many blocks of two runs, and where each block ends."""
+    """The bytes of a segment of this number of blocks of two runs, and where each block ends."""
     raw, ends = b"".join(archive.encode_opening(b"facts", 1)), []
     for number in range(blocks):
         runs = [ArchivedRun(50 + number, run_at(1 + 4 * number)), ArchivedRun(60 + number, run_at(3 + 4 * number))]

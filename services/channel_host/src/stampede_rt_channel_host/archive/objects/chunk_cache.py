@@ -1,4 +1,4 @@
-"""The parts of objects that reads fetched last, on the disk of the host, up to a number of bytes. Blocks."""
+"""Keeps the last fetched parts of objects on the disk of the host, up to a number of bytes. Its methods block."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Place = tuple[str, int]  # an object's name, and the number of the chunk
 
 
 class ChunkCache:
-    """Reads objects of a store in chunks, and keeps the chunks in a folder. Any threads use it.
+    """Reads objects of a store in chunks, and keeps the chunks in a folder. Any thread may use it.
 
     It begins empty: `open` deletes the chunks of a former process. A chunk that the disk does not take is not kept.
     """

@@ -177,5 +177,5 @@ class StoredSegments(SegmentFolder):
         return self._cache.read(stored.name, offset, size)
 
     def has_object(self, name: str, size: int) -> bool:
-        """Whether the store has this object of so many bytes. Raises StoreError."""
+        """Whether the store has this object with this size. Raises StoreError."""
         return any(one.name == name and one.bytes == size for one in self._store.find(self.prefix))

@@ -51,7 +51,7 @@ class ChannelPuts:
         self._on_touched = on_touched
         self._may_serve = may_serve
         self.check_room: Callable[[int], None] = _has_room
-        """Raises Overloaded while the channel takes no items, or has no room for a run of so many bytes."""
+        """Raises Overloaded while the channel takes no items, or has no room for a run of this size."""
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self.retries = RetryWindow()
         self._waiting_bytes = 0

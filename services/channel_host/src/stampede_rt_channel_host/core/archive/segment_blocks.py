@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.archive.segment import PlacedBlock
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
 BLOCK_INDEX_BYTES = 192
-"""About so many bytes of memory take the facts about one block."""
+"""The approximate memory of the facts about one block."""
 
 
 class _Columns(NamedTuple):

@@ -82,7 +82,7 @@ class FeedPart(NamedTuple):
 
 
 CATCH_UP_NANOS = 10_000_000_000
-"""A copy stays behind if its lag has not shrunk after so long."""
+"""A copy counts as staying behind if its lag has not shrunk within this time."""
 
 
 class LagWatch:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 FORMER_MAX = 16
-"""A channel knows so many former incarnations. The items of earlier ones have no valid positions any more."""
+"""The most former incarnations that a channel knows. The items of earlier ones have no valid positions any more."""
 
 
 class FormerIncarnation(NamedTuple):

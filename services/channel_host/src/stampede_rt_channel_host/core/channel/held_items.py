@@ -129,11 +129,11 @@ class HeldItems:
         return unreported or self.index.has_below(self._free_floor)
 
     def has_backlog_of(self, entries: int) -> bool:
-        """Whether there are at least so many entries to free, now or after `report_gone`."""
+        """Whether there are at least this number of entries to free, now or after `report_gone`."""
         return self.index.has_below(self._below_snapshots(self.floor), entries)
 
     def has_outdated(self, entries: int) -> bool:
-        """Whether there are at least so many entries of outdated items, also those that a snapshot keeps."""
+        """Whether there are at least this number of entries of outdated items, also those that a snapshot keeps."""
         return self.index.has_below(self.floor, entries)
 
     @property

@@ -11,7 +11,7 @@ STEPS_PER_PIECE = 256
 """The slices, or the amount of work equal to them, that make one piece."""
 
 ITEMS_PER_STEP = 8
-"""If work looks at single items, so many items count as one step."""
+"""If work looks at single items, this number of items counts as one step."""
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")

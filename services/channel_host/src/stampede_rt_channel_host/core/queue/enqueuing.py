@@ -24,7 +24,7 @@ WAITING_BYTES_MAX = 64 * 2**20
 WAITING_BYTES_OF_ONE_MAX = WAITING_BYTES_MAX * 3 // 4
 """The most bytes of one caller's waiting runs in one queue. A single run of a caller may be larger."""
 OFFERED_PER_CALL_MAX = 512
-"""After so many messages of waiting runs, one call judges no further run."""
+"""After this number of messages of waiting runs, one call judges no further run."""
 DROPPED_PER_RUN_MAX = 1024
 """To make room for a run of n messages, one call drops at most this number plus 2n messages.
 
