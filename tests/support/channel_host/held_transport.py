@@ -11,7 +11,7 @@ from typing import Any
 
 from stampede_rt.v1 import socket_stream_pb2
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, FrameReader, frame_of
-from stampede_rt_runtime.sockets.server import SocketServer
+from stampede_rt_runtime.sockets.server import SocketServer, _Stream
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 from tests.support.socket_port import until
 
@@ -85,6 +85,7 @@ class HeldStream:
 async def held_stream(sockets: SocketServer, method: str) -> HeldStream:
     """Return a new stream, once the method waits for its first message."""
     connection, transport = sockets._connection(), HeldTransport()
+    sockets._streams[connection] = _Stream(connection)
     sockets._hangups.watch = lambda *_: None  # type: ignore[method-assign]  # epoll takes no such files
     connection.connection_made(transport)
     opening = socket_stream_pb2.StreamOpening(method=method, protocol_version=PROTOCOL_VERSION)
