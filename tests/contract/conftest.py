@@ -81,11 +81,14 @@ def _parameters(item: pytest.Item) -> set[str]:
 
 @pytest.fixture(scope="package")
 def host_here(cluster: LocalCluster) -> Iterator[HostHere]:
-    """A host in the process of the tests, which all tests share."""
+    """A host in the process of the tests, which all tests share.
+
+    It is private, so that channels of other transports go to other hosts.
+    """
     with pytest.MonkeyPatch.context() as patch:
         find_secret_of(cluster, patch)
         target = parse_target(cluster.address, name="here", secret=None, zone=None)
-    made = embedder()(target, HostOptions.parse(None, None, "1GiB", "0s", False))
+    made = embedder()(target, HostOptions.parse(None, None, "1GiB", "0s", False, private=True))
     made.start(60)
     yield made
     made.leave()
