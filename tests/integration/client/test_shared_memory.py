@@ -290,10 +290,11 @@ def _ask_for_file(channel: st.Channel) -> tuple[int, socket.socket]:
     opening = opening_of(ring_mapping.SHARE_METHOD, endpoint._metadata(), endpoint.route.ticket)
     request = ring_mapping.pb.ShareMemoryRequest(channel_id=binding.subject_id, epoch=binding.epoch)
     frame_of, kind = ring_mapping.frame_of, ring_mapping.FrameKind
-    connected.sendall(frame_of(kind.OPENING, opening) + frame_of(kind.MESSAGE, request.SerializeToString()))
+    frames = frame_of(kind.OPENING, opening) + frame_of(kind.MESSAGE, request.SerializeToString())
+    connected.socket.sendall(frames)
     files: list[int] = []
-    ring_mapping._response(connected, FrameReader(ring_mapping.RECEIVED_BYTES_MAX), files)
-    return files[0], connected
+    ring_mapping._response(connected.socket, FrameReader(ring_mapping.RECEIVED_BYTES_MAX), files)
+    return files[0], connected.socket
 
 
 def test_over_grpc_no_memory_is_shared(cluster: LocalCluster) -> None:
