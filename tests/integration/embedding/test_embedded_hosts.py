@@ -149,7 +149,7 @@ def test_a_host_that_is_told_to_leave_before_its_loop_runs_leaves() -> None:
     options = HostOptions.parse(None, None, "1GiB", "0s", False)
     host = embed(parse_target("localhost:1", name=None, secret=None, zone=None), options)
     host.ask_to_leave()
-    with pytest.raises(st.Unavailable, match="told to leave"):
+    with pytest.raises(st.Unavailable, match="was stopped before the directory"):
         host.start(LIMIT_S)
     host.leave()
     assert not host.is_alive
