@@ -14,6 +14,7 @@ class Exchange:
     def __init__(self, *, one_at_a_time: bool = False) -> None:
         self.one_at_a_time = one_at_a_time
         self.broken = False
+        self.is_outdated = False
 
     def cancel(self) -> None:
         self.broken = True
@@ -60,6 +61,18 @@ async def test_a_channel_that_is_bound_anew_at_its_host_keeps_the_stream() -> No
         with streams.use(handle, 5.0, binding, opened):  # type: ignore[arg-type]
             pass
     assert len(opened.streams) == 1
+
+
+async def test_a_stream_gives_way_to_a_faster_one_once_it_is_idle() -> None:
+    streams, opened = PutStreams(), Opened()
+    with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as first:  # type: ignore[arg-type]
+        opened.streams[0].is_outdated = True
+        with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as second:  # type: ignore[arg-type]
+            assert second is first
+    assert not opened.streams[0].broken
+    with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as third:  # type: ignore[arg-type]
+        assert third is not first
+    assert [stream.broken for stream in opened.streams] == [True, False]
 
 
 @pytest.mark.parametrize(("one_at_a_time", "streams_needed"), [(False, 1), (True, 3)])
