@@ -131,11 +131,21 @@ def imported_modules(folder: Path) -> Iterator[str]:
                 yield node.module.partition(".")[0]
 
 
-def declared(package: str) -> set[str]:
-    """The distributions that `package` names, and those that the packages of this repository among them name."""
+def declared(package: str, extras: frozenset[str] = frozenset()) -> set[str]:
+    """The distributions that `package` and `extras` name, and those that this repository's packages among them name."""
     project = tomllib.loads((PACKAGES[package] / "pyproject.toml").read_text())["project"]
-    names = {re.split(r"[^\w-]", text, maxsplit=1)[0] for text in project["dependencies"]}
+    texts = [*project["dependencies"], *(text for extra in extras for text in project["optional-dependencies"][extra])]
+    names = {re.split(r"[^\w-]", text, maxsplit=1)[0] for text in texts}
     return names.union(*(declared(name) for name in names if name in PACKAGES))
+
+
+def extras_of_image(package: str) -> frozenset[str]:
+    """The extras of `package` that each installation in its Dockerfile names."""
+    file = ROOT / "deploy/docker" / f"{package.removeprefix('stampede-rt-')}.Dockerfile"
+    if not file.exists():
+        return frozenset()
+    lines = [line for line in file.read_text().splitlines() if f"--package {package}" in line]
+    return frozenset.intersection(*(frozenset(re.findall(r"--extra (\S+)", line)) for line in lines))
 
 
 @pytest.mark.parametrize("package", sorted(set(PACKAGES) - {"stampede-rt"}))
@@ -143,7 +153,7 @@ def test_a_service_declares_its_imports_so_that_its_image_has_them(package: str)
     foreign = set(imported_modules(PACKAGES[package] / "src")) - sys.stdlib_module_names - OPTIONAL
     installed = importlib.metadata.packages_distributions()
     ours = {name.replace("-", "_"): [name] for name in PACKAGES}
-    allowed = declared(package) | {package}
+    allowed = declared(package, extras_of_image(package)) | {package}
     providers = {module: ours.get(module) or installed.get(module, []) for module in foreign}
     # A distribution may write its name with "_" or "-"; both are the same name.
     named = {module: {name.replace("_", "-").lower() for name in names} for module, names in providers.items()}
