@@ -14,6 +14,7 @@ from stampede_rt.v1.directory_service_pb2_grpc import add_DirectoryServiceServic
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
+from stampede_rt_local.ports import free_ports
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import ServiceServer, serving
@@ -88,9 +89,7 @@ async def test_a_caller_of_another_protocol_version_is_told_both() -> None:
 
 
 async def test_a_caller_that_comes_before_the_supernode_waits_for_it() -> None:
-    directory = FakeSupernode()
-    async with supernode(directory) as first:
-        address = first.address
+    directory, address = FakeSupernode(), f"localhost:{free_ports(1)[0]}"
     async with frontend(address) as bind:
         waiting = asyncio.ensure_future(bind())
         async with supernode(directory, address):
@@ -123,8 +122,8 @@ async def test_members_are_learned_from_one_seed() -> None:
 async def test_a_dead_supernode_goes_to_the_end_and_comes_back() -> None:
     one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(two) as second:
-        async with supernode(one) as first:
-            place = first.address
+        place = f"localhost:{free_ports(1)[0]}"
+        async with supernode(one, place):
             one.members = two.members = {"s1": place, "s2": second.address}
             stack = AsyncExitStack()
             bind = await stack.enter_async_context(frontend(place, second.address))
