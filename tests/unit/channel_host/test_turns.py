@@ -8,16 +8,18 @@ import threading
 
 from stampede_rt_channel_host.turns import Turns
 
-STEPS = 300
+STEPS, LOOKS = 300, 50
 
 
 def test_a_thread_sees_no_half_done_step_and_the_loop_goes_on_while_it_looks_again_and_again() -> None:
     turns, ended = Turns(), threading.Event()
     state = [0, 0]
-    seen: set[bool] = set()
+    looks: list[bool] = []
 
     async def change() -> None:
-        for number in range(STEPS):
+        number = 0
+        while number < STEPS or len(looks) < LOOKS:  # a thread may be slow to begin
+            number += 1
             state[0] = number
             sum(range(2000))  # others have the chance to look now
             state[1] = number
@@ -34,10 +36,10 @@ def test_a_thread_sees_no_half_done_step_and_the_loop_goes_on_while_it_looks_aga
     while not ended.is_set():
         turns.give_way()
         with turns.lock:
-            seen.add(state[0] == state[1])
+            looks.append(state[0] == state[1])
     loop.join()
-    assert seen == {True}
-    assert state == [STEPS - 1, STEPS - 1]
+    assert all(looks)
+    assert state[0] == state[1] >= STEPS
 
 
 def test_after_the_end_of_the_loop_no_call_waits_for_it() -> None:
