@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import os
+import subprocess
+import sys
 import tracemalloc
 
 from stampede_rt.v1 import channel_pb2
@@ -19,7 +22,7 @@ from stampede_rt_channel_host.cluster.records import recorded_channel
 
 S = 10**9
 CHANNELS = 200
-BYTES_MAX = 6 * 1024  # 5,680 in a new process; 5,730 in one that has used copies, archives and moves, too
+BYTES_MAX = 6 * 1024  # 5,760 with Python 3.11
 
 
 def idle_channel(number: int, sweep: Sweep, memory: MemoryBudget, limits: TimeLimits) -> HostedChannel:
@@ -33,17 +36,29 @@ def idle_channel(number: int, sweep: Sweep, memory: MemoryBudget, limits: TimeLi
     return channel
 
 
-async def test_an_idle_channel_with_one_item_takes_less_than_six_kilobytes() -> None:
+async def used_bytes() -> int:
+    """Return the memory of CHANNELS idle channels, beside a channel that has used all that a channel may have."""
     sweep, limits = Sweep(lambda: S), TimeLimits()
     memory = MemoryBudget(2**30, sweep.reclaim)
     kept = [idle_channel(0, sweep, memory, limits)]  # fills the caches
+    for name in {*HostedChannel.__annotations__} - {*vars(kept[0])}:
+        setattr(kept[0], name, getattr(kept[0], name))  # Python keeps one table of names for all channels
     gc.collect()
     tracemalloc.start()
     try:
         kept += [idle_channel(number, sweep, memory, limits) for number in range(1, CHANNELS + 1)]
         await sweep.sweep()
         gc.collect()
-        used_bytes, _ = tracemalloc.get_traced_memory()
+        return tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()
-    assert used_bytes / CHANNELS < BYTES_MAX
+
+
+def test_an_idle_channel_with_one_item_takes_less_than_six_kilobytes() -> None:
+    """In a process of its own: tests whose channels cannot be set up spoil Python's tables of names for the others."""
+    measured = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True, check=True, timeout=60)
+    assert int(measured.stdout) / CHANNELS < BYTES_MAX
+
+
+if __name__ == "__main__":
+    print(asyncio.run(used_bytes()))
