@@ -241,7 +241,7 @@ def test_a_host_gets_no_channel_of_another_host_by_its_own_word(cluster: LocalCl
             return stub.CommitMove(commit, timeout=5)
 
         owner = cluster.hosts[0].address
-        assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move what host h1 owns")
+        assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move channels or queues of host h1")
         assert ask(owner, own, feed).startswith("PERMISSION_DENIED: no caller has asked this host to hand channel")
         assert ask(supernode, own, commits).startswith("PERMISSION_DENIED: host h9 cannot own channel moved/by/nobody")
         assert rt.channel("moved/by/nobody").info.host == "h1"
@@ -411,7 +411,7 @@ async def test_hosts_alone_say_where_a_dead_letter_comes_from(
         if not believed:
             assert from_error_message(ack.error).reason == "PERMISSION_DENIED"
             assert f"{role} robot may not set the origin of a run" in ack.error.message
-            assert "hosts alone forward dead letters; leave origin out" in ack.error.message
+            assert "only hosts forward dead letters; leave origin out" in ack.error.message
         assert (await queue.stats()).held == int(believed)
 
 

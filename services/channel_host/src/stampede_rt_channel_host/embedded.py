@@ -1,7 +1,7 @@
 """A channel host inside another program's process: `stampede_rt.host` (paper, section 4.2).
 
-The host has a thread and an event loop of its own, so it serves others while the program is busy. It never sets what
-belongs to the whole process, such as signal handlers, limits or the garbage collector.
+The host has a thread and an event loop of its own, so it serves others while the program is busy. It never changes
+settings of the whole process, such as signal handlers, limits or the garbage collector.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class EmbeddedHost:
         return self._on_loop(perform)
 
     def _on_loop(self, perform: Callable[[ChannelStore, Future[Any]], None]) -> Future[Any]:
-        """Have the host's thread perform a call. Its result is None if the host is not there any more."""
+        """Have the host's thread perform a call. Its result is None if the host has ended."""
         told: Future[Any] = Future()
         served, loop = self._served, self._loop
         if served is None or loop is None or not self.is_alive:
@@ -198,7 +198,7 @@ class EmbeddedHost:
         finally:
             self._turns.loop_ended()
             _here.discard(self)  # its port may belong to others now
-            for told in [*self._asked]:  # the loop can answer them no more
+            for told in [*self._asked]:  # the loop no longer answers them
                 _tell(told, None)
 
     async def _serve(self) -> None:

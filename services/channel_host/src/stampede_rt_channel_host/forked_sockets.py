@@ -1,4 +1,4 @@
-"""The copies of a server's sockets that a forked child has. They are found by their local ends.
+"""Closes the copies of a server's sockets in a forked child. Finds them by their local ends.
 
 gRPC does not tell which descriptors are its own.
 """
@@ -17,7 +17,7 @@ _IPV4_AS_IPV6 = "::ffff:"
 def close_copies(address: str, path: str) -> None:
     """Close the sockets of this process at a TCP address "HOST:PORT" and at a Unix path. Empty: there is none.
 
-    The descriptors stay taken: the objects that own them may close them later, and must then close no others.
+    The descriptors stay in use: the objects that own them may close them later, and must not close other files then.
     """
     with open(os.devnull, "rb") as nothing:
         for descriptor in _sockets_of_this_process():
@@ -48,7 +48,7 @@ def _is_end_of(descriptor: int, address: str, path: str) -> bool:
     try:
         family, kind, name = one.family, one.type, one.getsockname()
     finally:
-        one.detach()  # it is not this object's to close
+        one.detach()  # another object closes it
     if kind != socket.SOCK_STREAM:
         return False
     if family == socket.AF_UNIX:
@@ -60,7 +60,9 @@ def _is_end_of(descriptor: int, address: str, path: str) -> bool:
 
 
 def _may_be(ip: str, host: str) -> bool:
-    """Whether a server at `host` has sockets at an IP address. A name may stand for any, but "localhost" for few."""
+    """Whether a server at `host` may have sockets at an IP address. A name may stand for any address, "localhost" only
+    for the machine's own.
+    """
     if host == "localhost":
         return ip in ("127.0.0.1", "::1")
     is_name = not (host.replace(".", "").isdigit() or ":" in host)

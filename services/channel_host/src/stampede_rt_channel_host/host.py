@@ -278,7 +278,9 @@ class ChannelHost:
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
     async def give_away(self, seconds: float) -> None:
-        """Move the channels to other hosts, for `seconds` at most, and take none from them: this host stops."""
+        """Move the channels to other hosts, for `seconds` at most, and accept no channels from them, because this host
+        stops.
+        """
         self.moves_here.close()
         self._queues_here.close()
         await self.draining.run(seconds)

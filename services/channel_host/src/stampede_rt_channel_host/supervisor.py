@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 STOP_SECONDS_MAX = 6.0  # longer than a host waits for its calls (2 * 2 s), after it has given its channels away
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.5, 30.0
-STEADY_SECONDS = 60.0  # a process that ran that long starts again after the shortest pause
+STEADY_SECONDS = 60.0  # a process that ran for this time starts again after the shortest pause
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -43,11 +43,11 @@ class RestartPauses:
 
 
 class Supervisor:
-    """The processes of one machine, of which each has its own arguments. Use it on one event loop."""
+    """The processes of one machine, each with its own arguments. Use it on one event loop."""
 
     def __init__(self, arguments: Sequence[Sequence[str]], drain_seconds: float) -> None:
-        """`drain_seconds`: how long each process may take to give its channels away. STOP_SECONDS_MAX later a process
-        that still runs is killed.
+        """`drain_seconds`: how long each process may take to give its channels away. STOP_SECONDS_MAX later the
+        supervisor kills a process that still runs.
         """
         self._arguments = arguments
         self.stop_seconds_max = drain_seconds + STOP_SECONDS_MAX
@@ -132,7 +132,7 @@ class Supervisor:
         while line := await process.stdout.readline():
             was_ready = True
             self._note_ready(number)
-            with contextlib.suppress(OSError):  # nobody reads the supervisor's output any more; the hosts still serve
+            with contextlib.suppress(OSError):  # a closed pipe: the hosts still serve
                 sys.stdout.write(escaped(line.decode(errors="replace").rstrip("\n")) + "\n")
                 sys.stdout.flush()
         return was_ready

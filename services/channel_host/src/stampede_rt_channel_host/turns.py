@@ -19,9 +19,10 @@ class Turns:
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
-        """Held by the loop during its steps. Others take it by `with turns.lock`, which Ctrl-C cannot leave locked.
+        """Held by the loop during its steps. Other threads take it by `with turns.lock`, so that Ctrl-C cannot leave it
+        locked.
 
-        A thread that looks may look again: Python can run a signal handler or `__del__` of the program meanwhile.
+        One thread may take it twice, because Python can run a signal handler or `__del__` of the program meanwhile.
         """
         self._is_awaited = False  # whether the loop waits for the lock
 
@@ -33,7 +34,7 @@ class Turns:
         return made
 
     def give_way(self) -> None:
-        """Let the loop go on if it waits. A thread calls it before it takes the lock."""
+        """Let the loop run if it waits for the lock. A thread calls this method before it takes the lock."""
         if self._is_awaited:
             time.sleep(_GIVE_WAY_SECONDS)
 

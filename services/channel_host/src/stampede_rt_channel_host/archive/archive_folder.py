@@ -24,7 +24,9 @@ class ArchiveFolder:
     """
 
     def __init__(self, path: Path, bytes_max: int = 0) -> None:
-        """`bytes_max`: the most bytes that the archive may have; 0: nine tenths of the room that its disk has."""
+        """`bytes_max`: the most bytes that the archive may have; 0: nine tenths of its own and the free bytes of its
+        disk.
+        """
         self.path = path
         self._bytes_max = bytes_max
         self._lock: IO[str] | None = None
@@ -71,7 +73,7 @@ class ArchiveFolder:
             )
 
     def continued(self) -> int:
-        """The boot incarnation of the last process that left everything here when it stopped; 0: none is known.
+        """The boot incarnation of the last process that had archived all items before it stopped; 0: none is known.
 
         Only the directory knows whether another process of the host has registered since. Raises OSError.
         """
@@ -80,7 +82,7 @@ class ArchiveFolder:
         return int(text) if text.isdecimal() and int(text) < 2**64 else 0
 
     def note_stop(self, boot_incarnation: int) -> None:
-        """This process has archived all items of all recorded channels, and stops. Raises OSError."""
+        """Note that this process has archived all items of all recorded channels, and stops. Raises OSError."""
         _write(self.path / _STOPPED_FILE, str(boot_incarnation))
 
     @property
@@ -93,13 +95,13 @@ class ArchiveFolder:
         return self.channels / channel_id.hex()
 
     def of_channels(self) -> Iterator[FoundFolder]:
-        """The folders of all channels, those of deleted channels included. Blocks. Raises OSError."""
+        """The folders of all channels, including those of deleted channels. Blocks. Raises OSError."""
         return folders_of_channels(self.path / _CHANNELS)
 
     def limit_bytes(self, used_bytes: int, besides: int = 0) -> int:
         """The most bytes that the archive may have, if it has `used_bytes` now. Raises OSError.
 
-        `besides`: the bytes that others may take of the disk.
+        `besides`: the free bytes of the disk that the archive leaves to other users.
         """
         return self._bytes_max or max(0, used_bytes + shutil.disk_usage(self.path).free - besides) * 9 // 10
 

@@ -1,4 +1,4 @@
-"""The note of a host that stopped: the archive of a channel has everything. For threads, because it blocks."""
+"""The note that a host leaves when it stops: the archive has all items of a channel. For threads, because it blocks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FILE = "stopped-cleanly"
 
 
 class CleanStop(NamedTuple):
-    """The facts of a channel that are not in its items, as of the moment in which its host stopped.
+    """The facts about a channel that its items do not have, as of the moment at which its host stopped.
 
     `epoch` and `incarnation` are those of the channel then. `lost_from` and `lost_before` are the bounds of an earlier
     loss, or None. `retries` is the encoded retry window of the producers.
@@ -28,10 +28,10 @@ class CleanStop(NamedTuple):
     epoch: int = 0
 
     def is_of(self, incarnation: int, epoch: int) -> bool:
-        """Whether no other host has had the channel since, nor a process that did not stop cleanly.
+        """Whether the note is still true: since then, no other host and no process without a clean stop has served it.
 
-        The directory keeps the incarnation over clean stops. With another incarnation it may have raised the epoch
-        once.
+        The directory keeps the incarnation over clean stops. If it has changed the incarnation, it may have raised the
+        epoch by one.
         """
         return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
 
@@ -47,7 +47,7 @@ def write_stop(folder: Path, stop: CleanStop) -> None:
 
 
 def read_stop(folder: Path) -> CleanStop | None:
-    """The note, or None if there is none that can be read. Raises OSError."""
+    """The note, or None if it is missing or cannot be read. Raises OSError."""
     try:
         facts = json.loads((folder / _FILE).read_bytes())
         stop = CleanStop(**{**facts, "retries": b64decode(facts["retries"])})

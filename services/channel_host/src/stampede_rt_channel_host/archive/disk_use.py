@@ -15,7 +15,7 @@ from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 
 FOLDER_BYTES = 2**18
-"""The bytes for which the folder of a channel counts besides its files: folders and files take inodes, too."""
+"""The bytes that a channel's folder counts in addition to its files, because folders and files also take inodes."""
 _FACTS_BYTES_MAX = 2**16
 
 
@@ -49,7 +49,7 @@ class DiskUse:
         return found or ChannelDiskUse(self, channel_id, created_by, self._account_of(created_by))
 
     def update(self, folders: Iterable[FoundFolder], besides: Set[bytes] = frozenset()) -> None:
-        """Take over the folders as they are on the disk now, but for the channels `besides`."""
+        """Take over the folders as they are on the disk now, except those of the channels `besides`."""
         gone = self._channels.keys() - besides
         for one in folders:
             if one.channel_id not in besides:
@@ -80,10 +80,10 @@ class DiskUse:
 class ChannelDiskUse:
     """The bytes of one channel's folder. They also count for the caller that created the channel.
 
-    `bytes`: on the disk. `coming`: at most so many come with the accepted items that are not written yet.
-    `archive_bytes`: the channel's own limit, or None. `charged_bytes`: the most that the folder can take with these
-    items. A channel that has three quarters of its own limit is charged with all of it, so that it can always go on:
-    it deletes its oldest file for each new one.
+    `bytes`: on the disk. `coming`: the most bytes that the accepted items will add when they are written.
+    `archive_bytes`: the channel's own limit, or None. `charged_bytes`: the greatest size that the folder can reach with
+    these items. A channel that uses three quarters of its own limit is charged for the whole limit. It can then always
+    continue, because it deletes its oldest file for each new one.
     """
 
     __slots__ = (
@@ -103,7 +103,7 @@ class ChannelDiskUse:
         self._update()
 
     def expect(self, coming: int, largest: int = 0) -> None:
-        """Report the bytes that are still to be written. `largest`: of the last accepted run."""
+        """Report the bytes that are still to be written. `largest`: the bytes of the last accepted run."""
         self.coming, self._largest = coming, max(self._largest, largest) if coming else 0
         self._update()
 
@@ -125,12 +125,12 @@ class ChannelDiskUse:
         self._charge.set(self.charged_bytes)
 
     def _most(self, coming: int, largest: int) -> int:
-        """The most bytes of the folder if `coming` bytes come, in runs of at most `largest` bytes."""
+        """The greatest size of the folder if `coming` bytes are added, in runs of at most `largest` bytes."""
         own = self.archive_bytes
         total = coming + (self.bytes or (FOLDER_BYTES if coming else 0))
         if own is None or total < own * 3 // 4:
             return total
-        last_file = own // 8 + BLOCK_BYTES + largest  # the only file that stays, however large it is
+        last_file = own // 8 + BLOCK_BYTES + largest  # the limit never deletes this file, however large it is
         return max(self.bytes, FOLDER_BYTES + own, min(total, FOLDER_BYTES + last_file))
 
 
@@ -148,7 +148,7 @@ def folders_of_channels(path: Path) -> Iterator[FoundFolder]:
 
 
 def _creator(sizes: Mapping[str, int]) -> str:
-    """The caller that created the channel of some files, as one of them tells; empty: no file tells."""
+    """The caller that created the channel of these files, by the first file that names it; empty: no file does."""
     for path in sorted(one for one in sizes if one.endswith(".segment")):
         try:
             with open(path, "rb", buffering=0) as file:
@@ -163,4 +163,4 @@ def _creator(sizes: Mapping[str, int]) -> str:
 
 
 def _ignore() -> None:
-    """Nothing can be deleted."""
+    """Does nothing, because there are no files to delete."""

@@ -24,9 +24,9 @@ Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 READERS, READERS_OF_STORE = 2, 8  # threads; those of an object store mostly wait for the network
-WRITE_AFTER_SECONDS = 0.2  # small writes are put together for so long
+WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
 RETRY_SECONDS = 1.0
-CLOSE_SECONDS_MAX = 5.0  # for the last writes of a host that stops
+CLOSE_SECONDS_MAX = 5.0  # the limit for the last writes of a host that stops
 _REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
 
 
@@ -64,18 +64,18 @@ class HostArchive:
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with the function to call after the write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
-        self._hurry = asyncio.Event()  # somebody waits for stable storage
+        self._hurry = asyncio.Event()  # a put waits for stable storage
         self._is_closing = False
         self._failing: dict[ChannelRecorder, str] = {}  # the channels whose last write failed, and why
 
     @property
     def failure(self) -> str:
-        """Why the last write of a channel failed; empty: none did."""
+        """Why the last write of a channel failed; empty if no write failed."""
         return next(iter(self._failing.values()), "")
 
     @property
     def store_failure(self) -> str:
-        """Why the object store has failed last; empty: it works, or there is none."""
+        """Why the last call of the object store failed; empty: it succeeded, or there is no object store."""
         return "" if self.objects is None else self.objects.mover.failure
 
     @property
@@ -134,7 +134,7 @@ class HostArchive:
             self.objects.mover.start()
 
     def record(self, recorder: ChannelRecorder, *, has_moved: bool = False) -> None:
-        """A channel is recorded from now on, until `forget`. `has_moved`: another host recorded it until now."""
+        """Record a channel from now on, until `forget`. `has_moved`: another host recorded it until now."""
         self._recorders.add(recorder)
         if self.objects is not None:
             self.objects.mover.record(recorder)
@@ -142,7 +142,7 @@ class HostArchive:
                 self.objects.mover.expect_former(recorder)
 
     def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
-        """There are items of this channel to write."""
+        """Note that this channel has items to write."""
         self._due[recorder] = on_written
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._write_on(), name="archive")
@@ -154,7 +154,7 @@ class HostArchive:
         self._hurry.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
-        """Write no more for this channel. A write that is under way ends first."""
+        """Stop writing items of this channel. A write that is under way ends first."""
         recorder.stop()
         self._due.pop(recorder, None)
         self._failing.pop(recorder, None)
@@ -164,7 +164,7 @@ class HostArchive:
             self.objects.mover.forget(recorder)
 
     def delete(self, channel_id: bytes) -> None:
-        """The channel was deleted. Deletes its objects and its files; without an object store its files stay."""
+        """Delete the objects and files of a deleted channel. Without an object store its files stay."""
         if self.objects is not None:
             self.objects.mover.delete(channel_id)
 
@@ -180,7 +180,7 @@ class HostArchive:
                 return
 
     async def _gather(self) -> None:
-        """Wait for more items, unless somebody waits for stable storage."""
+        """Wait for more items, unless a put waits for stable storage."""
         try:
             async with asyncio.timeout(WRITE_AFTER_SECONDS):
                 await self._hurry.wait()
@@ -189,8 +189,8 @@ class HostArchive:
         self._hurry.clear()
 
     async def write_all(self) -> None:
-        """Write all that the channels have accepted. After a failure the items of this channel stay in memory, and are
-        written a second later. The other channels do not wait for it.
+        """Write all items that the channels have accepted. If the write of a channel fails, its items stay in memory,
+        and the archive tries again a second later. The other channels do not wait for it.
         """
         while self._due:
             recorder = next(iter(self._due))
@@ -235,7 +235,7 @@ class HostArchive:
             )
 
     def _make_room(self) -> None:
-        """Look for files that may go, because the limit of the disk has refused something. Once in a while."""
+        """Delete outdated files, because the limit of the disk has refused something. At most once in RETRY_SECONDS."""
         if self._making_room is None or self._making_room.done():
             self._making_room = asyncio.create_task(self._delete_outdated(), name="archive-room")
             self._making_room.add_done_callback(_log_defect)
@@ -282,11 +282,11 @@ class HostArchive:
         return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
     async def close(self, recorders: list[ChannelRecorder], boot_incarnation: int = 0) -> None:
-        """Write the rest, and note in the folder of each channel that nothing is missing.
+        """Write the remaining items, and note in the folder of each channel if it has all items.
 
-        If nothing is missing in any channel, notes that, too, with the host's `boot_incarnation`; 0: notes nothing.
-        A write that is under way ends first, so that its items are not written twice. Waits CLOSE_SECONDS_MAX for the
-        writes, and once more for the notes.
+        If the folders of all channels have all items, also notes the host's `boot_incarnation`, unless it is 0. A write
+        that is under way ends first, so that its items are not written twice. Waits up to CLOSE_SECONDS_MAX for the
+        writes, and as long again for the notes.
         """
         self._is_closing = True
         if self._making_room is not None:
@@ -332,7 +332,7 @@ class HostArchive:
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:
-    """The writing has ended with a defect: items stay in memory, as when the disk is full."""
+    """Log a defect that has ended the task of the writes. Items then stay in memory, as with a full disk."""
     if not task.cancelled() and (failure := task.exception()) is not None:
         logger.error(
             "a task of the host ended with a defect",

@@ -1,4 +1,4 @@
-"""The places of blocks that reads have found, kept for the next reads, for all channels of a host."""
+"""Keeps the places of the blocks that reads have found, for later reads of all channels of a host."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class KeptBlocks:
         self._kept: OrderedDict[tuple[object, int], FoundBlocks] = OrderedDict()
 
     def get(self, files: object, number: int) -> FoundBlocks:
-        """The blocks that are kept; perhaps none."""
+        """The kept blocks of a segment; perhaps none."""
         with self._lock:
             found = self._kept.get((files, number))
             if found is None:
@@ -41,7 +41,9 @@ class KeptBlocks:
             return found
 
     def keep(self, files: object, number: int, found: FoundBlocks) -> None:
-        """Keep these blocks of a segment, instead of those before. Forgets the segments that were not used for long."""
+        """Keep these blocks of a segment, and forget its former ones. Drops the segments that were used the longest
+        time ago.
+        """
         with self._lock:
             before = self._kept.pop((files, number), None)
             self._kept[files, number] = found

@@ -16,10 +16,10 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
-SLICES_PER_NOTE = 2048  # a look at so many takes about 1 ms
+SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
-ADVANCES_MAX = 4096  # that wait for the archive; of more, only the latest is kept
-PUTS_LEAST = 4096  # from so many puts that wait for the archive on, those without items in memory become one
+ADVANCES_MAX = 4096  # that wait for the archive; if there are more, the recorder keeps only the latest one
+PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins those without items in memory
 Part = list[ArchivedRun] | SeqGap | Advances
 
 
@@ -57,9 +57,9 @@ class ChannelRecorder:
         self.keep(segments)
         self.unarchived = 0
         self.is_stopped = False
-        """Whether the host has given the channel up: nothing is written for it any more."""
+        """Whether the host has given the channel up: the archive writes no more items of it."""
         self.failure = ""
-        """Why the last write failed; empty: it did not."""
+        """Why the last write failed; empty: it succeeded."""
         self._gaps: list[SeqGap] = []  # the last seqs that the archive will never have
         self._moved = asyncio.Event()  # is set, and replaced, when a write has ended
         self.limits = ArchiveLimits(None, None)
@@ -74,7 +74,7 @@ class ChannelRecorder:
         self._instants: list[int] = []
         self._sizes: list[int] = []
         self._coming_bytes = 0
-        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE  # at so many the recorder looks what memory has
+        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE  # then it forgets the lost items
         self._advances: list[ArchivedAdvance] = []  # that are not archived
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
@@ -117,7 +117,8 @@ class ChannelRecorder:
     def _size_from(self, seq: int) -> tuple[int, int]:
         """The most bytes that the items from `seq` on take on the disk, and the seq up to which they are counted.
 
-        Looks at SLICES_PER_NOTE at most. A channel that has moved here has more; the next calls count the others.
+        Looks at SLICES_PER_NOTE slices at most. A channel that has moved here may have more; later calls count the
+        others.
         """
         slices = [*islice(self._channel.accepted_from(seq), SLICES_PER_NOTE)]
         runs = {id(one.run): one.run for one in slices}.values()
@@ -125,13 +126,15 @@ class ChannelRecorder:
         return sized_to, sum(len(run.body) for run in runs) + self.files.run_bytes_max * max(1, len(runs))
 
     def _expect(self, largest: int) -> None:
-        """Report to the disk what comes. `largest`: the bytes of the latest put."""
+        """Report the bytes that are still to be written. `largest`: the bytes of the latest put."""
         rows = len(self._advances)
         of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
         self.disk.expect(0 if self.is_stopped else self._coming_bytes + of_advances, largest)
 
     def _forget_collected(self) -> None:
-        """Make one put of those whose items memory has lost, while the disk fails. Their first instant stays."""
+        """Join the waiting puts whose items memory has lost while the disk failed. The joined put has their first
+        instant.
+        """
         held = next(iter(self._channel.accepted_from(self.archived_to)), None)
         done = bisect_right(self._ends, self._channel.next_seq if held is None else held.run.first_seq)
         if done:
@@ -233,13 +236,13 @@ class ChannelRecorder:
         self.note_end("")
 
     def note_end(self, failure: str) -> None:
-        """A write has ended, with a `failure` or without one. Wakes those who wait for stable storage."""
+        """Note that a write has ended, with a `failure` or without one. Wakes the puts that wait for stable storage."""
         self.failure = failure
         moved, self._moved = self._moved, asyncio.Event()
         moved.set()
 
     def stop(self) -> None:
-        """Nothing is written for the channel any more. Idempotent."""
+        """Note that the archive writes no more items of the channel. Idempotent."""
         self.is_stopped = True
         self._expect(0)
         self.note_end(self.failure)
@@ -247,7 +250,7 @@ class ChannelRecorder:
     async def stored(self, first_seq: int, end_seq: int, seconds_max: float | None) -> str:
         """Wait until these items are on stable storage, `seconds_max` at most; None: without a limit.
 
-        Returns an empty text, or why they are not.
+        Returns an empty text, or the reason why they are not.
         """
         try:
             async with asyncio.timeout(seconds_max):
@@ -262,9 +265,9 @@ class ChannelRecorder:
 
 
 def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...], *, is_shared: bool) -> int:
-    """The first seq that an archive lacks: after its last item, or of the first item that the channel holds.
+    """The first seq that an archive lacks: the seq after its last item, or the seq of the first held item.
 
-    If the archive is shared, the former owner adds the items between the two.
+    In a shared archive it is the later of the two, because the former owner adds the items before it.
     """
     archived = max((one.end_seq for one in segments), default=0)
     if archived and not is_shared:

@@ -35,7 +35,7 @@ from stampede_rt_channel_host.core.archive.stored_segment import below, first_nu
 
 BLOCK_BYTES = 2**18
 SEGMENT_BYTES = 64 * 2**20
-SEGMENTS_PER_AGE = 16  # a segment ends after this part of the archive's age, so that the age can be kept
+SEGMENTS_PER_AGE = 16  # a segment ends after 1/16 of the archive's age, because the archive drops only whole segments
 
 
 class SeqGap(NamedTuple):
@@ -65,7 +65,8 @@ class ArchiveLimits(NamedTuple):
 class OpenedArchive(NamedTuple):
     """The archive that a host finds in the folder of a channel.
 
-    `stop`: the last host process archived all that it had accepted. `torn_bytes` were cut off the end.
+    `stop`: the note that the last host process had archived all accepted items, or None. `torn_bytes` were cut off the
+    end.
     """
 
     segments: tuple[Segment, ...]
@@ -108,7 +109,7 @@ class SegmentFiles(SegmentReads):
     def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
         """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now.
 
-        `stored`: the segments in an object store, which are none of the folder's.
+        `stored`: the segments that are only in an object store.
         """
         self._epoch = epoch
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -225,7 +226,7 @@ class SegmentFiles(SegmentReads):
         return segment.length >= least or (is_old and segment.items > 0)
 
     def _begin_segment(self, head: BlockHead) -> None:
-        """End the present segment, and begin the next one, whose name no other segment has had."""
+        """End the present segment, and begin the next one under a name that no segment has had before."""
         self._end_segment()
         number = self._next_number()
         self._delete_leftovers(number)
@@ -276,7 +277,7 @@ class SegmentFiles(SegmentReads):
             number += 1
 
     def _drop_old(self, limits: ArchiveLimits, now: int) -> None:
-        """Delete the oldest segments as long as the limits are kept without them. Never deletes the last segment.
+        """Delete the oldest segments that the limits do not keep. Never deletes the last segment.
 
         A segment that cannot be deleted now stays in the archive until a later write.
         """
@@ -304,7 +305,7 @@ class SegmentFiles(SegmentReads):
     def close(self, stop: CleanStop | None) -> None:
         """End the present segment. `stop`: all accepted items are in the archive.
 
-        Without it, deletes a folder without files. With it the folder stays, because it holds the note.
+        With `stop`, the folder stays, because it holds the note. Without it, deletes the folder if it has no files.
         """
         self._end_segment()
         if stop is not None and self._folder.is_dir():

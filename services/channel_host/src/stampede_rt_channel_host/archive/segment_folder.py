@@ -1,4 +1,4 @@
-"""Where the bytes of closed and open segments are: a folder, or another place with the same few methods. Blocks."""
+"""The place of the bytes of segments: a folder, or another object with the same methods. The methods block."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SegmentPlace(Protocol):
         ...
 
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
-        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
+        """The blocks of a segment from the offset `begin` on, up to the length that `segment` states."""
         ...
 
     def read_again(self, number: int, offset: int, size: int) -> bytes | None:
@@ -65,7 +65,7 @@ class SegmentFolder:
             yield lambda offset, size: _read_at_hand(file.fileno(), offset, size)
 
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
-        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
+        """The blocks of a segment from the offset `begin` on, up to the length that `segment` states."""
         with self.opened(segment.number) as read_at:
             return scan(read_at, segment.length, check_contents=False, begin=begin).blocks
 

@@ -186,4 +186,4 @@ class SegmentReads:
 
 
 def _go_on() -> None:
-    """A short read leaves no turn to others."""
+    """Does nothing, because a short read gives no turn to other threads."""

@@ -32,6 +32,6 @@ def sync_folder(folder: Path) -> None:
 def make_folder(folder: Path) -> None:
     """Make a folder of mode 0700 and its parents, and bring their names to stable storage. Raises OSError."""
     missing = [one for one in (folder, *folder.parents) if not one.exists()]
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # the mode of parents is not this one
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # `mode` does not apply to the parents
     for made in missing:
         sync_folder(made.parent)

@@ -125,7 +125,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
 
 
 def query_of(query: ReadQuery) -> Query:
-    """The query of the core. Raises InvalidArgument for an item that is none of a channel."""
+    """The query of the core. Raises InvalidArgument for an item that was not read from a channel."""
     return Query(
         interval=query.interval,
         match=query.match,

@@ -54,7 +54,7 @@ class ChannelChanges:
         directory answers.
         """
         hosted = await self._owned(channel_id, epoch, AccessVerb.CONFIGURE)
-        self._store.recordings.check_change(hosted.record, change.stated)  # the directory must take nothing impossible
+        self._store.recordings.check_change(hosted.record, change.stated)  # before the directory takes it
         registrations = self._store.registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
         if registrations != self._store.registrations:
@@ -62,7 +62,7 @@ class ChannelChanges:
         return await self._store.recordings.adopt(record, hosted, self._store.adopt)
 
     async def _owned(self, channel_id: bytes, epoch: int, verb: AccessVerb) -> HostedChannel:
-        """The channel that this host owns, for a caller who may change it so. Raises the errors of `bind`."""
+        """The channel that this host owns, if the caller may make this change. Raises the errors of `bind`."""
         await self._store.bind(channel_id, epoch)
         hosted = self._store.find(channel_id, epoch)  # not a copy
         check_access(verb, AccessKind.CHANNEL, hosted.record.name)

@@ -51,7 +51,7 @@ class ChannelRing:
         self._begin()
 
     def _begin(self) -> None:
-        """Write the newest held items, as far as they follow each other in seq and in time."""
+        """Write the newest held items that follow each other without a gap in seq, and in the order of time."""
         slices: list[Slice] = []
         filled_bytes = 0
         for part in islice(self._channel.newest_slices(), FILLED_SLICES_MAX):

@@ -26,7 +26,7 @@ class Freshness(NamedTuple):
 
 
 class Inheritance(NamedTuple):
-    """The copy has everything of its source, which changes nothing more. `host_time`: the channel's clock there."""
+    """The copy has all items of its source, and the source changes no more. `host_time`: the channel's clock there."""
 
     host_time: int
 
@@ -77,7 +77,7 @@ class CopyState:
                 self.floors[floor.group_id] = floor
 
     async def wait_for(self, condition: Callable[[], bool], seconds_max: float) -> bool:
-        """Wait until `condition` holds after a part of the feed. Returns whether it holds after `seconds_max`."""
+        """Wait until `condition` holds after a part of the feed, `seconds_max` at most. Returns whether it holds."""
         await self._wait(condition, seconds_max)
         return condition()
 
@@ -87,8 +87,8 @@ class CopyState:
         changed.set()
 
     def check(self, name: str, next_seq: int, demand: Freshness) -> None:
-        """Raises StaleBinding (MOVED) if the copy of channel `name`, with seqs below `next_seq`, does not meet the
-        demand.
+        """Raises StaleBinding (MOVED) if the copy of channel `name` does not meet the demand. Its seqs are below
+        `next_seq`.
         """
         if self.is_replica:
             raise refusals.copy_cannot(name, "is a replica, which serves no caller before it becomes the owner")

@@ -48,7 +48,9 @@ class HostedChannel:
     moving: Moving | None = None
     """The move of the channel away from this host, or to it, while one is under way."""
     is_inherited = False
-    """Whether another object at this host goes on with the items: the owner with a copy's, or a replica."""
+    """Whether another object of this host has taken the items over, because a copy became the owner or the owner a
+    replica.
+    """
     recording: Recording | None = None
     """The recording of a channel with an archive."""
     largest_run_bytes = 0
@@ -174,7 +176,7 @@ class HostedChannel:
         self._touched()
 
     def archived(self) -> None:
-        """The archive has got further: memory may collect more items, and waiting puts may have room."""
+        """Note that the archive has written items: memory may now collect these, and waiting puts may have room."""
         now = self._now()
         self.collect(now)
         self.puts.changed(now)
@@ -310,7 +312,7 @@ class HostedChannel:
             ring.close()
 
     def _repeat_in_ring(self) -> None:
-        """Show the present state to the readers of the ring. A reader must not see less than the caller of a put."""
+        """Show the present state to the readers of the ring. A reader must see each item whose put is acknowledged."""
         if self.ring is not None and not self.ring.follow():
             self.largest_run_bytes = max(self.largest_run_bytes, self.ring.refused_bytes)
             self.close_ring()

@@ -55,7 +55,7 @@ class HostedCopies:
 
         Raises Overloaded if the host has too many channels.
         """
-        on_dropped, begun.state.on_dropped = begun.state.on_dropped, _nothing  # the same feed goes on
+        on_dropped, begun.state.on_dropped = begun.state.on_dropped, _nothing  # the feed stays the same
         self._forget(record.channel_id, gone(record.name))
         begun.state.on_dropped = on_dropped
         return self._add(record, begun)
@@ -126,5 +126,5 @@ def _nothing() -> None:
 
 
 async def _refuse(record: RecordedChannel) -> None:
-    """Refuse to begin a copy, until the host has said how."""
+    """Refuse to begin a copy. The host replaces this function by its own."""
     raise refusals.copy_cannot(record.name, "does not exist")

@@ -43,7 +43,8 @@ async def tried(read: Callable[[], Awaitable[Done]]) -> Done:
 class PastSummary(NamedTuple):
     """The highest advance at an earlier instant, when the channel next changed, and the items that came then.
 
-    `next_items` is None if only the advance changed then. Each may be None: there was none, or none yet.
+    `next_items` is None if only the advance changed then. The other fields are None if there was no advance, or no
+    later change yet.
     """
 
     advance: int | None

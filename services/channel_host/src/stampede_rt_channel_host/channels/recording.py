@@ -115,7 +115,7 @@ class Recording:
         self.recorder.limit(ArchiveLimits(age, policy.archive_bytes))
 
     def accepted(self, now: int) -> None:
-        """The channel has accepted items or an advance at `now`."""
+        """Note that the channel has accepted items or an advance at `now`."""
         if self.recorder.note(now):
             self._archive.touch(self.recorder, self._on_archived)
 
@@ -126,17 +126,17 @@ class Recording:
             self.recorder.check_room()
 
     def hurry(self) -> None:
-        """A put waits for stable storage."""
+        """Write at once, because a put waits for stable storage."""
         self._archive.hurry()
 
     def stop(self) -> None:
-        """Write no more: the host gives the channel up."""
+        """Stop writing, because the host gives the channel up."""
         if not self.is_stopped:
             self.is_stopped = True
             self._archive.forget(self.recorder)
 
     def reaches(self, query: Query, now: int) -> bool:
-        """Whether a read may want items that only the archive has."""
+        """Whether a read may need items that only the archive has."""
         if not self.recorder.segments:
             return False
         held, _ = self._channel.look(now)
@@ -154,7 +154,7 @@ class Recording:
         return await tried(lambda: self._read(query, within, scheduler, now()))
 
     def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:
-        """Whether a read through a group may want items that only the archive has."""
+        """Whether a read through a group may need items that only the archive has."""
         held, _ = self._channel.look(now)
         return bool(self.recorder.segments) and reaches_archive(held, self.recorder.span, query, horizon, now)
 
@@ -207,8 +207,9 @@ class Recording:
     async def items_from(
         self, seqs: tuple[int, int], bytes_max: int, now: Callable[[], int]
     ) -> tuple[Iterable[Slice], Callable[[int], int | None], int]:
-        """The first of these seqs that memory or the archive has: the items, a function that gives the time of the next
-        bucket after a time, and the seq up to which these are all. Raises Unavailable if the archive cannot be read.
+        """The first items with these seqs that memory or the archive has. Returns the items, a function that gives the
+        time of the next bucket after a time, and the seq after the last item that was looked for. Raises Unavailable if
+        the archive cannot be read.
         """
         held, _ = self._channel.look(now())
         end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)

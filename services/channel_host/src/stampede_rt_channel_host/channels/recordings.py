@@ -114,7 +114,7 @@ class Recordings:
             self._check_room(record)
 
     def _check_room(self, record: RecordedChannel) -> None:
-        """Raises Overloaded if the archive has no room for this channel, and nothing of it yet."""
+        """Raises Overloaded if the archive has no items of this channel yet, and no room for it."""
         if self.archive is not None:
             disk = self.archive.disk.of_channel(record.channel_id, record.created_by)
             if not disk.bytes:
@@ -135,7 +135,7 @@ class Recordings:
         return hosted
 
     def _keep_retries(self, hosted: HostedChannel, opened: OpenedChannelArchive, recording: Recording) -> None:
-        """Go on with the retry window of the former process, and note the present one when this process stops."""
+        """Continue the retry window of the former process. Has this process note its own window when it stops."""
         stop, retries = opened.found.stop, hosted.puts.retries
         recording.recorder.encoded_retries = lambda: self.write_retries(retries)
         if stop is not None and stop.incarnation == hosted.record.incarnation:
@@ -148,7 +148,7 @@ class Recordings:
             self.archive.start()
 
     def deleted(self, record: RecordedChannel) -> None:
-        """The channel was deleted in the directory: delete its archive, if an object store has it."""
+        """Delete the archive of a channel that was deleted in the directory, if an object store has the archive."""
         if self.archive is not None and record.policy.is_recorded:
             self.archive.delete(record.channel_id)
 
@@ -159,14 +159,16 @@ class Recordings:
         return ArchiveCounts(*map(sum, zip(self._departed, *present, strict=True)))
 
     def _drop_stopped(self) -> None:
-        """Keep only the counts of channels that the host records no more."""
+        """Of the channels that the host no longer records, keep only the counts."""
         for channel_id, recording in [*self._recorded.items()]:
             if recording.is_stopped:
                 counts = _counts(self._recorded.pop(channel_id))._replace(backlog_items=0)
                 self._departed = ArchiveCounts(*map(sum, zip(self._departed, counts, strict=True)))
 
     async def close(self, boot_incarnation: int = 0) -> None:
-        """Write the rest of all channels, because the host stops. `boot_incarnation`: see `HostArchive.close`."""
+        """Write the remaining items of all channels, because the host stops. `boot_incarnation`: see
+        `HostArchive.close`.
+        """
         if self.archive is not None:
             recorders = [one.recorder for one in self._recorded.values() if not one.is_stopped]
             await self.archive.close(recorders, boot_incarnation)

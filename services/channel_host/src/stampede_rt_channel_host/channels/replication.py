@@ -16,18 +16,18 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
 UNSEEN_BYTES_MAX = 64 * 2**20
-"""Items that have left the channel before its readers may see them take so much memory at most."""
-READY_SECONDS_MAX = 3.0  # a caller that binds the channel waits so long for the replicas of a new owner
+"""The most memory for items that have left the channel before its readers may see them."""
+READY_SECONDS_MAX = 3.0  # the longest wait for the replicas of a new owner, by a caller that binds the channel
 
 
 class ReplicaFeed(Protocol):
     """The feed of one replica."""
 
     def wake(self) -> None:
-        """The channel has new items."""
+        """Note that the channel has new items."""
 
     def end(self, error: StampedeError) -> None:
-        """The host does not feed the replica over this stream any more."""
+        """Note that the host no longer feeds the replica over this stream."""
 
 
 class Kind(Enum):
@@ -79,7 +79,7 @@ class Replication:
         self._feeds: dict[bytes, ReplicaFeed] = {}
         self._changed = asyncio.Event()
         self.news = asyncio.Event()
-        """Set when the keeper of the replicas has something to do."""
+        """Set when the keeper of the replicas has work to do."""
 
     @property
     def shown(self) -> ChannelCore:
@@ -98,12 +98,12 @@ class Replication:
 
     @property
     def is_within_lag(self) -> bool:
-        """Whether the loss of this host now would cost no item that is older than a second."""
+        """Whether the replicas have all items that are older than a second."""
         return self._in_sync.within_lag(self._steady_nanos())
 
     @property
     def min_replicas(self) -> int:
-        """With fewer replicas in sync nothing is replicated."""
+        """The least number of replicas in sync. With fewer, no item counts as replicated."""
         return self._in_sync.min_replicas
 
     @property
@@ -130,7 +130,7 @@ class Replication:
             )
 
     def own_again(self, epoch: int) -> None:
-        """Note that this host is the owner again: the channel has moved away, and the new owner is lost."""
+        """Note that this host is the owner again: the channel had moved away, and its new owner was lost."""
         self._in_sync.own_again()
         self.since_epoch = epoch
 
@@ -164,7 +164,7 @@ class Replication:
         self.news.set()
 
     def accepted(self, now: int) -> None:
-        """The channel has changed: send that to the replicas, and show it once it is replicated."""
+        """Send a change of the channel to the replicas, and show the change once it is replicated."""
         if not self._is_filled:
             return
         if self._view is not None:
@@ -220,7 +220,7 @@ class Replication:
         return self._in_sync.changes(self._steady_nanos())
 
     def confirm(self, change: ReplicaChange) -> None:
-        """The directory's log has the change."""
+        """Note that the directory's log has the change."""
         self._in_sync.confirm(change)
         self._go_on(self._now())
 
@@ -253,7 +253,7 @@ class Replication:
             self.news.set()
 
     def report(self, host_id: bytes, feed: ReplicaFeed, held_next_seq: int) -> None:
-        """The replica at the end of this feed holds all items before the seq `held_next_seq`."""
+        """Note that the replica at the end of this feed holds all items before the seq `held_next_seq`."""
         if self._feeds.get(host_id) is feed:
             self._in_sync.report(host_id, min(held_next_seq, self._core.next_seq), self._steady_nanos())
             if self._in_sync.states().get(host_id) is ReplicaState.OUT:
@@ -297,7 +297,7 @@ class Replication:
         self.news.set()
 
     def close(self) -> None:
-        """Give the channel up. Idempotent."""
+        """End the replication, because the host gives the channel up. Idempotent."""
         if self._view is not None:
             self._view.close()
 

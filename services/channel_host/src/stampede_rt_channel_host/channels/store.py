@@ -159,7 +159,7 @@ class ChannelStore:
         await self._learn(channel_id, epoch, 0)
 
     async def _learn(self, channel_id: bytes, epoch: int, spec_version: int) -> None:
-        """Ask the directory for the channel if this host does not know it so."""
+        """Ask the directory for the channel, unless this host knows it in this epoch and version."""
         if not self._knows(channel_id, epoch, spec_version):
             async with self._single_flight.about(channel_id):
                 if not self._knows(channel_id, epoch, spec_version):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.core.channel import Counters
 
-CountKey = tuple[str, str]  # the name of a counter, and the cause; the cause is empty if the counter has none
+CountKey = tuple[str, str]  # the name of a counter, and its cause; empty if it has no cause
 
 
 @dataclass(slots=True)

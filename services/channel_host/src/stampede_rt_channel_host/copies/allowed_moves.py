@@ -1,7 +1,7 @@
-"""The moves that somebody with the right has asked this host for, as the owner of the channels and queues.
+"""The moves that permitted callers have asked this host for, as the owner of the channels and queues.
 
-A host that asks for a channel is not believed: a caller with the right to configure the channel, or this host itself,
-must have named that host before (decision 0222).
+The request of another host is not enough. Before, a caller with the right to configure the channel, or this host
+itself, must have named that host (decision 0222).
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from collections.abc import Callable
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.move_permits import move_permit
 
-ALLOWED_SECONDS = 60.0  # from the word of the caller to the first request of the other host
-ALLOWED_MAX = 4096  # then the oldest goes
+ALLOWED_SECONDS = 60.0  # from the request of the caller to the first request of the other host
+ALLOWED_MAX = 4096  # beyond this number, the oldest is dropped
 
 
 class AllowedMoves:
-    """The next owners that were named, each for one channel or queue at one epoch, and the permits for them."""
+    """The next owners that callers have named, each for one channel or queue at one epoch, and the permits for them."""
 
     def __init__(self, key: bytes, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """`key`: the key of this host's permits, see `move_permits`; empty: the directory wants none."""
+        """`key`: the key of this host's permits, see `move_permits`; empty: the directory requires no permits."""
         self._key = key
         self._clock_s = clock_s
         self._allowed: OrderedDict[tuple[bytes, int, bytes], float] = OrderedDict()
@@ -35,7 +35,7 @@ class AllowedMoves:
             self._allowed.popitem(last=False)
 
     def check(self, name: str, subject_id: bytes, epoch: int, to_host_id: bytes) -> None:
-        """Raises PermissionDenied if nobody named that host. `name` is that of the channel or queue."""
+        """Raises PermissionDenied if no caller named that host. `name` is that of the channel or queue."""
         until_s = self._allowed.get((subject_id, epoch, to_host_id))
         if until_s is None or until_s < self._clock_s():
             raise PermissionDenied(

@@ -26,10 +26,10 @@ from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChanne
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
-GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants so many bytes at a time; each request costs the source a message
+GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants this many bytes at a time; each request costs the source a message
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
-BROKEN_AFTER_SECONDS = 3.0  # a source that is silent for so long has lost the copy
+BROKEN_AFTER_SECONDS = 3.0  # after this silence of its source, the copy opens the feed again
 RUNS_PER_TURN = 64  # the storing of a run takes about 15 us
 METHOD = "/stampede_rt.v1.ReplicaService/Feed"
 
@@ -136,7 +136,7 @@ class CopyFeed:
         await self._apply(state, [one.run for one in response.runs])
 
     def _begin(self, state: pb.FeedState, *, begins_anew: bool, losses: Losses) -> None:
-        """Take over the channel as the source knows it. Begin an empty copy if the present one is of no use."""
+        """Take over the channel as the source knows it. Begin an empty copy if the present one cannot continue."""
         record, held = recorded_channel(state.channel), self._held()
         is_other = held is None or begins_anew or held.record.incarnation != record.incarnation
         if held is None or is_other or (self._owner_facts and _core(held).owner_facts is None):

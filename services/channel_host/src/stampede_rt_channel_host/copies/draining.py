@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
 NAMES_LOGGED_MAX = 20
-_AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host may take the channel, or this one a little later
+_AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host, or the same one later, may take it
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
 
@@ -58,7 +58,7 @@ class _Own(Protocol):
 
     @property
     def is_here(self) -> bool:
-        """Whether this host still owns it. A move may come to its end although its caller got no answer."""
+        """Whether this host still owns it. A move may succeed although its caller got no answer."""
 
     @property
     def is_moving(self) -> bool:
@@ -158,7 +158,7 @@ class Draining:
             logger.info("all channels have moved to other hosts", extra=extra)
 
     async def _move_all(self, own: dict[bytes, _Own], left: dict[str, str]) -> None:
-        """Move the channels. Takes each that has moved out of `left`, and notes the reason for each that has not."""
+        """Move the channels. Removes each moved one from `left`, and notes there the reason for each other one."""
         hosts = await self._directory.other_hosts()
         if not hosts:
             left.update(dict.fromkeys(left, "there is no other live host"))
@@ -211,15 +211,15 @@ class _Others:
                 raise plain from error
 
     def leave_out(self, host: OtherHost) -> None:
-        """Choose this host no more, because it stops. Idempotent."""
+        """Stop choosing this host, because it stops. Idempotent."""
         self._hosts = [one for one in self._hosts if one is not host]
 
     def first(self, own: _Own, host: OtherHost) -> OtherHost | None:
-        """`host`, or another one if the channel cannot be there. None: it can be nowhere."""
+        """`host`, or another host if this one cannot have the channel. None: no host can have it."""
         return host if host.has_archive or not own.needs_archive else self.after(own, host)
 
     def after(self, own: _Own, host: OtherHost) -> OtherHost | None:
-        """The host to try after `host`: each in turn, those that answer before the others. None: there is none."""
+        """The host to try after `host`. Each host has its turn; silent hosts come last. None: there is no host."""
         fitting = [one for one in self._hosts if one.has_archive or not own.needs_archive]
         hosts = [one for one in fitting if one.host_id not in self._silent] or fitting
         later = [one for one in hosts if one.host_id > host.host_id]
@@ -238,7 +238,7 @@ class _Others:
 async def _move(own: _Own, place: OtherHost, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]) -> None:
     """Move one channel or queue.
 
-    Tries one host after the other for as long as they have no room, have too many moves, or do not answer.
+    Tries one host after the other while they have no room, have too many moves, or do not answer.
     """
     delay_s, host = RETRY_SECONDS_MIN, others.first(own, place)
     if host is None:

@@ -1,7 +1,7 @@
 """The source's side of the stream that feeds one copy (paper, section 4.1: proxies).
 
-As a subscription, it has a place in the channel and no queue. The items that came during one write go out in the next
-message. The source writes only if something has changed, or if the copy has sent a request since the last message.
+Like a subscription, it has a place in the channel, and no queue. The items that came during one write go out in the
+next message. The source writes only if something has changed, or if the copy has sent a request since the last message.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
 
 FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
-FLOORS_MAX = 64  # groups of one channel of which a copy learns; reads through others go to the owner
+FLOORS_MAX = 64  # a copy learns of this many groups of one channel; reads through other groups go to the owner
 SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
-WRITE_SECONDS_MAX = 10.0  # a copy that takes nothing for so long during a write loses its stream
+WRITE_SECONDS_MAX = 10.0  # the stream of a copy ends if the copy takes nothing for this time during a write
 
 
 def check_named_host(opening: pb.FeedOpen) -> None:
@@ -78,7 +78,9 @@ class FeedStream:
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """Note that the host serves the channel no more. A move goes on: the destination still has to release it."""
+        """Note that the host no longer serves the channel. The feed of a move continues, because the destination still
+        has to release it.
+        """
         if self._move is None or not self._move.is_committed:
             self._stream.end(error)
 
@@ -89,7 +91,7 @@ class FeedStream:
         if the channel has too many feeds or the copy takes nothing.
         """
         opening = request.open
-        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps nobody has used it yet
+        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps no caller has used it yet
         if hosted.fed is None:
             hosted.fed = FedCopies()
         if len([*hosted.fed]) >= FEEDS_MAX:
@@ -127,7 +129,7 @@ class FeedStream:
                 self._move.feed_ended()
 
     async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
-        """The feed at the copy's place. A replica gets all accepted items, other copies those that readers see.
+        """The feed at the copy's place. A replica gets all accepted items. Other copies get the items that readers see.
 
         A replica that has to begin anew waits until the directory's log has it as out of sync.
         """
@@ -222,7 +224,7 @@ class FeedStream:
             )
 
     def _owes_handoff(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
-        """Whether the changes are held, the copy has everything, and so have the replicas in sync.
+        """Whether all changes wait, and the copy and the replicas in sync have everything.
 
         Raises Unavailable if too few of them are in sync.
         """
@@ -240,7 +242,7 @@ class FeedStream:
         await self._write(self._response(hosted, self._bare(feed), handoff=handoff))
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        """End a feed that a host waits for, if it would never be level. A proxy shows its readers its age instead."""
+        """End the feed of a replica or move if the copy stays behind. A proxy shows its readers its age instead."""
         behind = self._source.next_seq - feed.next_seq
         if feed.owner is not None and self._lag.stays_behind(behind, self._store.now()):
             raise Overloaded(
@@ -285,7 +287,7 @@ class FeedStream:
         return pb.FeedResponse(opened=opened, state=state).SerializeToString()
 
     def _new_floors(self, hosted: HostedChannel) -> list[CutFloor]:
-        """The cuts that have changed since the copy got them. The copy of this part has all items before them."""
+        """The cuts that have changed since the copy got them. With this part, the copy has all items before them."""
         copy = hosted.copy
         floors = self._floors_of(hosted.record.channel_id) if copy is None else [*copy.floors.values()]
         new = [one for one in floors[:FLOORS_MAX] if self._sent_floors.get(one.group_id) != one]

@@ -144,10 +144,10 @@ class IncomingMoves:
         await self._store.recordings.prepare_move(present, state.source_next_seq)
 
     async def _archived(self, hosted: HostedChannel) -> None:
-        """Have the archive of this host write the items. Wait for it if their puts waited for a disk, or if the archive
-        has an earlier part: readers hear of the hole between the two once it is written.
+        """Have the archive of this host write the items. Wait for it if puts of the channel wait for a disk, or if the
+        archive has earlier items: until then, readers do not hear of the hole between these and the moved items.
 
-        The former owner, which has them on its disk, is the heir meanwhile. Waits ARCHIVED_SECONDS_MAX at most.
+        Meanwhile the former owner, which has the items on its disk, is the heir. Waits ARCHIVED_SECONDS_MAX at most.
         """
         if hosted.recording is None:
             return
@@ -162,7 +162,7 @@ class IncomingMoves:
                 logger.warning("the archive has not all items of a channel that has moved here", extra=extra)
 
     async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
-        """Let the former owner be the heir no more. Tries again for as long as this host has the channel.
+        """Remove the former owner as the heir. Tries again for as long as this host has the channel.
 
         If this host had a replica, the former owner has taken its place, and stays there. Raises Unavailable if this
         host has lost the channel meanwhile.
@@ -189,7 +189,7 @@ async def until_known(commit: Callable[[], Awaitable[Result]]) -> Result:
     """Have the directory commit a move. Asks until it knows the outcome: the former owner waits for it, too.
 
     Raises StaleBinding (WRONG_EPOCH) if the former owner has ended the move, and other errors that a repetition cannot
-    heal.
+    cure.
     """
     delay_s = RETRY_SECONDS_MIN
     while True:  # paced by the sleep; ends when the directory answers

@@ -163,7 +163,7 @@ class CopyKeeper:
             pause_s = min(2 * pause_s, pause_max_s)
 
     async def _source_of(self, copy: _Copy) -> FeedSource | None:
-        """The source of the copy. None if the directory has the copy no more; then drops the copy."""
+        """The source of the copy. None if the directory no longer has the copy; then drops the copy."""
         channel_id, name = copy.record.channel_id, copy.record.name
         try:
             source = await self._directory.source_of(channel_id, self._identity.host_id)

@@ -46,7 +46,7 @@ def place_to(place: FeedPlace, epoch: int) -> pb.FeedPlace:
 def place_of(message: pb.FeedPlace, epoch: int) -> FeedPlace:
     """The place of a copy, from a message to the source at `epoch`. Raises InvalidArgument for a place without a seq.
 
-    A reading of another owner's clock is of no use.
+    Leaves out a reading of the clock of an earlier owner.
     """
     if not message.next_seq:
         raise InvalidArgument("the feed's place has no next_seq; leave the place out for a copy that holds nothing")

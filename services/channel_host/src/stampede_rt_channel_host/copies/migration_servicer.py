@@ -86,7 +86,8 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         caller = current_caller()
         if caller is not None and caller.roles == {Role.HOST} and caller.name != self._identity.name:
             raise PermissionDenied(
-                f"{caller} may not move what host {self._identity.name} owns; leave it to a client or an operator"
+                f"{caller} may not move channels or queues of host {self._identity.name}; leave it to a client or an "
+                "operator"
             )
 
     @errors_as_status

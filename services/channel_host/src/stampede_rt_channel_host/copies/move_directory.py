@@ -31,7 +31,7 @@ class Kept(Enum):
     """The part that the directory still has of a channel at its former owner.
 
     HEIR: the former owner is the owner again, or will be if the present owner is lost at once. REPLICA: it is a
-    replica, in the place of the new owner's.
+    replica, because the new owner's replica became the owner.
     """
 
     NO = "nothing"

@@ -1,4 +1,4 @@
-"""The feed of a move, at the destination: the feed of every copy, and then the end of all changes at the source."""
+"""The feed of a move, at the destination: first a feed as of any copy, and then the handover by the source."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class MoveFeed(CopyFeed):
         self._tell(committed_epoch=epoch)
 
     def released(self) -> None:
-        """Tell the source that its items are needed no more."""
+        """Tell the source that nobody needs its items any more."""
         self._tell(released=True)
 
     def _tell(self, **step: Any) -> None:

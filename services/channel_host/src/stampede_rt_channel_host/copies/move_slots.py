@@ -8,7 +8,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 
 MOVES_MAX = 8
-MOVES_OF_ONE_MAX = 6  # a client that moves its channels without end leaves some for others
+MOVES_OF_ONE_MAX = 6  # fewer than MOVES_MAX, so that one client leaves some moves for others
 
 
 class MoveSlots:
@@ -19,7 +19,7 @@ class MoveSlots:
         self._makers: Counter[str] = Counter()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
-        """Raises Overloaded if this channel cannot move now: too many move, or too many that its maker has made."""
+        """Raises Overloaded if too many channels move now, or too many channels that this maker has made."""
         if self._makers.total() >= MOVES_MAX:
             raise Overloaded(f"{MOVES_MAX} {self._what} move {self._direction} already; wait for one")
         maker = record.created_by

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.copies.move_slots import MoveSlots
 logger = logging.getLogger(__name__)
 
 RETRY_SECONDS = 0.2
-HEIR_SECONDS = 2.0  # the time between two questions of a former owner whether the directory still needs its items
+HEIR_SECONDS = 2.0  # a former owner asks the directory at this interval whether its items are still needed
 
 
 class OutgoingMoves:
@@ -47,8 +47,8 @@ class OutgoingMoves:
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def check(self, hosted: HostedChannel, host_id: bytes) -> None:
-        """Raises PermissionDenied if nobody has allowed the move to that host, MOVE_CONFLICT if the channel cannot move
-        now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync.
+        """Raises PermissionDenied if no caller has allowed the move to that host, MOVE_CONFLICT if the channel cannot
+        move now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync.
         """
         record = hosted.record
         self.allowed.check(f"channel {record.name}", record.channel_id, hosted.epoch, host_id)
@@ -138,8 +138,8 @@ class OutgoingMove:
     def released(self) -> None:
         """Drop the items of this host, if the directory no longer needs them. Idempotent.
 
-        The destination says so. This host asks the directory nevertheless: the destination may have been stopped for
-        so long that its lease has ended, and then this host is the owner again.
+        The destination has asked for it. This host asks the directory first: if the destination was stopped until its
+        lease ended, this host is the owner again.
         """
         if self.is_committed and not self._is_released and self._is_under_way:
             self._is_released = True
@@ -163,7 +163,7 @@ class OutgoingMove:
         self._moves.start(self._end(), "end of a move")
 
     async def _end(self) -> None:
-        """Take a new epoch, so that the destination can commit no more; or learn that it has committed."""
+        """Take a new epoch, after which the destination cannot commit; or learn that it has committed."""
         directory, record, request_id = self._moves.directory, self._hosted.record, secrets.token_bytes(16)
         while self._is_under_way and not self.is_committed:
             try:
@@ -178,7 +178,7 @@ class OutgoingMove:
                 self._moves.store.forget(record.channel_id, refusals.deleted(record.name))
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": record.name, "why": str(error)}
-                logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+                logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
                 await asyncio.sleep(RETRY_SECONDS)
 
     async def _learn_owner(self) -> None:
@@ -202,7 +202,7 @@ class OutgoingMove:
                     return
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": self._hosted.record.name, "why": str(error)}
-                logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+                logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
             await asyncio.sleep(HEIR_SECONDS)
 
     async def _is_needed_no_more(self) -> bool:

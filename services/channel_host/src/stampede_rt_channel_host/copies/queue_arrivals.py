@@ -32,7 +32,7 @@ from stampede_rt_channel_host.queues.refusals import display_name, moved
 
 logger = logging.getLogger(__name__)
 
-HANDOVER_SECONDS_MAX = 4.5  # shorter than the former owner waits
+HANDOVER_SECONDS_MAX = 4.5  # shorter than the wait of the former owner
 
 
 class MovedQueue(NamedTuple):
@@ -128,7 +128,9 @@ class QueueArrivals:
         return MovedQueue(await self._queues.use(adopted.queue_id, adopted.epoch), time.monotonic_ns() - began)
 
     async def _received(self, call: Any, room: Charge) -> ArrivingQueue:
-        """All parts of the queue. Raises Overloaded without room for it, and Unavailable if the stream ends early."""
+        """All parts of the queue. Raises Overloaded if there is no room for them, and Unavailable if the stream ends
+        early.
+        """
         arriving = ArrivingQueue()
         while not arriving.is_whole:
             part = await call.read()

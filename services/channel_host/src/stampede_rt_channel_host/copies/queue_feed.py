@@ -99,7 +99,7 @@ class QueueFeedStream:
             begins_anew = False
 
     def _continues(self, place: pb.FeedQueueResponse) -> bool:
-        """Whether the copy has a part of this owner's steps and nothing else, and the journal has the rest."""
+        """Whether the copy has only steps of this owner, and the journal has all later ones."""
         replication, hosted = self._replication, self._hosted
         if not place.next_step or place.incarnation != hosted.queue.incarnation:
             return False
@@ -115,7 +115,7 @@ class QueueFeedStream:
             steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
             if steps is None:
                 name = display_name(self._hosted.record)
-                raise Overloaded(f"a replica of queue {name} cannot catch up: it lacks steps that are forgotten")
+                raise Overloaded(f"a replica of queue {name} cannot catch up: it lacks steps that are dropped")
             steps = steps[:STEPS_PER_REQUEST]
             parts = [part for step in steps for part in step_parts(step, self._now())]
             if sum(part.ByteSize() for part in parts) > 2 * PART_BYTES:  # a large step, in many parts

@@ -55,7 +55,7 @@ class QueueFeeds:
         """Raises StaleBinding (MOVED) unless the caller owns the queue, and this host has a replica of it."""
         self._queues.check_may_serve()
         source = await self._directory.source_of(record.queue_id, self._identity.host_id)
-        if source is None or not source.is_replica:  # this host is the owner itself, or holds nothing of the queue
+        if source is None or not source.is_replica:  # this host is itself the owner, or has no copy of the queue
             raise refusals.moved(record)
         if (source.host_id, source.epoch) != (owner_host_id, record.epoch):
             raise refusals.moved(record)

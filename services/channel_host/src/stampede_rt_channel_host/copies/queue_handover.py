@@ -1,7 +1,7 @@
 """The former owner's side of a move of a queue or mailbox (paper, section 3.5: queues migrate).
 
-The host ends the streams of the queue, lets all calls wait, and sends everything. Then one entry in the directory
-decides who owns the queue: that of the new owner, or that with which this host takes the queue back.
+The host ends the streams of the queue, lets all calls wait, and sends everything. Then one command in the directory
+decides who owns the queue: the command of the new owner, or the one with which this host takes the queue back.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 
 class QueueHandovers:
-    """The moves of queues away from one host. `moves` does the work that goes on after a stream has ended."""
+    """The moves of queues away from one host. `moves` does the work that continues after the end of a stream."""
 
     def __init__(
         self, identity: HostIdentity, queues: QueueStore, directory: MoveDirectory, moves: OutgoingMoves,
@@ -90,7 +90,7 @@ class QueueHandovers:
         return True
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
-        """Drop the queue if it has moved, else serve it again. Asks the directory until it is decided."""
+        """Drop the queue if it has moved, else serve it again. Asks the directory until the outcome is known."""
         record, request_id = hosted.record, secrets.token_bytes(16)
         if is_committed:
             self._gone(hosted, refusals.moved_to(record, host_id))
@@ -127,5 +127,5 @@ class QueueHandovers:
 
 async def _try_again(record: RecordedQueue, error: StampedeError) -> None:
     extra = {"event": "move_undecided", "channel": display_name(record), "why": str(error)}
-    logger.info("cannot ask the directory what became of a move; the host tries again", extra=extra)
+    logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
     await asyncio.sleep(RETRY_SECONDS)

@@ -133,7 +133,7 @@ class ArrivingQueue:
 
 
 def _check(state: QueueHandoff) -> None:
-    """Raises InvalidArgument if a message has no run, or a history without a message."""
+    """Raises InvalidArgument for a message without a run, or a delivery history without a message."""
     ends = [run.end_seq for run in state.runs]
     runs_ascend = all(run.first_seq >= end for run, end in zip(state.runs[1:], ends, strict=False))
     held_ascend = all(later.first > one.last for one, later in zip(state.held, state.held[1:], strict=False))

@@ -21,7 +21,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
-UNHEARD_SECONDS = 5.0  # a copy whose owner was silent for so long may be needed no more
+UNHEARD_SECONDS = 5.0  # if its owner was silent for this time, a copy may be obsolete
 
 
 class QueueReplicaKeeper:
@@ -53,8 +53,8 @@ class QueueReplicaKeeper:
             logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
 
     async def drop_unneeded_forever(self) -> None:
-        """Ask the directory about copies whose owners are silent: drop those that are gone, serve those that it gives
-        to this host.
+        """Ask the directory about copies whose owners are silent. Drop the removed ones, and serve those whose owner is
+        now this host.
         """
         while True:  # paced by the sleep
             await asyncio.sleep(UNHEARD_SECONDS)

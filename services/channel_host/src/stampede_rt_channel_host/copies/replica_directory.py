@@ -13,7 +13,7 @@ from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 
 CALL_SECONDS_MAX = 4.0
-ADD_SECONDS_MAX = 1.0  # without a free host the call tries for so long, and the flags of other replicas wait meanwhile
+ADD_SECONDS_MAX = 1.0  # how long the call tries if no host is free; the flags of other replicas wait meanwhile
 
 
 class FeedSource(NamedTuple):
@@ -125,7 +125,7 @@ class ReplicaDirectory:
     async def report(
         self, host_id: bytes, boot_incarnation: int, loads: Sequence[replica_pb2.ReplicaLoad]
     ) -> Sequence[bytes]:
-        """Report loads to the leader. Returns the reported channels that this host holds no more."""
+        """Report loads to the leader. Returns the reported channels that this host no longer holds."""
         request = pb.ReportReplicaLoadsRequest(host_id=host_id, boot_incarnation=boot_incarnation, loads=loads)
         response: pb.ReportReplicaLoadsResponse = await self._call("ReportReplicaLoads", request)
         return response.gone_channel_ids

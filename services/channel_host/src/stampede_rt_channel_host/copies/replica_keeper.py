@@ -31,7 +31,7 @@ from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChang
 
 logger = logging.getLogger(__name__)
 
-ROUND_SECONDS = 0.2  # a replica that is silent for a second loses its flag at most so much later
+ROUND_SECONDS = 0.2  # a replica that is silent for a second loses its flag at most this time later
 MISSING_SECONDS, LIST_SECONDS = 1.0, 10.0  # how old the list of the directory may be, with replicas missing and without
 PAUSE_SECONDS = 0.02
 BIND_SECONDS_MAX = 2.0
@@ -94,7 +94,7 @@ class FlagsOfReplicas(Protocol):
         """The flags that the directory must set or clear now."""
 
     def confirm(self, change: ReplicaChange) -> None:
-        """The directory's log has the change."""
+        """Note that the directory's log has the change."""
 
     def is_fed(self, host_id: bytes) -> bool:
         """Whether the replica at this host has a feed."""
@@ -136,7 +136,7 @@ class KeptReplicas(ABC):
 
     @property
     def waits(self) -> bool:
-        """Whether the owner answers its callers only once the replicas know of that."""
+        """Whether the owner answers its callers only after the replicas have their changes."""
         return True
 
     @abstractmethod
@@ -198,7 +198,7 @@ class KeptReplicas(ABC):
         return listed
 
     async def _make_complete(self, listed: ListedReplicas) -> None:
-        """Add missing replicas, remove those too many, and begin those that have no feed."""
+        """Add missing replicas, remove surplus ones, and begin those that have no feed."""
         wanted, replicas = self.wanted, listed.replicas
         failure: StampedeError | None = None
         if len(replicas) < wanted:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from typing import Generic, Protocol, TypeVar
 
-_SLACK = 64  # a heap may have so many entries beyond two for each thing with a deadline
+_SLACK = 64  # a heap may have this many entries more than twice the number of things with a deadline
 
 
 class Timed(Protocol):

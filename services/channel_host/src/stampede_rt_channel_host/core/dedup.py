@@ -14,7 +14,7 @@ from typing import NamedTuple
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart, up_to_seq
 
-RUNS_MAX = 1024  # far more than the runs that a producer has in flight
+RUNS_MAX = 1024  # much more than the runs that a producer has in flight
 KEPT_NANOS = 600_000_000_000  # how long the window keeps an outcome
 PRODUCERS_MAX = 4096
 WINDOW_BYTES_MAX = 16 * 2**20
@@ -30,7 +30,7 @@ _REFUSAL_BYTES = 900  # an error, with a sentence of its own
 # (_NO_STAMP: none), time of the record.
 _FIELDS = 5
 _NO_STAMP = -(2**63)  # the host gave the items no time
-_SLACK_RUNS = 256  # up to so many forgotten runs stay in the array; then one step removes them
+_SLACK_RUNS = 256  # at most this many forgotten runs stay in the array; then one step removes them
 
 
 _NOTHING = RunOutcome(0, 0, (), (), 0)
@@ -193,7 +193,7 @@ class RetryWindow:
         numbers = run.producer_id, run.first_number, run.outcome.items
         try:
             known = self.find(*numbers, run.outcome.time)
-        except InvalidArgument:  # the owner had lost the run that this window still has
+        except InvalidArgument:  # the owner has lost the run that this window still has
             self._forget(run.producer_id)
             known = None
         if known is None or known[:-1] != run.outcome[:-1]:

@@ -7,7 +7,7 @@ time).
 from __future__ import annotations
 
 CATCH_UP_NANOS = 30_000_000_000
-"""Host time moves towards the wall clock by such a rate that it would make up for the present offset in this time.
+"""At its present rate, host time would reach the wall clock in this time.
 
 So a small offset changes the rate little: an offset of a millisecond changes it by 33 ppm.
 """

@@ -35,7 +35,7 @@ class KeyedList(Generic[Thing]):
         insort(self._things, thing, key=self.key)
 
     def remove(self, thing: Thing) -> None:
-        """Remove a thing of the list."""
+        """Remove a thing from the list."""
         at = bisect_left(self._things, self.key(thing), key=self.key)
         assert self._things[at] is thing, "no two things have the same key, and keys do not change"
         del self._things[at]

@@ -6,11 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 BUSY_STEP_PERMILLE = 100
-"""Hosts whose loads differ by less count as equally busy; then the one with fewer channels gets more."""
+"""Hosts whose loads differ by less count as equally busy. Of these, the host with the fewest channels gets the next
+ones.
+"""
 
 
 class OtherHost(NamedTuple):
-    """A live host, with the share of a core that it uses, as it last reported (0: it has not), and its channels.
+    """A live host, with the number of its channels, and the share of a core that it last reported (0: no report).
 
     `has_archive`: recorded channels can be there.
     """
@@ -24,7 +26,7 @@ class OtherHost(NamedTuple):
 
 
 def together(groups_of: Mapping[bytes, Collection[bytes]]) -> list[list[bytes]]:
-    """The channels in bunches. Channels of one group are in the same bunch. `groups_of`: by channel, its groups."""
+    """The channels in sets. Channels of one group are in the same set. `groups_of`: by channel, its groups."""
     bunch_of: dict[bytes, list[bytes]] = {}  # by channel
     of_group: dict[bytes, list[bytes]] = {}
     for channel_id, group_ids in groups_of.items():
@@ -41,7 +43,9 @@ def together(groups_of: Mapping[bytes, Collection[bytes]]) -> list[list[bytes]]:
 
 
 def spread(bunches: Sequence[Sequence[bytes]], hosts: Sequence[OtherHost]) -> dict[bytes, OtherHost]:
-    """A host for each channel: each bunch goes to the least busy host, and among these to that with the fewest."""
+    """A host for each channel. Each set goes to the least busy host; of equally busy hosts, to the one with the fewest
+    channels.
+    """
     assigned = dict.fromkeys((host.host_id for host in hosts), 0)
     found: dict[bytes, OtherHost] = {}
     for bunch in sorted(bunches, key=len, reverse=True):

@@ -186,12 +186,12 @@ class RingWriter:
         self._words[FENCE_WORD] = boottime
 
     def release(self) -> None:
-        """Let go of the memory. The writer must not be used afterwards."""
+        """Release the memory. The caller must not use the writer afterwards."""
         self._words.release()
         self._data.release()
 
     def close(self) -> None:
-        """Tell readers that the host writes this ring no more. The caller then wakes the waiting readers."""
+        """Tell readers that the host no longer writes this ring. The caller then wakes the waiting readers."""
         words = self._words
         words[STATE_WORD] = CLOSED
         words[CHANGES_WORD] = (words[CHANGES_WORD] + 1) & 0xFFFF_FFFF

@@ -16,13 +16,13 @@ class WindowFeed:
     def __init__(self, window: RetryWindow, since: int | None) -> None:
         self._window = window
         self._since = -(2**63) if since is None else since
-        self._recorded = -1  # the window's records at the last take that left none
-        self._left_at = self._since  # the time of that take's latest record
+        self._recorded = -1  # the number of the window's records at the last take that returned all
+        self._left_at = self._since  # the time of the latest record of that take
         self._sent: dict[int, tuple[KnownProducer, int]] = {}  # by producer id: its records as of the last take
 
     @property
     def is_level(self) -> bool:
-        """Whether the takes have had all records."""
+        """Whether the takes have returned all records."""
         return self._recorded == self._window.recorded
 
     def take(self, runs_max: int) -> list[KeptRun]:

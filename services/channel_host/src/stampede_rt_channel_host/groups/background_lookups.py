@@ -38,7 +38,7 @@ class BackgroundLookups:
         task.add_done_callback(lambda _: self._asked.pop(about, None))
 
     def close(self) -> None:
-        """Ask no more questions."""
+        """Stop asking."""
         self._closed = True
         for task in list(self._asked.values()):
             task.cancel()

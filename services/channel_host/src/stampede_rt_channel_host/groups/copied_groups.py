@@ -25,7 +25,7 @@ class CopiedGroup:
 
     def __init__(self, record: RecordedGroup, hosted: HostedChannel, state: CopyState) -> None:
         self.record = record
-        self.cut_observers = Observers()  # nobody wakes them: each part of the feed wakes the readers of the copy
+        self.cut_observers = Observers()  # unused: each part of the feed wakes the readers of the copy
         self._hosted = hosted
         self._state = state
 

@@ -69,11 +69,12 @@ class CutEvents:
         self._drops = ReaderDrops("", "")  # `run` enters it in the host's table
 
     async def run(self) -> None:
-        """Serve until the stream ends, or until the reader has closed its side and has got all that it asked for.
+        """Serve until the stream ends, or until the reader has closed its side and has got everything that it asked
+        for.
 
         Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, Unavailable if this host does
-        not learn the cut in time or if the group has other members now, StaleBinding if a member has left the host, and
-        Overloaded if the reader is too slow.
+        not learn the cut in time, or if the group has other members now, StaleBinding if a member has left the host,
+        and Overloaded if the reader is too slow.
         """
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):

@@ -27,8 +27,8 @@ GROUPS_PER_PIECE = 16
 class TimesExchange:
     """Implements `LinkHandler`: gives the links the messages to send, and takes in the messages of other hosts.
 
-    Calls `on_stale` with groups that are new here, or that other hosts know in a newer version. Calls `on_asked` with
-    channels of this host that other hosts believe to be members of groups.
+    Calls `on_stale` with groups that this host does not know, or of which other hosts know a newer version. Calls
+    `on_asked` with channels of this host that other hosts believe to be members of groups.
     """
 
     def __init__(

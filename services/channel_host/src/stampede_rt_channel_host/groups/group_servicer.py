@@ -23,7 +23,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
-# GetGroupStatus waits at most this long for silent hosts. Then it answers without them, and names their members.
+# The longest wait of GetGroupStatus for silent hosts. Then it answers without them, and names their members.
 SETTLE_SECONDS = 1.0
 
 

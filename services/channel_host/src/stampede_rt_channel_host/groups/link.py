@@ -22,7 +22,7 @@ from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
 LINK_SIGN_OF_LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
-BROKEN_AFTER_SECONDS = 5.0  # a link on which the other host is silent for so long ends
+BROKEN_AFTER_SECONDS = 5.0  # a link ends after this silence of the other host
 ENTRIES_MAX = 1024  # the most channels, and the most groups, in one message
 INTEREST_MAX = 4096  # the most channels of which one host may want to hear
 
@@ -37,18 +37,18 @@ class LinkHandler(Protocol):
         """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """Take in an update of the other host. `is_first`: with this update the other host has sent its whole state for
-        the first time.
+        """Take in an update of the other host. `is_first`: with this update, the other host has sent its whole state
+        once.
         """
 
     def name_of_host(self, host_id: bytes) -> str:
         """The name that the directory has for a host of a group known here; empty for any other host."""
 
     def greeted(self, link: HostLink) -> None:
-        """The other host has sent its id."""
+        """Note that the other host has sent its id."""
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
-        """The other host wants to hear of these channels, which it believes to be at this host."""
+        """Note that the other host wants to hear of these channels, which it believes to be at this host."""
 
     def check_lease(self) -> None:
         """Raises HostNotFound if this host may not report on its channels."""
@@ -151,7 +151,7 @@ class HostLink:
         if self._certified_name and name and name != self._certified_name:
             raise PermissionDenied(
                 f"the certificate is that of host {self._certified_name}, and the hello names host {name}; a host "
-                "speaks for itself alone"
+                "speaks only for itself"
             )
 
     async def _next(self) -> Any:

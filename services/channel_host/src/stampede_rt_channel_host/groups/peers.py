@@ -163,7 +163,7 @@ class PeerHosts:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     def _drop(self, peer: PeerHost) -> None:
-        """Keep the link to a host no longer, because it shares no group with this one any more.
+        """Drop the link to a host that no longer shares a group with this one.
 
         If the other host opened the stream, that host decides how long the stream stays. Until then this host remembers
         the link. Otherwise, if both shared a group again, this host would wait for a new stream, and the other host

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.group import Horizon, RecordedView
 
 
 class FoundAnswer(NamedTuple):
-    """The answer of a get, and the view that tells when it changes."""
+    """The answer of a get, and the view that says at which cut the answer changes."""
 
     answer: GroupAnswer
     view: RecordedView

@@ -1,4 +1,4 @@
-"""Subscriptions of recorded channels through a group: items that memory has no more come from the archive."""
+"""Subscriptions of recorded channels through a group: items that have left memory come from the archive."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RecordedSteps:
 
     @property
     def under_way(self) -> bool:
-        """Whether a step has begun, and has not brought everything yet."""
+        """Whether a step has begun, and has not brought all its items yet."""
         return self._step is not None
 
     async def take(self, recording: Recording, horizon: Horizon, limit_bytes: int) -> SubscriptionBatch | None:

@@ -79,7 +79,7 @@ class RemoteMember:
     def _request(self) -> channel_service_pb2.SubscribeRequest:
         """The request that opens the subscription: from `since` on, or after the items that came already.
 
-        The request grants so much credit that the host never has to wait for more.
+        The request grants enough credit, so that the host never has to wait for more.
         """
         opening = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:

@@ -21,7 +21,7 @@ class Waiter(ChangeObserver):
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the group or channel any more."""
+        """Note that the host no longer serves the group or channel."""
         self._error = error
         self._news.set()
 

@@ -144,7 +144,7 @@ class GroupGets:
         return _GroupSnapshot(self._group, self._hosted.channel.snapshot(now))
 
     def wake(self) -> None:
-        """The channel has changed, or the group shows more."""
+        """Note that the channel has changed, or that the group shows more."""
         try:
             self._check()
         except StampedeError as error:
@@ -153,7 +153,7 @@ class GroupGets:
             self.gets.changed(self._now())
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the group or the channel any more."""
+        """Note that the host no longer serves the group or the channel."""
         self._leave()
         self._scheduler.begin(self.gets.ending(error))
 

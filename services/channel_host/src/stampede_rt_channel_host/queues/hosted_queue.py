@@ -45,10 +45,10 @@ class TakerStream(Protocol):
         """Send a batch that the queue has leased to the taker."""
 
     def probe(self) -> None:
-        """Send a sign of life to the taker, which was silent for long. A live taker answers it."""
+        """Send a sign of life to the taker, which was silent for a long time. A live taker answers it."""
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the queue any more."""
+        """Note that the host no longer serves the queue."""
 
 
 class HostedQueue(ReplicatedQueue):
@@ -94,7 +94,7 @@ class HostedQueue(ReplicatedQueue):
         self._now = now
         self._on_dead_letters = on_dead_letters
         self._streams: dict[TakerState, TakerStream] = {}
-        self._left = asyncio.Event()  # set when a stream has left
+        self._left = asyncio.Event()  # set when a stream has ended
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
@@ -109,7 +109,7 @@ class HostedQueue(ReplicatedQueue):
         has_changed, has_failed = record.spec_version != self.record.spec_version, record.epoch > self.record.epoch
         self.record, self.epoch = record, record.epoch
         if self.moving is not None and not has_failed:
-            return  # nothing may change the queue now; it gets its limits when the move is over
+            return  # nothing may change the queue now; it gets the new limits when the move is over
         moving, self.moving = self.moving, None
         if self.replication is not None:
             self.replication.resume()
@@ -149,7 +149,7 @@ class HostedQueue(ReplicatedQueue):
 
     @property
     def is_held(self) -> bool:
-        """Whether nothing may change the queue, because it is on its way to another host."""
+        """Whether nothing may change the queue, because it moves to another host."""
         return self.moving is not None and self.moving.is_held
 
     async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
@@ -220,7 +220,9 @@ class HostedQueue(ReplicatedQueue):
         self.follow_up()
 
     def leave(self, taker: TakerState) -> None:
-        """Remove the stream of a taker, which has ended. Its sent messages stay leased; the others go back."""
+        """Remove the stream of a taker, which has ended. Its sent messages stay leased. The queue takes the others
+        back.
+        """
         stream = self._streams.pop(taker)
         self._left.set()
         if self.replication is not None:
@@ -243,7 +245,7 @@ class HostedQueue(ReplicatedQueue):
 
     def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
-        if not self.is_held:  # else the next owner sends it again, and the dead-letter queue recognises it
+        if not self.is_held:  # if not, the next owner sends the message again, and the dead-letter queue recognises it
             self.queue.dead_letter_moved(seq, self._now())
             self.follow_up()
 

@@ -124,14 +124,14 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied if `caller` is not a host, because hosts alone may set the origin of a run.
+    """Raises PermissionDenied if `caller` is not a host, because only hosts may set the origin of a run.
 
     `caller` None: the caller has no certificate, as in a cluster without certificates. Then this check allows the call.
     """
     if caller is not None and caller.role is not Role.HOST:
         raise PermissionDenied(
             f"{caller.role} {caller.name} may not set the origin of a run, which says where a dead letter comes from: "
-            "hosts alone forward dead letters; leave origin out"
+            "only hosts forward dead letters; leave origin out"
         )
 
 

@@ -1,4 +1,4 @@
-"""The content of a queue that came from another host, and the state of one on its way to another host."""
+"""The content of a queue that has come from another host, and the state of a move of a queue to another host."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
 
 
 class QueueContent(NamedTuple):
-    """A queue that came from another host. `journal`: its steps; None: the former owner had no replicas.
+    """A queue that has come from another host. `journal`: its steps; None: the former owner had no replicas.
 
     `is_replicated`: the replicas in sync have all its steps.
     """
@@ -38,6 +38,6 @@ class QueueMove:
             async with asyncio.timeout(HELD_SECONDS_MAX):
                 await self.over.wait()
         except TimeoutError:
-            raise Overloaded(f"queue {queue} is moving to another host, which takes long; try again") from None
+            raise Overloaded(f"queue {queue} is moving to another host, which takes too long; try again") from None
         if self.elsewhere is not None:
             raise self.elsewhere

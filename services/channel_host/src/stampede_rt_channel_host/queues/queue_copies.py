@@ -1,4 +1,4 @@
-"""The replicas that this host holds of queues of other hosts. They serve nobody before this host is the owner."""
+"""The replicas that this host holds of queues of other hosts. They serve no caller before this host is the owner."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 logger = logging.getLogger(__name__)
 
 COPIES_MAX = 10_000
-COPY_JOURNAL_BYTES_MAX = 4 * 2**20  # the steps that a copy keeps for other replicas, in case that it becomes the owner
+COPY_JOURNAL_BYTES_MAX = 4 * 2**20  # the steps that a copy keeps for other replicas, in case it becomes the owner
 
 
 class QueueCopy:
@@ -79,7 +79,7 @@ class QueueCopies:
         copy.journal.apply(step, self._now() - ago_nanos)
 
     def heard(self, copy: QueueCopy, record: RecordedQueue) -> None:
-        """Note a message of the owner, which goes on with the copy. `record`: the queue as the owner knows it."""
+        """Note a message of the owner that continues the copy's feed. `record`: the queue as the owner knows it."""
         copy.record, copy.owner_epoch, copy.heard_nanos = record, record.epoch, time.monotonic_ns()
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 
@@ -91,7 +91,7 @@ class QueueCopies:
     def inherit(self, record: RecordedQueue) -> QueueContent | None:
         """The content of the queue, which this host owns from now on. None if it has no copy of this incarnation.
 
-        The clock of the leases stood still while nobody served the queue.
+        The leases do not count the time in which no host served the queue.
         """
         copy = self._copies.get(record.queue_id)
         self.drop(record.queue_id)

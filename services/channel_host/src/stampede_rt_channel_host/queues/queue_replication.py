@@ -14,7 +14,7 @@ from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.core.queue import QueueJournal
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
-READY_SECONDS_MAX = 3.0  # how long a replica that has to begin anew waits until the log has cleared its flag
+READY_SECONDS_MAX = 3.0  # the longest wait of a replica that must begin anew, until the log has cleared its flag
 STALLED_NANOS = 1_000_000_000
 """If the replicas lack a step for this time, the queue delivers no message until the replicas have the step."""
 Action = Callable[[], None]
@@ -27,19 +27,19 @@ class QueueFeed(Protocol):
     """The next step that the feed sends."""
 
     def wake(self) -> None:
-        """The queue has a new step."""
+        """Note that the queue has a new step."""
 
 
 def waits_for_replicas(policy: QueuePolicy) -> bool:
-    """Whether a queue with this policy answers only what its replicas know."""
+    """Whether a queue with this policy answers its callers only after its replicas have the changes."""
     return policy.ack == "replica"
 
 
 class QueueReplication:
     """The replicas of one queue. The rule is that of channels, with the steps of the queue in place of items.
 
-    Nothing leaves the host before the replicas have the step: acks of puts, deliveries, and results of settlements wait
-    as actions (`once_replicated`). So a replica that takes over knows of everything that anybody has seen.
+    Acks of puts, deliveries, and results of settlements wait as actions until the replicas have the step
+    (`once_replicated`). So a replica that takes over knows everything that any caller has seen.
     """
 
     ended: StampedeError | None = None
@@ -62,7 +62,7 @@ class QueueReplication:
         self._behind_since: int | None = None
         self._changed = asyncio.Event()
         self.news = asyncio.Event()
-        """Set when the keeper of the replicas has something to do."""
+        """Set when the keeper of the replicas has work to do."""
 
     @property
     def replicated_next_seq(self) -> int:
@@ -76,7 +76,7 @@ class QueueReplication:
 
     @property
     def min_replicas(self) -> int:
-        """With fewer replicas in sync nothing is replicated."""
+        """The least number of replicas in sync. With fewer, no step counts as replicated."""
         return self._in_sync.min_replicas
 
     @property
@@ -100,7 +100,7 @@ class QueueReplication:
         self.news.set()
 
     def changed(self, now: int) -> None:
-        """The queue may have changed: make a step of that, and send it to the replicas."""
+        """Make a step of the changes of the queue, if there are any, and send it to the replicas."""
         if self.journal.note(now):
             self._in_sync.put(self.journal.next_step)
             for feed in self._feeds.values():
@@ -115,7 +115,7 @@ class QueueReplication:
             self._waiting.append((self.journal.next_step, about, action))
 
     def forget(self, about: object) -> bool:
-        """Drop the actions about `about`. Returns whether there were any."""
+        """Drop the actions that were noted for `about`. Returns whether there were any."""
         kept = deque(one for one in self._waiting if one[1] is not about)
         has_dropped, self._waiting = len(kept) < len(self._waiting), kept
         return has_dropped
@@ -148,7 +148,7 @@ class QueueReplication:
         return self._in_sync.changes(self._steady_nanos())
 
     def confirm(self, change: ReplicaChange) -> None:
-        """The directory's log has the change."""
+        """Note that the directory's log has the change."""
         self._in_sync.confirm(change)
         self._go_on()
 
@@ -178,7 +178,7 @@ class QueueReplication:
             self.news.set()
 
     def report(self, host_id: bytes, feed: QueueFeed, next_step: int) -> None:
-        """The replica at the end of this feed has all steps before `next_step`."""
+        """Note that the replica at the end of this feed has all steps before `next_step`."""
         if self._feeds.get(host_id) is feed:
             now, place = self._steady_nanos(), min(next_step, self.journal.next_step)
             self.heard[host_id] = now, place
@@ -205,7 +205,7 @@ class QueueReplication:
         return self.replicated_next_seq >= next_step
 
     def release(self) -> None:
-        """Perform all waiting actions, because the queue's policy waits for no replicas any more."""
+        """Perform all waiting actions, because the queue no longer waits for replicas."""
         self._in_sync.min_replicas = 0
         self.know([])
         self.journal.stop()
@@ -217,7 +217,7 @@ class QueueReplication:
         self._wake()
 
     def resume(self) -> None:
-        """The host serves the queue again."""
+        """Note that the host serves the queue again."""
         self.ended = None
         self.news.set()
 

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
 def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
-    """The status of the queue as of `now`, after everything that is due has been done."""
+    """The status of the queue as of `now`, after all due work."""
     hosted.tick()
     counters = hosted.queue.counters(now)
     return queue_pb2.QueueStatus(

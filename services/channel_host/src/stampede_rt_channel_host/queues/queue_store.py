@@ -80,7 +80,7 @@ class QueueStore:
         self.takers = IdOwners()  # which caller uses which taker id
         self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
         self.copies = QueueCopies(memory, now, self.may_serve)
-        self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None  # for each queue that begins to wait
+        self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None  # for queues that begin to wait
         self.departed: Counter[str] = Counter()
         """The counters of the queues that this host served before, by the names in QueueCounters."""
 
@@ -248,7 +248,7 @@ class QueueStore:
         self._arriving[record.queue_id] = record.epoch + 1, content
 
     def give_up(self, queue_id: bytes) -> None:
-        """Expect a queue no more. Idempotent."""
+        """Stop expecting a queue. Idempotent."""
         self._arriving.pop(queue_id, None)
 
     def may_serve(self) -> bool:
@@ -325,7 +325,9 @@ class QueueStore:
         self.in_use.set()
 
     def _note_replicated(self, hosted: HostedQueue, before: QueueReplication | None) -> None:
-        """Have the replicas of a queue kept, if it has just begun to wait for them. `before`: what it waited for."""
+        """Call `on_replicated` if a queue has just begun to wait for replicas. `before`: its former replication, or
+        None.
+        """
         if hosted.replication is not None and hosted.replication is not before:
             self.on_replicated(hosted)
 

@@ -46,7 +46,7 @@ def moved_to(record: RecordedQueue, host_id: bytes) -> StampedeError:
 
 
 def is_moving(record: RecordedQueue) -> StampedeError:
-    """The error for calls and streams of a queue that is on its way to another host."""
+    """The error for calls and streams of a queue that moves to another host."""
     name = display_name(record)
     return error_for("NOT_HERE", f"queue {name} is moving to another host; resolve it again", {"queue": name})
 

@@ -16,9 +16,9 @@ ANSWER_SECONDS_MAX = 8.0  # shorter than clients wait for a call
 
 
 async def wait_for_replicas(hosted: HostedQueue) -> None:
-    """Wait until the replicas know of the present state of the queue, ANSWER_SECONDS_MAX at most.
+    """Wait until the replicas have the present state of the queue, ANSWER_SECONDS_MAX at most.
 
-    Raises NotReplicated if they do not by then, and the error with which the host gives the queue up.
+    Raises NotReplicated if they do not have it by then, and the error with which the host gives the queue up.
     """
     replication = hosted.replication
     if replication is None:
@@ -61,7 +61,7 @@ def _not_replicated(
 ) -> NotReplicated:
     name = display_name(hosted.record)
     return NotReplicated(
-        f"queue {name} has done this, but its replicas did not hear of it in time: min_replicas is "
+        f"queue {name} has done this, but its replicas did not get it in time: min_replicas is "
         f"{replication.min_replicas}; it counts once it is replicated; look at `stampede replicas --queue {name}`, or "
         "start another host",
         metadata={"queue": name, "copies": str(copies)} | about,

@@ -1,4 +1,6 @@
-"""The waits of a hosted queue for its replicas: answers and deliveries leave the host only once the replicas know."""
+"""The waits of a hosted queue for its replicas: the host sends answers and deliveries only after the replicas have the
+change.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,11 @@ from stampede_rt_channel_host.queues.queue_replication import QueueReplication, 
 from stampede_rt_channel_host.queues.refusals import display_name
 
 LEVEL_SECONDS_MAX = 1.0
-ACKNOWLEDGED_CHUNKS_MAX = 64  # of the deliveries that a new replica learns: 16,384, which take 10 ms
+ACKNOWLEDGED_CHUNKS_MAX = 64  # a new replica gets this many chunks, with 16,384 deliveries, which take 10 ms
 
 
 class ReplicatedQueue(ABC):
-    """One queue, perhaps with replicas. `replication` is None while its policy waits for none."""
+    """One queue, perhaps with replicas. `replication` is None while the queue waits for no replicas."""
 
     record: RecordedQueue
     queue: QueueCore
@@ -36,7 +38,9 @@ class ReplicatedQueue(ABC):
         """The takers with a stream."""
 
     def replicate(self, content: QueueContent | None = None) -> None:
-        """Begin or end to wait for replicas, as the policy says. `content`: what the queue began with here."""
+        """Begin or stop waiting for replicas, as the policy says. `content`: the content with which the queue began
+        here.
+        """
         policy, replication = self.record.policy, self.replication
         if replication is not None and not waits_for_replicas(policy):
             self._last_step, self.replication = replication.journal.next_step, None
@@ -44,7 +48,7 @@ class ReplicatedQueue(ABC):
         elif replication is not None:
             replication.configure(policy)
         elif waits_for_replicas(policy):
-            # one step is left out, so that a copy from before never goes on with these steps
+            # leaves one number out, so that an earlier copy never continues with these steps
             journal = content.journal if content is not None else None
             journal = journal or self.queue.journal(self._last_step + 2)
             is_replicated = content is None or content.is_replicated
@@ -71,20 +75,22 @@ class ReplicatedQueue(ABC):
         if not await self.replication.replicated(next_step, LEVEL_SECONDS_MAX):
             name = display_name(self.record)
             raise Unavailable(
-                f"queue {name} needs {self.replication.min_replicas} replicas in sync (min_replicas), so some of it is "
-                f"at this host only; look at `stampede replicas --queue {name}`, and move it later"
+                f"queue {name} needs {self.replication.min_replicas} replicas in sync (min_replicas), so some of "
+                f"its messages are at this host only; look at `stampede replicas --queue {name}`, and move it later"
             )
         return next_step
 
     def once_replicated(self, about: object, action: Callable[[], None]) -> None:
-        """Perform `action` once the replicas know of the present state; at once if the queue waits for none."""
+        """Perform `action` once the replicas have the present state; at once if the queue waits for no replicas."""
         if self.replication is None:
             action()
         else:
             self.replication.once_replicated(about, action)
 
     def check_stalled(self) -> None:
-        """While the replicas lack a step for long, take back what no taker has got, so that no lease ends unseen."""
+        """If the replicas lack a step for too long, take back the messages that no taker has got, before their leases
+        end.
+        """
         replication = self.replication
         if replication is None or self.moving is not None or replication.is_stalled == self._is_stalled:
             return

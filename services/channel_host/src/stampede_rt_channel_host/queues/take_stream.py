@@ -67,7 +67,7 @@ class TakeStream:
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the queue any more."""
+        """Note that the host no longer serves the queue."""
         self._stream.end(error)
 
     async def run(self) -> None:
@@ -125,7 +125,7 @@ class TakeStream:
             await self._room.wait()
 
     def _answer(self, results: list[queue_pb2.SettlementResult]) -> None:
-        """Send results: the replicas know of these settlements."""
+        """Send results, because the replicas have these settlements."""
         self._results += results
         self._news.set()
 

@@ -1,4 +1,4 @@
-"""Keeps the last fetched parts of objects on the disk of the host, up to a number of bytes. Its methods block."""
+"""Keeps the last fetched parts of objects on the disk of the host, up to a limit in bytes. Its methods block."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ Place = tuple[str, int]  # an object's name, and the number of the chunk
 class ChunkCache:
     """Reads objects of a store in chunks, and keeps the chunks in a folder. Any thread may use it.
 
-    It begins empty: `open` deletes the chunks of a former process. A chunk that the disk does not take is not kept.
+    It begins empty: `open` deletes the chunks of a former process. If the disk does not take a chunk, the cache does
+    not keep it.
     """
 
     def __init__(self, store: SegmentStore, folder: Path, bytes_max: int) -> None:
@@ -45,7 +46,7 @@ class ChunkCache:
         return b"".join(parts)
 
     def forget(self, name: str, offset: int, size: int) -> None:
-        """Forget some bytes of an object: they were damaged, perhaps only here."""
+        """Forget some bytes of an object, because they were damaged. The store may still have them undamaged."""
         for number in range(offset // CHUNK_BYTES, (offset + size) // CHUNK_BYTES + 1):
             self._drop((name, number))
 

@@ -1,4 +1,4 @@
-"""The last files of former owners: they come to the object store after a channel has moved here."""
+"""The last files of former owners, which come to the object store after a channel has moved here."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ class _Expected(NamedTuple):
 
 
 class FormerOwners:
-    """Looks again and again, less and less often, until the archive of the channel has no hole."""
+    """Says when to look at the object store: at growing intervals, until the archive of the channel has no hole."""
 
     def __init__(self) -> None:
         self._expected: dict[MovingFiles, _Expected] = {}
 
     def expect(self, files: MovingFiles) -> None:
-        """The former owner of a channel still has items on its disk."""
+        """Note that the former owner of a channel still has items on its disk."""
         self._expected[files] = _Expected(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN)
 
     def forget(self, files: MovingFiles) -> None:
-        """Look no more for a channel."""
+        """Stop looking for files of a channel."""
         self._expected.pop(files, None)
 
     def due_s(self) -> float:
-        """In how many seconds to look again."""
+        """The seconds until the next look."""
         return min((one.due for one in self._expected.values()), default=float("inf")) - _clock()
 
     def take_due(self) -> list[MovingFiles]:
@@ -42,7 +42,7 @@ class FormerOwners:
         return found
 
     def found(self, files: MovingFiles) -> None:
-        """The caller has looked. Goes on if the archive has a hole."""
+        """Note that the caller has looked. If the archive has no hole any more, this was the last look."""
         if not files.lacks_items():
             self.forget(files)
 

@@ -22,18 +22,18 @@ _DELETED_FILE = "deleted"
 
 
 class InThread(Protocol):
-    """Has a thread do something."""
+    """A function that performs a call in a thread."""
 
     def __call__(self, call: Callable[[], list[str]]) -> Awaitable[list[str]]:
-        """Return what the call returns."""
+        """Return the result of the call."""
         ...
 
 
 class Leftovers:
     """The folders that were in `folder` when the host started, and the channels that were deleted since.
 
-    A channel that stopped cleanly is left alone until the host serves it again, because its folder has the note of this
-    stop. `open_files` makes the files of a folder.
+    The host does not touch the folder of a channel that stopped cleanly until it serves the channel again, because the
+    folder has the note of this stop. `open_files` makes the files of a folder.
     """
 
     def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:
@@ -43,7 +43,7 @@ class Leftovers:
         self._found: list[bytes] = []
 
     def take(self, channel_id: bytes) -> None:
-        """The host serves the channel from now on."""
+        """Note that the host serves the channel from now on."""
         self._taken.add(channel_id)
 
     def is_taken(self, channel_id: bytes) -> bool:
@@ -51,7 +51,7 @@ class Leftovers:
         return channel_id in self._taken
 
     def look(self) -> None:
-        """Look what is there. Blocks. Raises OSError."""
+        """Find the folders. Blocks. Raises OSError."""
         for path in self._folder.iterdir() if self._folder.is_dir() else ():
             channel_id = _channel_of(path)
             if channel_id is None:
@@ -75,7 +75,7 @@ class Leftovers:
         return opened
 
     def condemn(self, channel_id: bytes) -> None:
-        """The channel was deleted."""
+        """Note that the channel was deleted, for `delete_condemned`."""
         self._condemned.append(channel_id)
 
     async def delete_condemned(self, in_thread: InThread) -> None:
@@ -95,7 +95,7 @@ class Leftovers:
             sync_folder(path)
         names = []
         for one in self._store.find(f"{OBJECTS}/{path.name}/"):
-            if segment_named(one.name.rpartition("/")[2]) is None:  # an object of somebody else
+            if segment_named(one.name.rpartition("/")[2]) is None:  # the archive has not made this object
                 continue
             names.append(one.name)
             if len(names) == DELETED_AT_ONCE:

@@ -15,8 +15,8 @@ from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, 
 
 
 class MovingFiles(SegmentFiles):
-    """`is_left`: another object goes on with the folder, or the channel was deleted. The thread of writes calls all
-    methods.
+    """`is_left`: another object has taken the folder over, or the channel was deleted. Only the thread of writes calls
+    the methods.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class MovingFiles(SegmentFiles):
 
     def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
         """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:
-        drop none. Find out what is waiting. Raises OSError.
+        drop none. Find the segments that are to move. Raises OSError.
         """
         if self.is_left:
             self.waiting = ()
@@ -50,7 +50,7 @@ class MovingFiles(SegmentFiles):
         self.waiting = local if self._file is None else local[:-1]
 
     def _local(self) -> tuple[Segment, ...]:
-        """The segments in the folder: the last ones, because they move in their order."""
+        """The segments in the folder. They are the last ones, because segments move in order."""
         segments = self._segments
         at = len(segments)
         while at and not self.stored.is_stored(segments[at - 1].number):
@@ -97,7 +97,7 @@ class MovingFiles(SegmentFiles):
         return self._epoch
 
     def lacks_items(self) -> bool:
-        """Whether there is a hole between two segments, or nothing but segments of this owner."""
+        """Whether segments may be missing: there is a hole between two segments, or all segments are this owner's."""
         pairs = pairwise(self._segments)
         own = first_number(self._epoch)
         is_alone = not self._segments or self._segments[0].number >= own
@@ -108,7 +108,7 @@ class MovingFiles(SegmentFiles):
         return sum(one.length for one in self._local())
 
     def check_same(self, packed: Packed) -> None:
-        """Check that the object that is there already is this segment. Raises OSError. Any thread may call it."""
+        """Check that the object that exists already is this segment. Raises OSError. Any thread may call it."""
         if not self.stored.has_object(packed.name, len(packed.content)):
             text = f"the object {packed.name} exists with other bytes; move it away, and look who wrote it"
             raise OSError(errno.EEXIST, text)

@@ -1,4 +1,4 @@
-"""The object store of a host's archive, with everything that goes with it."""
+"""The object store of a host's archive, with its cache and the mover of segments."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ObjectSettings(NamedTuple):
 
 
 class ObjectArchive:
-    """The part of an archive that is in an object store. `folder`: the archive's own, which is open."""
+    """The part of an archive that is in an object store. `folder`: the open folder of the archive."""
 
     def __init__(self, settings: ObjectSettings, folder: ArchiveFolder, cut: CutRun, now: Callable[[], int]) -> None:
         """Blocks. Raises OSError."""

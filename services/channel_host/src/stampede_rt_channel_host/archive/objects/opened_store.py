@@ -26,7 +26,8 @@ READ_SECONDS_MAX = 10  # for one request, and for its retries
 UPLOAD_SECONDS_MAX = 600
 LISTED_AT_ONCE = 1000
 _TEXT_MAX = 300
-_ALLOW_HTTP = ("AWS_ALLOW_HTTP", "GOOGLE_ALLOW_HTTP", "AZURE_ALLOW_HTTP")  # client_options replace what obstore reads
+# client_options replace these variables, which obstore reads
+_ALLOW_HTTP = ("AWS_ALLOW_HTTP", "GOOGLE_ALLOW_HTTP", "AZURE_ALLOW_HTTP")
 _REFUSED = (
     exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, exceptions.UnknownConfigurationKeyError,
     FileNotFoundError,  # no such bucket or user

@@ -24,7 +24,7 @@ LOOK_SECONDS_MIN, LOOK_SECONDS_MAX = 0.05, 5.0
 BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
 DELETED_AT_ONCE = 100
 UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
-LOOKS_PER_DROP = 12  # every so many looks, outdated segments of idle channels leave the archive
+LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels leave the archive
 
 
 class MovedCounts(NamedTuple):
@@ -53,10 +53,10 @@ class SegmentMover:
     def __init__(
         self, store: SegmentStore, cache: ChunkCache, leftovers: Leftovers, seal_nanos: int, now: Callable[[], int]
     ) -> None:
-        """`seal_nanos`: after so long an open segment is closed."""
+        """`seal_nanos`: the age at which an open segment is closed."""
         self.store, self.cache = store, cache
         self.failure = ""
-        """Why the store has failed last; empty: it works."""
+        """Why the last call of the store failed; empty: it succeeded."""
         self._leftovers, self._seal_nanos, self._now = leftovers, seal_nanos, now
         self._recorders: dict[MovingFiles, ChannelRecorder] = {}
         # the files of channels that are not recorded here any more, and whether a look has found their waiting segments
@@ -71,7 +71,7 @@ class SegmentMover:
         self._wake = asyncio.Event()
 
     def start(self) -> None:
-        """Move from now on. Idempotent."""
+        """Begin to move segments. Idempotent."""
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="archive-mover")
             self._task.add_done_callback(_log_defect)
@@ -82,27 +82,27 @@ class SegmentMover:
             self._recorders[recorder.files] = recorder
 
     def expect_former(self, recorder: ChannelRecorder) -> None:
-        """The channel has moved here, and its former owner still moves its last files to the store."""
+        """Note that a channel has moved here, and that its former owner still moves its last files to the store."""
         if isinstance(recorder.files, MovingFiles):
             self._former.expect(recorder.files)
             self._wake.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
-        """The host records the channel no more. Its segments go to the store all the same."""
+        """Note that the host no longer records the channel. Its closed segments still move to the store."""
         if isinstance(recorder.files, MovingFiles) and self._recorders.pop(recorder.files, None) is not None:
             self._former.forget(recorder.files)
             self._leaving[recorder.files] = False
             self._wake.set()
 
     def reopening(self, channel_id: bytes) -> None:
-        """Another object opens the folder of a channel now."""
+        """Note that another object opens the folder of a channel now."""
         self._leftovers.take(channel_id)
         for files in [one for one in self._leaving if one.stored.channel_id == channel_id]:
             files.is_left = True
             del self._leaving[files]
 
     def delete(self, channel_id: bytes) -> None:
-        """The channel was deleted: delete its files and objects, now or after the next start."""
+        """Delete the files and objects of a deleted channel, now or after the next start of the host."""
         for files in (*self._recorders, *self._leaving):
             if files.stored.channel_id == channel_id:
                 files.is_left = True
@@ -153,7 +153,7 @@ class SegmentMover:
         self.failure = failure
 
     async def move_all(self) -> str:
-        """Do all that is to do now. Returns why something failed, or an empty text."""
+        """Do all work that is due now. Returns the reason of a failure, or an empty text."""
         self._store_fails = False
         failures = [await self._tried(self._look())]
         for files in (*self._recorders, *self._leaving):
@@ -255,7 +255,7 @@ class SegmentMover:
         return await asyncio.get_running_loop().run_in_executor(self.writer, call)
 
     async def close(self, seconds_max: float) -> None:
-        """Move what is closed, for `seconds_max` at most, and end."""
+        """Move the closed segments, for `seconds_max` at most, and end."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
@@ -268,7 +268,7 @@ class SegmentMover:
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:
-    """The moves have ended with a defect: closed files stay in their folders."""
+    """Log a defect that has ended the task of the moves. Closed files then stay in their folders."""
     if not task.cancelled() and (failure := task.exception()) is not None:
         logger.error(
             "a task of the host ended with a defect",

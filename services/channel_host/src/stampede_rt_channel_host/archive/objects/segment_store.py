@@ -17,7 +17,7 @@ CHECK_SECONDS_MAX = 20.0
 
 
 class StoreError(OSError):
-    """The object store does not do what it should. `is_refusal`: to try again does not help."""
+    """The object store failed. `is_refusal`: a repetition would fail, too."""
 
     def __init__(self, text: str, *, is_refusal: bool = False) -> None:
         super().__init__(errno.EIO, text)
@@ -32,7 +32,7 @@ class FoundObject(NamedTuple):
 
 
 class SegmentStore(Protocol):
-    """A store of objects below a prefix. Its methods block, but for `create`. They raise StoreError."""
+    """A store of objects below a prefix. Its methods raise StoreError. All of them block, except `create`."""
 
     url: str
 
@@ -54,9 +54,9 @@ class SegmentStore(Protocol):
 
 
 async def check_store(store: SegmentStore) -> None:
-    """Check that objects can be made and listed, and that none is overwritten.
+    """Check that the store makes and lists objects, and that it overwrites none.
 
-    Raises SettingsError if the store refuses it. If the store cannot be reached now, logs it.
+    Raises SettingsError if the store refuses to. Only logs it if the store cannot be reached now.
     """
     try:
         async with asyncio.timeout(CHECK_SECONDS_MAX):

@@ -25,7 +25,7 @@ OBJECTS = "channels"
 
 
 class Packed(NamedTuple):
-    """A closed segment as it goes to the store. `name`: of the object."""
+    """A closed segment in the form of an object. `name`: the name of the object."""
 
     segment: Segment
     name: str
@@ -42,7 +42,7 @@ class StoredSegments(SegmentFolder):
         super().__init__(path)
         self.prefix = f"{OBJECTS}/{path.name}/"
         self.outdated: list[str] = []
-        """The objects that have left the archive, and that the store still has."""
+        """The objects that have left the archive, but not the store."""
         self._cache, self._store = cache, store
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
@@ -58,7 +58,7 @@ class StoredSegments(SegmentFolder):
         """List the segments in the store, by their numbers. `epoch`: of the channel now. Raises StoreError.
 
         It is an error if there are segments of a later epoch: then another host owns the channel. Ignores objects that
-        are no segments. Any thread may call it.
+        are not segments. Any thread may call it.
         """
         found = {}
         for one in self._store.find(self.prefix):
@@ -122,7 +122,7 @@ class StoredSegments(SegmentFolder):
         self.file_of(segment.number).unlink(missing_ok=True)
 
     def remove(self, number: int) -> None:
-        """Delete the file of a segment, and let its object be `outdated`. Raises OSError."""
+        """Delete the file of a segment, and add its object to `outdated`. Raises OSError."""
         super().remove(number)
         stored = self._stored.pop(number, None)
         self._dropped_to = max(self._dropped_to, number)
@@ -150,7 +150,7 @@ class StoredSegments(SegmentFolder):
         return lambda at, size: self._cache.read(stored.name, at, max(0, min(size, end - at)))
 
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
-        """The blocks of a segment from the offset `begin` on, as far as `segment` knows it."""
+        """The blocks of a segment from the offset `begin` on, up to the length that `segment` states."""
         stored = self._stored.get(segment.number)
         if stored is None or self.file_of(segment.number).exists():
             found = super().blocks(segment, begin)
@@ -159,7 +159,7 @@ class StoredSegments(SegmentFolder):
         return below(found, segment.length, segment.end_seq)
 
     def _indexed(self, stored: StoredSegment) -> Sequence[PlacedBlock]:
-        """The blocks of an object, by its index, or, if this is damaged, by their heads."""
+        """The blocks of an object, from its index; if the index is damaged, from the heads of the blocks."""
         length = stored.segment.length
         index = self._cache.read(stored.name, length, max(0, stored.bytes - length))
         found = decode_index(index, length)

@@ -75,7 +75,7 @@ class GetStream:
         answer_at_once(self._context, self._take_at_once)
         try:
             while (raw := await self._context.read()) is not EOF:
-                check_length(raw)  # before the turn, for which 1280 requests of 200 KiB waited
+                check_length(raw)  # before the wait for the turn: else many large requests stay in memory
                 if self._work.must_wait:
                     await self._work.turn()
                 self._work.spend_read()
@@ -92,12 +92,14 @@ class GetStream:
             self._store.scheduler.begin(self._cancelling())
 
     def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
-        """Perform a get that does not wait, and write its answer, or its first message. False for any other message."""
+        """Perform a get that does not wait, and write its answer, or its first message. Returns False for other
+        requests.
+        """
         if self._calls or not self._outbox.is_empty or len(raw) > REQUEST_BYTES_MAX:
             return False
         try:
             call = self._plans.read(raw)
-        except StampedeError:  # the loop that reads the requests comes to the same error
+        except StampedeError:  # the loop that reads the requests raises the same error
             return False
         if call.plan is None or call.plan.wait_nanos or call.plan.group is not None:
             return False

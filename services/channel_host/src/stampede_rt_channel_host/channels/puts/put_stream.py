@@ -38,7 +38,7 @@ from stampede_rt_runtime.rpc import Context, answer_at_once
 # the message stays below its size limit.
 ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
-RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; a producer sends no more together
+RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; producers join no more
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
@@ -140,7 +140,7 @@ class PutStream:
             may_wait = hosted.puts.may_wait or any(may_be_held(hosted, put.ack) for put in request.puts)
             if may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
                 return False
-        except StampedeError:  # the loop that reads the requests comes to the same error
+        except StampedeError:  # the loop that reads the requests raises the same error
             return False
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
@@ -151,7 +151,7 @@ class PutStream:
     async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
             await self._work.turn()
-        self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
+        self._requests.release()  # the runs are judged without a wait; a run that has to wait is counted then
         self._work.spend_read()
         while received.puts:
             ack: pb.PutAck | HeldAck

@@ -1,4 +1,4 @@
-"""Archives of channels: the contents of their files, and reads over an archive and memory. Values in, values out. Pure.
+"""Archives of channels: the contents of their files, and reads over an archive and memory. Pure: values in, values out.
 
 The shell, `stampede_rt_channel_host.archive`, has these duties:
 

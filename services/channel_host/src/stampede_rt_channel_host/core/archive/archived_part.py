@@ -1,4 +1,4 @@
-"""The part of a subscription that memory has no more: items of an archive, in the order of their seqs. Pure."""
+"""The items of a subscription that have left memory: items of an archive, in the order of their seqs. Pure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
 
 STRADDLING_MAX = 16
-"""The most further blocks that are loaded for the times of late items between those of the blocks of a part."""
+"""The most additional blocks that a part loads, for items whose times lie between those of its own blocks."""
 
 
 class ChosenPart(NamedTuple):
-    """The blocks of the next seqs, and the blocks whose items lie between theirs in time.
+    """The blocks of the next seqs, and other blocks with items of times between theirs.
 
     `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
     these blocks, or None.
@@ -33,7 +33,7 @@ class ChosenPart(NamedTuple):
 
 
 class ArchivedPart(NamedTuple):
-    """The items of the next seqs, loaded, together with those that lie between them in time."""
+    """The loaded items of the next seqs, with other items of times between theirs."""
 
     items: ChannelIndex
     end_seq: int
@@ -124,7 +124,7 @@ def _gap(cursor: AllCursor, first: int, end: int, reason: Reason) -> Subscriptio
 
 
 def _belonging(piece: Slice, cursor: AllCursor) -> Slice | None:
-    """The items of a slice that belong to the subscription, or None: its earliest ones may not."""
+    """The items of a slice that belong to the subscription, or None. The earliest items may not belong to it."""
     lo = piece.lo
     while lo < piece.hi and not cursor.belongs(piece.run.times[lo], piece.run.first_seq + lo):
         lo += 1

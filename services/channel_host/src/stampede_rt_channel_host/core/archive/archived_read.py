@@ -1,4 +1,4 @@
-"""A read of a recorded channel: window by window from the archive, and at last from memory. Pure."""
+"""A read of a recorded channel: window by window from the archive, and then from memory. Pure."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def resolved_now(
 
 
 def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
-    """Whether an interval that begins at `start` may select items that memory has no more."""
-    split = held.newest_collected  # the bucket of the newest collected item may be in memory in part
+    """Whether an interval that begins at `start` may select items that have left memory."""
+    split = held.newest_collected  # memory may have a part of the bucket of the newest collected item
     if held.newest is None or split is None:
         return held.newest is None
     if start <= split or start < (held.gone_before or start):
@@ -72,12 +72,12 @@ class ArchivedRead:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
         self.continues = False
         self.within = within
-        self.lacks = 0  # the items of the answer that the archive lacks
+        self.lacks = 0  # how many items are missing from the answer because the archive lacks them
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
-        # the read wants no archived items from `_border` on, and no hole after `_last_instant` concerns it
+        # the read needs no archived items from `_border` on, and ignores holes after `_last_instant`
         self._border, self._last_instant = self._held.floor, within.end
-        self._start = within.start  # it wants the items from here on, and the bucket before
+        self._start = within.start  # the read needs the items from here on, and the bucket before
         self._left = query.limit
         self._pages: list[Sequence[Slice]] = []
         self._last: ReadAnswer | None = None
@@ -92,8 +92,8 @@ class ArchivedRead:
         self._windows = self._of_memory = 0  # the windows read, and those of them that had no archived items
 
     def begin(self) -> Pieces[None]:
-        """Read memory first, if it may have all wanted items: if the interval does not reach further back, or if the
-        read goes downwards, because the latest items then come first.
+        """Read memory first if it may have all wanted items: if the interval begins within memory, or if the read goes
+        downwards and so takes the latest items first.
         """
         archived, in_memory = self._held.newest_collected, self._held.newest is not None
         if self._within.is_empty or not reaches(self._held, self._start):
@@ -103,7 +103,7 @@ class ArchivedRead:
             self._of_memory = 1
 
     def next_window(self) -> WantedWindow | None:
-        """The next window to load, or None if the read has all that it wants."""
+        """The next window to load, or None if the read has all its items."""
         if self._is_done:
             return None
         size = WINDOW_BYTES if self._windows > self._of_memory else FIRST_WINDOW_BYTES
@@ -152,8 +152,8 @@ class ArchivedRead:
         return reading
 
     def _bounded(self, window: ArchiveWindow, edge: int) -> ArchiveWindow:
-        """A window of items up to the bucket at `edge`, for a read that has all later ones."""
-        lowest = self._lowest if self._lowest != edge else None  # equal: the bucket is in memory in part
+        """A window that ends with the bucket at `edge`, for a read that has all later items."""
+        lowest = self._lowest if self._lowest != edge else None  # equal: memory has a part of the bucket
         later = (lowest, window.following, self._held.next_time(edge))
         following = min((one for one in later if one is not None), default=None)
         return window._replace(following=following, end=min(self._held.floor, (edge, SEQ_END)))
@@ -186,7 +186,7 @@ class ArchivedRead:
             self._is_done = self.continues = self._more = True
 
     def _selects(self, time: int) -> bool:
-        """Whether the read surely selects an item at `time`, the edge of a window, where it would read on."""
+        """Whether the read surely selects an item at `time`. There, at the edge of a window, the next window begins."""
         query = self._query
         if query.match is Match.WHOLE or time not in self._within:
             return False
@@ -209,9 +209,10 @@ class ArchivedRead:
         )
 
     def _lack(self, slices: Sequence[Slice]) -> Reason | None:
-        """The reason of an answer that the archive lacks items of, or None. `slices`: the items of the answer.
+        """The reason of an answer that lacks items because the archive lacks them, or None. `slices`: the items of the
+        answer.
 
-        An answer that the limit has cut off does not lack items beyond its last one.
+        If the limit has cut the answer off, holes beyond its last item do not count.
         """
         lacking = self._holes
         if self._more and slices and self._query.newest_first:

@@ -19,7 +19,7 @@ ITEMS, GAP, OPENING, ADVANCES = 1, 2, 3, 4
 """The kinds of blocks: item runs; seqs whose items were never archived; the facts about a segment and its channel; the
 advances of the channel."""
 
-_SUM = struct.Struct("<4sI")  # the magic, and the checksum of the rest of the head
+_SUM = struct.Struct("<4sI")  # the magic number, and the checksum of the rest of the head
 _HEAD = struct.Struct("<IIIIIQQqQqQqq")
 _ROW = struct.Struct("<qIqq")  # for each run: when it was accepted, the length of its body, its least and greatest time
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
@@ -28,7 +28,7 @@ PACKED_HEAD_BYTES = _HEAD.size
 
 
 CutRun = Callable[[bytes, int, int], bytes]
-"""Returns the body of a run with some of the items of a body, from one place up to another, exclusive."""
+"""Cuts some items out of a run's body: takes the body and two positions, the second exclusive. Returns the new body."""
 
 
 class BlockHead(NamedTuple):
@@ -166,7 +166,7 @@ def decode_head(raw: bytes) -> BlockHead | None:
 
 
 def is_whole(head: BlockHead, content: bytes | memoryview) -> bool:
-    """Whether the content is the one that the head belongs to, to the last bit."""
+    """Whether the content is undamaged: it has the checksum that the head states."""
     return len(content) == head.content_bytes and crc32(content) == head.content_crc
 
 

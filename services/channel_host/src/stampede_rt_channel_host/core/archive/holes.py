@@ -1,4 +1,4 @@
-"""The items that an archive lacks, next to those that a read takes. Pure."""
+"""Items that an archive lacks, next to items that a read takes. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 
 
 class Hole(NamedTuple):
-    """Items that an archive does not have. Their times lie between `start` and `end`, unless they came late."""
+    """A hole: items that an archive lacks. Their times lie between `start` and `end`, unless they came late."""
 
     start: int
     end: int
@@ -20,7 +20,7 @@ class Hole(NamedTuple):
 
 
 def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
-    """The holes next to the blocks that a read took: items never archived, or in a block without a head.
+    """The holes next to the blocks that a read took: items that were never archived, or whose block has a damaged head.
 
     `taken`: the offsets of these blocks.
     """
@@ -38,7 +38,7 @@ def border_holes(
 ) -> Iterator[Hole]:
     """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks.
 
-    Also the hole before all items, if the first block that the archive has ever had is damaged.
+    Includes the hole before all items, if the very first block of the archive is damaged.
     """
     first = segments[0] if segments else None
     if first is not None and first.lacks and first.first_seq == 1 and first.low is not None:

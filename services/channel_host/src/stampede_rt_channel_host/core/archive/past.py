@@ -45,11 +45,11 @@ class NextItems(NamedTuple):
 
 
 class Past(NamedTuple):
-    """The segments of an archive as far as the host had accepted their items by an instant.
+    """An archive's segments with only the items that the host had accepted by an instant.
 
-    `last_blocks` are the blocks of the last segment if it was cut off, else None. The head of a block that was cut off
-    tells its first items only. `next_items`: None if the archive has no later ones. `advance` is the highest one of
-    then, and `next_advance` is when the host accepted a higher one; each may be None.
+    `last_blocks` are the blocks of the last segment if it was cut off, else None. The head of a cut block describes
+    only its first items. `next_items`: None if the archive has no later items. `advance` is the highest advance at that
+    instant, and `next_advance` the time at which the host accepted a higher one; each may be None.
     """
 
     segments: tuple[Segment, ...]
@@ -74,7 +74,7 @@ class Past(NamedTuple):
 def past_of(
     segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, advances_of: AdvancesOf, as_of: int
 ) -> Past:
-    """The archive as it was at the instant `as_of`. Asks for the runs of a block or two, and for one of advances."""
+    """The archive as it was at the instant `as_of`. Reads at most two blocks of runs and one block of advances."""
     past, reached = Past(tuple(segments), None, None), segments
     for at, segment in enumerate(segments):
         place = blocks_of(segment).first_accepted_after(as_of) if segment.last_accepted > as_of else None
@@ -87,7 +87,7 @@ def past_of(
 
 
 def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int) -> Past:
-    """The past if the last of `blocks` has the first items that the host accepted later."""
+    """The past, if the last of `blocks` has the first items that the host accepted after the instant."""
     kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
     runs = runs_of(segment, last)
     first, following = _part(last, runs, as_of)
@@ -100,7 +100,7 @@ def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, run
 
 
 def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
-    """The block with the items that were accepted by `as_of`, or None, and the next ones."""
+    """The part of the block with the items that were accepted by `as_of`, or None; and the items accepted next."""
     head: BlockHead = block.head
     if not runs:  # the block is damaged
         found = NextItems(head.last_accepted, head.first_seq, head.low[0], head.high[0])
@@ -124,9 +124,9 @@ def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[
 def _advances(
     segments: Sequence[Segment], blocks_of: BlocksOf, advances_of: AdvancesOf, as_of: int
 ) -> tuple[int | None, int | None]:
-    """The highest advance of then, and when the host accepted the next one.
+    """The highest advance at that instant, and the time at which the host accepted the next one.
 
-    A segment begins with the latest advance. So the last segment has none only if there was none since the host began.
+    A segment begins with the latest advance. So the last segment has no advance only if the channel had none.
     """
     following: int | None = None
     for segment in reversed(segments):
@@ -157,7 +157,9 @@ class PastFacts(NamedTuple):
 
 
 def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
-    """The channel as it was at `clock`, with no item in memory, because the archive has all. `span`: of `past`."""
+    """The channel as it was at `clock`, without items in memory, because the archive has all of them. `span`: of
+    `past`.
+    """
     channel = ChannelCore(facts.policy, incarnation=facts.incarnation)
     channel.restore((), after=span.newest, next_seq=past.next_seq, loss=(None, None))
     moment = channel.snapshot(clock)

@@ -13,8 +13,8 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 class ArchiveSpan:
     """The facts that an archive keeps in memory.
 
-    `oldest` and `newest` are times, or None if the archive is empty. `is_cut`: items before the oldest one were
-    archived once, and are gone.
+    `oldest` and `newest` are times, or None if the archive is empty. `is_cut`: the archive has dropped items before the
+    oldest one.
     """
 
     __slots__ = ("is_cut", "newest", "oldest")

@@ -1,4 +1,4 @@
-"""Finds the blocks of a segment: after a crash, after damage, and in a closed segment. Pure."""
+"""Finds the blocks of a segment, even after a crash or damage. Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.archive.block import (
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
 ReadAt = Callable[[int, int], bytes]
-"""Returns the bytes of a file from an offset on: so many, or fewer at the end of the file."""
+"""Reads a file: takes an offset and a number of bytes. Returns the bytes, fewer at the end of the file."""
 
 _SEARCH_BYTES = 2**20  # read at once in the search for the next block after a damaged one
 
@@ -48,9 +48,9 @@ class Scan(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A segment in short: its number and its bytes, its seqs, its keys, and when its items were accepted.
+    """The summary of a segment: its number and length, its seqs and keys, and when its items were accepted.
 
-    `low` and `high` are None if it has no items. `lacks` is the number of seqs at its beginning that no block has,
+    `low` and `high` are None if it has no items. `lacks` is the number of seqs at its beginning that are in no block,
     because a head is damaged.
     """
 
@@ -69,8 +69,8 @@ def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0) 
     """All blocks of a segment of `length` bytes, or those from the offset `begin` on.
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
-    `check_contents` the last blocks also belong to the torn tail if their contents are damaged: a host that lost its
-    power may have written them in part.
+    `check_contents`, last blocks with damaged contents also belong to the torn tail: a host that lost its power may
+    have written only a part of them.
     """
     blocks: list[PlacedBlock] = []
     damaged: list[tuple[int, int]] = []
@@ -116,7 +116,7 @@ def _cut_torn(blocks: list[PlacedBlock], read_at: ReadAt, damaged: list[tuple[in
 
 
 def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment | None:
-    """The segment in short, or None if it has neither items nor gaps."""
+    """The summary of the segment, or None if it has neither items nor gaps."""
     everything = [one.head for one in blocks]
     heads = [head for head in everything if head.kind != OPENING]
     if not heads:
@@ -137,7 +137,7 @@ def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment 
 
 
 def grown(segment: Segment, head: BlockHead) -> Segment:
-    """The segment with one block more at its end."""
+    """The segment with one more block at its end."""
     length, end_seq = segment.length + head.length, head.end_seq
     accepted = max(segment.last_accepted, head.last_accepted)
     if head.kind in (GAP, ADVANCES):

@@ -1,4 +1,4 @@
-"""The blocks of one segment in little memory, with orders by time, by seq and by acceptance. Pure."""
+"""The blocks of one segment in compact columns, sorted by time, by seq and by acceptance. Pure."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ BLOCK_INDEX_BYTES = 192
 
 
 class _Columns(NamedTuple):
-    """The facts in the order of the file: of all blocks, and from `places` on, of the blocks that have items.
+    """Columns in the order of the file. The columns before `places` have all blocks, the others only blocks with items.
 
-    `places` are the positions of these blocks among all.
+    `places` are the positions of the blocks with items among all blocks.
     """
 
     heads: bytes
@@ -46,10 +46,10 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         # at equal times the order of the file is the order of the seqs, and sorting keeps it
         self._by_low = array("I", sorted(range(len(lows)), key=lows.__getitem__))
         self._low_times = array("q", (lows[at] for at in self._by_low))
-        self._reach = array("q", accumulate((highs[at] for at in self._by_low), max))  # of this block and those before
+        self._reach = array("q", accumulate((highs[at] for at in self._by_low), max))  # up to this block
         self._by_high = array("I", sorted(range(len(highs)), key=highs.__getitem__))
         self._high_times = array("q", (highs[at] for at in self._by_high))
-        self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))  # and of those after
+        self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))  # from this block on
         self._least.reverse()
         self._accepted = array("q", accumulate(columns.accepted, max))
 
@@ -130,7 +130,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return self._low_times[at] if at < len(self._low_times) else None
 
     def first_accepted_after(self, instant: int) -> int | None:
-        """The position of the first block whose items the host had not all accepted by `instant`, or None."""
+        """The position of the first block with an item that the host accepted after `instant`, or None."""
         at = bisect_right(self._accepted, instant)
         return self._columns.places[at] if at < len(self._columns.places) else None
 

@@ -1,7 +1,8 @@
 """A closed segment as an object of an object store: its name, and the index after its bytes. Pure.
 
-The name tells all that the host keeps of a segment in memory, so that a listing of names opens an archive. The object
-has the bytes of the segment, and after them an index of its blocks, so that a reader finds a block with one request.
+The name has all facts that the host keeps in memory about a segment, so that a listing of names opens an archive. The
+object has the bytes of the segment, and after them an index of its blocks, so that a reader finds a block with one
+request.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ NUMBERS_PER_EPOCH = 10**9
 """The number of a segment is the epoch of its channel times this, and a count from 1 on."""
 SEQ_MAX, TIME_MAX = 2**64, 2**63
 _OFFSET = struct.Struct("<Q")
-_END = struct.Struct("<4sII")  # the magic, the checksum of the rows, and their number
+_END = struct.Struct("<4sII")  # the magic number, the checksum of the rows, and their number
 _MAGIC = b"SRTX"
 _ROW_BYTES = _OFFSET.size + HEAD_BYTES
 _NUMBER, _KEY = r"(\d{1,30})", r"(?:x|(-?\d{1,19})\.(\d{1,20}))"

@@ -1,4 +1,4 @@
-"""Chooses the blocks of an archive that a read needs next, and makes the items of them readable. Pure.
+"""Chooses the blocks of an archive that a read needs next, and makes their items readable. Pure.
 
 A read takes the archive in windows: stretches of whole buckets, in the direction of the read, of a bounded number of
 bytes. A bucket is all items of one time.
@@ -39,8 +39,8 @@ class Wanted(NamedTuple):
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
-    Beyond `bytes_limit`, which only very many items of one time reach, the read fails. `at_hand`: the read fails with
-    NotAtHand if the window is too long to be read at once.
+    If a window needs more than `bytes_limit`, the read fails; this happens only with very many items of one time.
+    `at_hand`: the read fails with NotAtHand if the window is too long to be read at once.
     """
 
     start: int
@@ -61,8 +61,8 @@ class Wanted(NamedTuple):
 class Chosen(NamedTuple):
     """The blocks to load, with their segments.
 
-    `edge`: the time at which the read continues. A read upwards has no bucket from `edge` on in this window, and a read
-    downwards none up to `edge`. None: the blocks have all that the read wants. `following` is the time of the first
+    `edge`: the time at which the read continues. In a read upwards, all buckets of this window are before `edge`; in a
+    read downwards, all are after it. None: the blocks have all wanted items. `following` is the time of the first
     bucket after the blocks, or None.
     """
 
@@ -103,7 +103,7 @@ def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> 
 
 
 class _Growing:
-    """A window while blocks come in: `taken`, of `size` bytes.
+    """A window to which blocks are added: `taken`, of `size` bytes.
 
     A window cannot end within a bucket, so `bytes_limit` bounds it.
     """
@@ -114,7 +114,7 @@ class _Growing:
         self.size = 0
         self._wanted = wanted
         self._first = low if wanted.overlap else wanted.start if wanted.from_time is None else wanted.from_time
-        self._least, self._greatest = LAST_KEY[0], FIRST_KEY  # of the keys with which a window may end
+        self._least, self._greatest = LAST_KEY[0], FIRST_KEY  # the window may end at these keys
 
     def take(self, segment: Segment, block: PlacedBlock) -> None:
         """Add a block. Raises Overloaded if the window becomes too large."""
@@ -137,7 +137,8 @@ class _Growing:
     def may_end(self, following: BlockHead) -> bool:
         """Whether the window may end before the block `following`.
 
-        It has a whole bucket then. Without overlap it does not end among the items before `start`: that is one bucket.
+        It may end only after a whole bucket. Without overlap it does not end among the items before `start`, because
+        the read needs only one bucket of them.
         """
         start = FIRST_KEY[0] if self._wanted.overlap else self._wanted.start
         if self._wanted.down:
@@ -148,7 +149,9 @@ class _Growing:
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> int:
-    """The time from which on the read needs items: not after the bucket before `start`, whose spans may reach there."""
+    """The time from which on the read needs items: at or before the last bucket before `start`, whose spans may reach
+    `start`.
+    """
     start = wanted.start
     before = FIRST_KEY[0]
     for segment in segments:
@@ -165,7 +168,9 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) 
 
 
 def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
-    """The blocks that reach to `low` or beyond, by their least key. Asks for a segment's blocks only when it is due."""
+    """The blocks that reach to `low` or beyond, by their least key. Asks for a segment's blocks only when they are
+    next.
+    """
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
     merging = _Merging(lambda block: block.head.low)
     for at, segment in enumerate(due):
@@ -233,7 +238,7 @@ def _next_low(segments: Sequence[Segment], blocks_of: BlocksOf, time: int) -> in
 
 
 def window_of(runs: Iterable[Run], chosen: Chosen, low: ItemKey, high: ItemKey, *, down: bool) -> ArchiveWindow:
-    """The items of the chosen blocks at or above `low` and below `high`, without buckets that are there only in part.
+    """The items of the chosen blocks at or above `low` and below `high`, without incomplete buckets.
 
     `runs` ascend in their seqs.
     """

@@ -39,7 +39,7 @@ def low_of(backlog: ArchiveBacklog | None) -> ItemKey | None:
 
 
 def archived_part(held: Holdings, oldest: OldestItems, backlog: ArchiveBacklog | None) -> OldestItems:
-    """The oldest items that retention may collect: all before the first one that is not archived."""
+    """The oldest items that retention may collect: all items before the first one that is not archived."""
     low = low_of(backlog)
     if low is None or oldest.last is None or (oldest.last.last_time, oldest.last.end_seq) <= low:
         return oldest

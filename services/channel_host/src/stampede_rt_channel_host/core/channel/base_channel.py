@@ -148,7 +148,7 @@ class BaseChannel:
     def record(self, archived_to: int) -> None:
         """Keep items from the seq `archived_to` on until they are archived, unless max_bytes collects them.
 
-        Call it again when the archive has got further.
+        Call it again when the archive has more items.
         """
         if self._retention.unarchived is None:
             self._retention.unarchived = ArchiveBacklog(self._held, archived_to)

@@ -48,7 +48,7 @@ class FedChannel(ChannelCore):
     def of_owner(cls, core: ChannelCore, window: RetryWindow, now: int) -> FedChannel:
         """The copy that a former owner becomes, without copying an item. It can become the owner again.
 
-        From then on the items and the retry window belong to the copy: `core` must not be used any more.
+        From then on the items and the retry window belong to the copy: the caller must not use `core` any more.
         """
         places = core.consumer_places(now)
         held, _ = core.look(now)
@@ -76,10 +76,10 @@ class FedChannel(ChannelCore):
         return super().footprint_bytes + window
 
     def as_owner(self, now: int, incarnation: int | None = None) -> tuple[ChannelCore, RetryWindow]:
-        """The channel and its retry window, of which this copy was made, up to the lag of this copy.
+        """The channel that this copy becomes, with the retry window. It has the items and runs that this copy has got.
 
-        `incarnation`: the new one, if the owner was lost with later items than this copy has; None: it goes on. From
-        then on the items belong to that channel: this copy must not be used any more.
+        `incarnation`: the new one, if the owner was lost with later items than this copy has; None: the incarnation
+        stays. From then on the items belong to that channel: the caller must not use this copy any more.
         """
         facts = self.owner_facts
         assert facts is not None, "the caller has asked the feed for the owner's facts"

@@ -39,7 +39,7 @@ class FedHoldings(Holdings):
     def follow(self, collection: Collection) -> None:
         """Collect the items that the source has collected, and take over the facts about them.
 
-        A copy that was the owner may have applied limits a moment longer than the source. The source gets there, too.
+        A copy that was the owner may have collected a little more than the source. The source soon collects these, too.
         """
         if collection.floor_resets == self.floor_resets and collection.floor < self.floor:
             return

@@ -3,7 +3,8 @@
 The source of a feed is the channel's owner, or another copy. It keeps no queue for a copy. As for a subscription, it
 keeps the copy's place in the order of seqs, and takes the next items from the channel. Each part of the feed has the
 items from that place on, and the source's present state. After each part the copy therefore holds exactly those items
-of the source that lie before the copy's place. What left the source before the copy received it is missing.
+of the source that lie before the copy's place. The copy lacks the items that left the source before the copy received
+them.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class FeedPart(NamedTuple):
     before this part, because the source has set its floor back since the part before. None: it has not. `slices`: the
     next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before it that the copy has not
     got are missing: the source no longer holds their items. `collection` and `advance` are None if they have not
-    changed since the part before. `owner`: what only the owner knows, if the copy has asked for it.
+    changed since the part before. `owner`: the facts that only the owner knows, if the copy has asked for them.
     """
 
     first_seq: int
@@ -68,7 +69,7 @@ class FeedPart(NamedTuple):
     owner: OwnerPart | None = None
 
     def can_join(self, former: FeedPart) -> bool:
-        """Whether one part can say what `former` and then this part say: this part has no items, and clears none."""
+        """Whether one part can replace `former` and this part: this part has no items, and clears none."""
         return self.next_seq == former.next_seq and (self.cleared is None or not former.slices) and self.owner is None
 
     def joined_to(self, former: FeedPart) -> FeedPart:
@@ -82,7 +83,7 @@ class FeedPart(NamedTuple):
 
 
 CATCH_UP_NANOS = 10_000_000_000
-"""A copy counts as staying behind if its lag has not shrunk within this time."""
+"""A copy stays behind if its lag has not shrunk within this time."""
 
 
 class LagWatch:
@@ -92,7 +93,7 @@ class LagWatch:
         self._began: tuple[int, int] | None = None  # when the copy was last seen to be behind, and by how many items
 
     def stays_behind(self, items: int, now: int) -> bool:
-        """Whether the copy, which is `items` behind at `now`, has not come nearer for CATCH_UP_NANOS."""
+        """Whether the lag of the copy, `items` at `now`, has not shrunk for CATCH_UP_NANOS."""
         if not items or self._began is None:
             self._began = (now, items) if items else None
             return False
@@ -114,13 +115,13 @@ class ChannelFeed:
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
         `is_exact`: a part tells which items have left only if it brings the copy to the end of the source. So no item
-        leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy, of
-        the owner that `place` is from.
+        leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy of the
+        owner from which `place` comes.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
-        behind `place` and `follows`, because it soon gets there. Another source that is behind `place` never gets
-        there: its owner took the channel over without the last facts of the former one.
+        behind `place` and `follows`, because it soon reaches `place`. Without `follows`, a source that is behind
+        `place` never reaches it: the owner took the channel over without the last facts of the former owner.
         """
         held, _ = source.look(now)
         self.begins_anew = not _continues(source, held, place, follows=follows)
@@ -146,7 +147,7 @@ class ChannelFeed:
         """
         before = self.next_seq
         owner = None if self.owner is None else self.owner.take(now)
-        has_runs = self.owner is None or self.owner.is_level  # else the copy must not get the items of unknown runs
+        has_runs = self.owner is None or self.owner.is_level  # else it gets items of unknown runs
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held, _ = self._source.look(now)
         collection: Collection | None = collection_of(held)
@@ -187,8 +188,8 @@ def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, 
         if not follows:
             return False
         raise Unavailable(
-            f"this host has the channel up to seq {held.next_seq - 1}, and the copy that asks is further; ask again "
-            "soon, or ask the owner"
+            f"this host has the channel up to seq {held.next_seq - 1}, and the copy has more items; ask "
+                "again soon, or ask the owner"
         )
     return place.floor_resets == held.floor_resets
 

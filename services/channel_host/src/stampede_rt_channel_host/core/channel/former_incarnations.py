@@ -22,8 +22,9 @@ class FormerIncarnation(NamedTuple):
 class Losses(NamedTuple):
     """The items that a channel has lost with former owners.
 
-    All lost items came before the instant `before`; None: no item was lost. `since`: the items before that instant are
-    there; None: any may be lost. `former`: the former incarnations of which there are items, the earliest first.
+    The host accepted all lost items before the instant `before`; None: no item was lost. `since`: no item before that
+    instant was lost; None: any item may be lost. `former`: the former incarnations of which there are items, the
+    earliest first.
     """
 
     before: int | None = None

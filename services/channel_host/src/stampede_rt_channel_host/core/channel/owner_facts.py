@@ -5,8 +5,8 @@ Pure.
 A copy that may become the owner holds these facts, too (`OwnerFacts`). A proxy does not need them.
 
 The feed keeps this order: a copy never has an item whose run it does not know. So a producer that repeats a run at the
-next owner gets its former answer. A copy may know runs of items that it has not got yet. It forgets them when it
-becomes the owner, and then accepts these items anew.
+next owner gets its former answer. A copy may know runs of items that it has not got yet. When it becomes the owner, it
+forgets such runs, and accepts their items anew.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.window_feed import WindowFeed
 
 RUNS_PER_PART = 1024  # about 60 KiB; a part has more if one producer has more
 RANGES_PER_PART = 4096  # the most ranges of consumed seqs in one part: about 40 KiB
-ROUND_NANOS = 200_000_000  # the places go out anew at most five times a second
+ROUND_NANOS = 200_000_000  # the feed sends the places again at most five times a second
 
 
 class FedPlaces(NamedTuple):
@@ -57,7 +57,7 @@ class OwnerFactsFeed:
     def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None) -> None:
         self._source = source
         self._window = WindowFeed(window, since)
-        self._sent: tuple[Consumers | None, int] = None, 0  # the consumers, and their changes, of the last round
+        self._sent: tuple[Consumers | None, int] = None, 0  # of the last round: the consumers, and their changes
         self._round: Iterator[ConsumerPlace] | None = None
         self._next_round = -(2**63)
         self._clock = 0
@@ -69,7 +69,7 @@ class OwnerFactsFeed:
         return self._window.is_level
 
     def is_complete(self, now: int) -> bool:
-        """Whether the copy has everything. If the channel has changed places since, begins a round at once."""
+        """Whether the copy has all facts. If places have changed since the last round, begins another one."""
         self._next_round = min(self._next_round, now)
         has_places = self._round is None and self._places_now() == self._sent
         return has_places and self._window.is_level and self._source.latest_counters() == self._sent_counters
@@ -110,7 +110,7 @@ class OwnerFactsFeed:
         return FedPlaces(begins, tuple(found), ends=True)
 
     def _walk(self, consumers: Consumers | None) -> Iterator[ConsumerPlace]:
-        """The places, each in pieces of at most RANGES_PER_PART ranges. Others change the places meanwhile."""
+        """The places, each in pieces of at most RANGES_PER_PART ranges. The places may change between two pieces."""
         for place in [] if consumers is None else consumers.table.in_order():
             if place.done is None:
                 yield ConsumerPlace(place.consumer_id, 0, 1, (), place.owner)

@@ -40,7 +40,7 @@ class Reading:
         self._retention = retention
         self._incarnation = incarnation
         self._lost_before = lost_before  # all items of a lost earlier incarnation lie before this instant
-        # No item before this instant was lost, because an archive has all of them. None: any may be.
+        # No item before this instant was lost, because an archive has all of them. None: any item may be lost.
         self.lost_from: int | None = None
         self.former: tuple[FormerIncarnation, ...] = ()  # incarnations whose positions are valid, too
         self.advance: int | None = None  # the highest instant of an advance

@@ -1,8 +1,8 @@
 """The part of a channel that readers see, if its items must be replicated first. Pure.
 
-The owner accepts items into the channel at once. Readers read a copy of the channel in the same process. It is fed as a
-copy at another host is, but each part comes only when all its items are replicated. A part is taken right after each
-change of the channel. So the copy goes through the same states as the channel, a little later.
+The owner accepts items into the channel at once. Readers read a copy of the channel in the same process. It is fed like
+a copy at another host, but gets each part only after all items of the part are replicated. A part is taken right after
+each change of the channel. So the copy goes through the same states as the channel, a little later.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class ReplicatedView:
         self._feed = ChannelFeed(source, None, now, is_exact=True)
         self._parts: deque[FeedPart] = deque()
         self.staged_bytes = 0
-        """The memory of the parts that are not shown yet. The source may hold some of their items no more."""
+        """The memory of the parts that are not shown yet. The source may no longer hold some of their items."""
 
     def filling(self, now: int) -> Pieces[None]:
-        """Show the items that the channel has from before, in pieces. The caller must let nobody read them yet."""
+        """Show the items that the channel has already, in pieces. Until then, the caller must serve no reads."""
         while (part := self._feed.take(now, PIECE_BYTES)) is not None:
             self._apply(part, now)
             yield

@@ -56,6 +56,6 @@ def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Free, in pieces, slices that nobody will send. Does nothing unless `slices` is a `SlicesInParts`."""
+    """Free, in pieces, slices that the host will not send. Does nothing unless `slices` is a `SlicesInParts`."""
     if isinstance(slices, SlicesInParts):
         yield from slices.emptying()

@@ -72,7 +72,9 @@ class AllCursor:
         return self._low is None or seq >= self._begun_seq or (time, seq) >= self._low
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues. Before a loss is told it has the former incarnation."""
+        """The cursor from which another subscription continues. It has the former incarnation until the reader hears of
+        a loss.
+        """
         next_seq = self.next_seq
         incarnation = self.losses[0].incarnation if self.losses else incarnation
         if self._low is None or next_seq >= self._begun_seq:
@@ -155,7 +157,7 @@ def resume_all(held: Holdings, saved: SavedCursor, losses: LostPlaces = ()) -> P
     subscription. Then all seqs from `next_seq` on count as the subscription's, and the missing seqs as collected before
     the reader took them. So the gaps may count too many items, but never too few.
     """
-    end = losses[0].next_seq if losses else held.next_seq  # later items have the seqs of lost ones
+    end = losses[0].next_seq if losses else held.next_seq  # newer items have the same seqs as lost ones
     first, live = min(saved.next_seq, end), min(saved.live_seq, end)
     low = saved.low if first < live else None
     begun = live
@@ -325,7 +327,7 @@ def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
 
 
 def lost_gap(next_seq: int) -> Gap:
-    """The gap for items that were lost with the owner of the channel. Nobody knows how many they were."""
+    """The gap for items that were lost with the owner of the channel. Their number is unknown."""
     detail = (
         f"the channel's host was lost, and a replica had its items up to seq {next_seq - 1}; later ones may be lost"
     )

@@ -22,18 +22,20 @@ class NewestCursor:
     def __init__(self, low: ItemKey, base_seq: int, losses: LostPlaces = ()) -> None:
         self._low = low  # only items at or above this key belong to the subscription
         self._base_seq = base_seq  # all items from this seq on belong to the subscription
-        self.losses = losses  # of which the reader has yet to hear
+        self.losses = losses  # the losses of which the reader has still to hear
         self.delivered = 0
         self.skipped = 0
         self.next_seq = base_seq
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues. Before a loss is told it has the former incarnation."""
+        """The cursor from which another subscription continues. It has the former incarnation until the reader hears of
+        a loss.
+        """
         incarnation = self.losses[0].incarnation if self.losses else incarnation
         return SavedCursor(incarnation=incarnation, next_seq=self.next_seq, low=self._low)
 
     def take_loss(self) -> Gap | None:
-        """The gap of a loss of which the reader has yet to hear; None if there is none."""
+        """The gap of a loss of which the reader has still to hear; None if there is no such loss."""
         losses, self.losses = self.losses, ()
         return lost_gap(losses[-1].next_seq) if losses else None
 

@@ -38,9 +38,9 @@ class Needs(NamedTuple):
 class Reach(NamedTuple):
     """How far a channel and its new items reach. An item is new if it came, or became visible, after the last `Reach`.
 
-    A field is None if there is no such instant.
-    `passed`: the latest instant that the channel has passed. `time`: the latest time of a new item. `end`: the latest
-    span end of a new item. Each instant may be too late, which only costs a poll in vain. It is never too early.
+    A field is None if there is no such instant. `passed`: the latest instant that the channel has passed. `time`: the
+    latest time of a new item. `end`: the latest span end of a new item. An instant may be too late, which only costs an
+    extra poll. It is never too early.
     """
 
     passed: int | None

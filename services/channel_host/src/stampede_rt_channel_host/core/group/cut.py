@@ -106,7 +106,7 @@ class GroupCut:
 
     @property
     def holder(self) -> bytes | None:
-        """The member that holds the cut back: only a change of this one can raise the cut. None: no change can.
+        """The member that holds the cut back: only a change of this member can raise the cut. None: no change can.
 
         Not for groups with `idle_after_nanos`, whose cuts any change may raise. As of the last refresh.
         """

@@ -7,7 +7,7 @@ a slow reader gets merged events.
 A member has reached a cut when its newest item or an advance is at the cut or later. Durations do not count. In a group
 with `by_end` the cut may be later than all items. Then an event waits for the next items. With a small max_wait the
 host sends the event earlier. With a lateness the newest item must be later than the cut by at least this lateness. Then
-the event has all items that are late by the lateness or less. While a cut waits for its members, an event may end
+the event has all late items that are late by at most the lateness. While a cut waits for its members, an event may end
 before this cut: at the latest time that all members have reached.
 """
 

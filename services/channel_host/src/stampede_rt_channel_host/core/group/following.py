@@ -114,14 +114,14 @@ class CutFollower:
         return cut == self.cut and self._channel.next_seq != self.next_seq
 
     def is_held(self, now: int) -> bool:
-        """Whether memory has all that the next step may bring. False if there is much to look at."""
+        """Whether memory has all items that the next step may bring. False if there are too many items to check."""
         held, _ = self._channel.look(now)
         end = self._channel.next_seq
         return not _reaches(held, self.cut) and held.held_up_to(self.next_seq, end, LOOKED_AT_MAX) >= end
 
     def unheld_rest(self, now: int) -> tuple[ItemKey, int, int] | None:
-        """If memory has lost items of the present step: the key below which the reader has them all, the step's cut and
-        the end of its seqs. None: it has not, or there are late items to take first.
+        """The rest of the present step, if memory has lost some of its items: the key below which the reader has all
+        items, the step's cut and the end of its seqs. None: memory has all, or there are late items to take first.
         """
         held, _ = self._channel.look(now)
         is_whole = held.floor <= self._range_start or not _reaches(held, self._range_start[0])
@@ -260,7 +260,9 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """One loss for two: `unreported` is from before the reader came back, `since` from its first step afterwards."""
+    """One loss from two: `unreported` is from the time before the reader came back, `since` from its first step
+    afterwards.
+    """
     if since is None:
         return unreported
     before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)

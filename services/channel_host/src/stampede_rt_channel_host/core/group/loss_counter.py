@@ -1,8 +1,8 @@
 """Counts the items that a reader in time order will never get, although they belong to its subscription. Pure.
 
-A key and a seq say how far a reader is: it is done with the items that lie below the key and have a lower seq. All
-other items are owed: the items at or above the key, and the items with that seq or a later seq. An owed item that the
-reader has not got, and that the channel does not hold any more, is lost.
+A key and a seq state the position of a reader: it is done with the items that lie below the key and have a lower seq.
+All other items are owed: the items at or above the key, and the items with that seq or a later seq. An owed item that
+the reader has not got, and that the channel does not hold any more, is lost.
 """
 
 from __future__ import annotations

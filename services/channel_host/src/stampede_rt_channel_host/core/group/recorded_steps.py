@@ -1,4 +1,4 @@
-"""Steps of a subscription through a group whose items memory does not have: they come from an archive. Pure.
+"""Steps of a subscription through a group, with items that are only in an archive. Pure.
 
 The caller reads the pages of a step through the group, as of the step's cut, and gives them to the step.
 """
@@ -68,9 +68,9 @@ class RecordedStep:
         self.late = (end, self.late[1]) if end < self.late[1] else None
 
     def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int) -> None:
-        """Take a page. `continues`: there is another one. `lacks`: the number of items that the archive lacks there.
+        """Take a page. `continues`: there is another page. `lacks`: the number of items that the archive lacks there.
 
-        If there is another one, the step ends before the last time of this page, so that the reader gets a cursor.
+        If there is another page, this step ends before the last time of the page, so that the reader gets a cursor.
         """
         self.dropped += lacks
         self.is_read = not continues
@@ -86,7 +86,7 @@ class RecordedStep:
             self._after = Position(last.last_time, last.end_seq - 1)
 
     def batch(self, limit_bytes: int) -> SubscriptionBatch:
-        """The next items that were taken, of about `limit_bytes`. Empty: take more, or the step is over."""
+        """The next taken items, of about `limit_bytes`. If it is empty, take more, or the step is over."""
         slices: list[DeliveredSlice] = []
         while self._waiting and limit_bytes > 0:
             part, following = self._waiting.popleft()
@@ -102,7 +102,7 @@ class RecordedStep:
 
     @property
     def is_over(self) -> bool:
-        """Whether the step has brought everything."""
+        """Whether the step has brought all its items."""
         return self.is_read and self.late is None and not self._waiting
 
     @property

@@ -1,6 +1,6 @@
 """The part of a recorded channel that a group shows: items of the archive and of memory before the cut. Pure.
 
-It answers as `VisibleChannel` does for a channel that has all its items in memory.
+`VisibleChannel` does the same for a channel that has all its items in memory.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NO_WINDOW = ArchiveWindow(ChannelIndex(), None, None, None)
 class _ShownItems:
     """Items of a window and of memory before a cut, with the reading methods of `Holdings` (`Readable`).
 
-    `newest` is the time of the last item before the cut, wherever it is.
+    `newest` is the time of the last item before the cut, whether it is in the archive or in memory.
     """
 
     def __init__(self, items: RecordedItems, cut: int | None, newest: int | None) -> None:
@@ -57,7 +57,7 @@ class _ShownItems:
 
 
 class _Reading(VisibleReading):
-    """Answers from one window, and knows of the hidden items of all windows."""
+    """Answers from one window, with the facts about the hidden items of all windows."""
 
     def __init__(self, moment: ChannelSnapshot, shown: _ShownItems, view: RecordedView) -> None:
         super().__init__(moment, view.horizon, moment.clock, shown)
@@ -77,7 +77,7 @@ class _VisibleRead(ArchivedRead):
         super().__init__(moment, span, query, within)
         end = end_of(view.horizon.cut)
         self._border, self._last_instant = min(self._border, end), min(self._last_instant, end[0] - 1)
-        self._start = min(self._start, end[0] - 1)  # the last item before the cut may last until the interval
+        self._start = min(self._start, end[0] - 1)  # its span may reach into the interval
         self._view = view
 
     def _reading_of(self, items: RecordedItems) -> VisibleReading:
@@ -100,9 +100,9 @@ class RecordedView:
     """One read of a recorded channel through a group, as of `moment`.
 
     Order of use: the caller performs each read of `reads`, one after the other. Then `answer` is the answer, and
-    `released_by` says when a read that waits may get another one. `within` is the resolved interval; None: a meta-time
-    has no instant yet. `continues` says whether the answer was cut off for its length. `lacks` is the number of
-    items that the archive lacks. The caller closes the moment.
+    `released_by` says at which cut a waiting read may get another answer. `within` is the resolved interval; None: a
+    meta-time has no instant yet. `continues` says whether the answer was cut off for its length. `lacks` is the number
+    of items that the archive lacks. The caller closes the moment.
     """
 
     answer: ReadAnswer
@@ -113,7 +113,9 @@ class RecordedView:
         self.lacks = 0
         self.within: ResolvedInterval | None = None
         self.released_by: int | None = None
-        """The cut with which the answer changes, if it is in the archive; None: memory tells."""
+        """The cut at which the answer changes because of archived items; None: only items in memory can change the
+        answer.
+        """
         self._moment, self._span, self._query = moment, span, query
         self._held, _ = moment.look(0)
         self._newest: int | None = None  # the time of the last item before the cut
@@ -161,7 +163,7 @@ class RecordedView:
         self.hides = any(cut is None or one.last_time >= cut for one in read.answer().slices)
 
     def _look_for_release(self, within: ResolvedInterval) -> Iterator[ArchivedRead]:
-        """Find the cut that shows the next item, or that ends an interval of which memory has no item any more."""
+        """Find the cut that shows the next item, or that ends an interval whose items have left memory."""
         query, cut, frontier = self._query, self.horizon.cut, self._held.frontier
         if frontier is None:
             return
@@ -172,14 +174,14 @@ class RecordedView:
             found = [one.first_time + 1 for one in read.answer().slices if one.first_time < frontier]
             first = within.start + within.start_exclusive
             if query.match is Match.SPAN and (cut is None or cut < first <= frontier):
-                found.append(first)  # the span of the last visible item may reach there
+                found.append(first)  # the span of the last visible item may reach into the interval
         region = region_of(query, within)
         passed = region.end + (not region.end_exclusive)
         found += [passed] if passed <= frontier else []
         self.released_by = min(found, default=None)
 
     def _next_hidden(self, within: ResolvedInterval) -> ArchivedRead:
-        """A read of the next item at or after the cut: of one that matches, or, if spans decide, of any."""
+        """A read of the next item at or after the cut. If spans decide, any item counts, else only a matching one."""
         cut = self.horizon.cut
         shown = None if cut is None else Position(cut - 1)
         if self._query.match is not Match.START:
@@ -192,7 +194,7 @@ class RecordedView:
 
 
 def reaches_archive(held: Holdings, span: ArchiveSpan, query: Query, horizon: Horizon, now: int) -> bool:
-    """Whether a read through a group may want items that only the archive has. `held`: the items in memory."""
+    """Whether a read through a group may need items that only the archive has. `held`: the items in memory."""
     cut = horizon.cut
     newest = None if cut is None else held.last_time_up_to(cut - 1)
     if cut is None or newest is None:

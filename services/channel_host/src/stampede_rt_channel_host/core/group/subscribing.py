@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.group.recorded_steps import RecordedStep
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
 STEP_BYTES_MAX = 2**20
-"""A reader of the newest item gets only the number of the other items. The host counts them in parts of about so many
+"""A reader of the newest item gets only the number of the other items. The host counts them in parts of about this many
 bytes.
 """
 PARTS_PER_TAKE = 8
@@ -93,7 +93,7 @@ class VisibleAll:
         return RecordedStep(follower.cut, target, seq_end, seq_end, done_below=key)
 
     def skip_to(self, step: RecordedStep, now: int) -> None:
-        """The reader has all items of this step."""
+        """Note that the reader has all items of this step."""
         self.dropped += step.dropped
         self._follower = CutFollower(self._channel, step.target, now, next_seq=step.seq_end, archived=True)
 

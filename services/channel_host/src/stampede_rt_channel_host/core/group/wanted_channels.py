@@ -1,4 +1,4 @@
-"""The channels of one other host about which this host asks that host, with a share for each maker of groups. Pure."""
+"""The channels about which this host asks one other host, with a share for each maker of groups. Pure."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Iterable, KeysView
 class WantedChannels:
     """The channels that groups need of another host. `asked` are at most `limit` of them.
 
-    A channel counts for one of the callers that made its groups. If there are more channels than `limit`, the newest
-    channel of the maker with most makes room for a channel of a maker with fewer. So the groups of one caller do not
+    A channel counts for one of the callers that made its groups. If there are more channels than `limit`, a channel of
+    a maker with few channels replaces the newest channel of the maker with the most. So the groups of one caller do not
     leave out those of others. No step depends on the number of channels, groups or makers.
     """
 
@@ -21,7 +21,7 @@ class WantedChannels:
         self._maker_of: dict[bytes, str] = {}  # by channel for which this host asks: the maker for whom it counts
         self._asked: dict[str, dict[bytes, None]] = {}  # by maker: those channels, the newest last
         self._left_out: dict[str, dict[bytes, None]] = {}  # by maker: the other channels of the maker's groups
-        self._with_count: dict[int, dict[str, None]] = {}  # the makers that have so many channels in `_asked`
+        self._with_count: dict[int, dict[str, None]] = {}  # by number of channels in `_asked`: the makers
         self._most = 0  # the highest key of `_with_count`
 
     def __bool__(self) -> bool:
@@ -43,7 +43,7 @@ class WantedChannels:
         return next(iter(self._with_count[self._most]))
 
     def add(self, maker: str, channel_ids: Iterable[bytes]) -> None:
-        """A group of this maker has these channels now."""
+        """Note that a group of this maker has these channels now."""
         for channel_id in channel_ids:
             makers = self._makers.setdefault(channel_id, Counter())
             makers[maker] += 1
@@ -55,7 +55,7 @@ class WantedChannels:
                 self._left_out.setdefault(maker, {})[channel_id] = None
 
     def remove(self, maker: str, channel_ids: Iterable[bytes]) -> None:
-        """A group of this maker has these channels no more."""
+        """Note that a group of this maker no longer has these channels."""
         for channel_id in channel_ids:
             makers = self._makers[channel_id]
             makers[maker] -= 1
@@ -74,7 +74,9 @@ class WantedChannels:
                 self._fill(maker)
 
     def _make_room(self, maker: str) -> bool:
-        """Leave out the newest channel of a maker that has at least two more than this one. False: there is none."""
+        """Leave out the newest channel of a maker that has at least two more than this maker. False: there is no such
+        maker.
+        """
         while self._most > len(self._asked.get(maker, ())) + 1:
             largest = self.largest_maker
             channel_id = next(reversed(self._asked[largest]))
@@ -85,11 +87,11 @@ class WantedChannels:
                 for one in makers:
                     self._left_out.setdefault(one, {})[channel_id] = None
                 return True
-            self._ask(channel_id, heir)  # it counts for another maker from now on
+            self._ask(channel_id, heir)  # from now on the channel counts for another maker
         return False
 
     def _fill(self, maker: str) -> None:
-        """Ask for a channel that was left out: one of this maker, or else of the next one."""
+        """Ask for a channel that was left out: one of this maker, or else one of the next maker."""
         if self._left_out:
             next_maker = maker if maker in self._left_out else next(iter(self._left_out))
             left_out = self._left_out.pop(next_maker)
@@ -113,7 +115,7 @@ class WantedChannels:
             del self._asked[maker]
 
     def _let_in(self, channel_id: bytes, makers: Iterable[str]) -> None:
-        """The channel is among those that are left out no more."""
+        """Note that the channel is no longer left out."""
         for maker in makers:
             left_out = self._left_out.get(maker, {})
             left_out.pop(channel_id, None)

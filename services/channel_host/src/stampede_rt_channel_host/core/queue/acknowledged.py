@@ -12,7 +12,7 @@ from itertools import islice
 from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000  # how long a queue remembers an acknowledgement
-_IDS_PER_CHUNK = 256  # a chunk holds the acknowledgements of so many consecutive delivery ids
+_IDS_PER_CHUNK = 256  # a chunk holds the acknowledgements of this many consecutive delivery ids
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14
 """A queue remembers at most 4 million deliveries, in 64 MiB.
@@ -73,7 +73,7 @@ class AcknowledgedDeliveries:
     def all(self, now: int, chunks_max: int | None = None) -> Iterator[Acknowledged]:
         """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last.
 
-        `chunks_max`: only those of so many chunks, the latest ones. A chunk has up to 256 acknowledgements.
+        `chunks_max`: only those of the latest chunks, at most this many. A chunk has up to 256 acknowledgements.
         """
         first = 0 if chunks_max is None else max(0, len(self._chunks) - chunks_max)
         for number, chunk in islice(self._chunks.items(), first, None):

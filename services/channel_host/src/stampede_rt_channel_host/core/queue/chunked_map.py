@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from sortedcontainers import SortedDict
 
-_BITS = 10  # a chunk has the numbers that differ only in so many lowest bits
+_BITS = 10  # the numbers of a chunk differ only in this many lowest bits
 
 Thing = TypeVar("Thing")
 

@@ -46,7 +46,8 @@ class QueueStep(NamedTuple):
 
 
 class QueueJournal:
-    """The latest steps of a queue. At the owner `note` makes them, at a copy `apply` repeats those of the owner.
+    """The latest steps of a queue. At the owner, `note` makes the steps. At a copy, `apply` repeats the steps of the
+    owner.
 
     The queue has made all steps before `next_step`.
     """
@@ -133,14 +134,14 @@ class QueueJournal:
         self._queue_items.next_seq = changes.next_seq
 
     def _tracked(self, seq: int) -> TrackedItem:
-        """The first fresh message, which must have this seq: messages are delivered and dropped in their order."""
+        """The first fresh message. It must have this seq, because messages are delivered and dropped in order."""
         run = self._queue_items.fresh_run()
         if run is None or run.first_seq + self._queue_items.fresh_position != seq:
             raise InvalidArgument(f"a step of the queue changes message {seq}, which the copy does not hold")
         return self._queue_items.track_fresh()
 
     def _note_rest(self, changes: QueueHandoff, now: int) -> None:
-        """Take over what a step says beside the messages."""
+        """Take over the other facts of a step, which do not concern the state of messages."""
         self._queue_items.tally = replace(changes.tally)
         self._leasing.next_delivery_id = changes.next_delivery_id
         for one in changes.acknowledged:
@@ -160,12 +161,12 @@ class QueueJournal:
             self.size_bytes -= self._steps.popleft().size_bytes
 
     def stop(self) -> None:
-        """Note no more changes, because the queue has no replicas any more."""
+        """Stop noting changes, because the queue no longer has replicas."""
         self._queue_items.changes = None
         self._steps.clear()
         self.size_bytes = 0
 
     def forget(self, next_step: int) -> None:
-        """Forget the steps before `next_step`: every replica has them."""
+        """Forget the steps before `next_step`, because every replica has them."""
         while self._steps and self._steps[0].number < next_step:
             self.size_bytes -= self._steps.popleft().size_bytes

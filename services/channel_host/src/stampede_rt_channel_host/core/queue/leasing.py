@@ -236,7 +236,7 @@ class Leasing:
         self._queue_items.log_return(item)
 
     def postpone(self, nanos: int) -> None:
-        """Let all leases last `nanos` longer, because nobody has served the queue for this time."""
+        """Let all leases last `nanos` longer, because no host has served the queue for this time."""
         for lease in self.leases.values():
             self._deadlines.arm(lease, (lease.due or 0) + nanos)
             self._queue_items.note_change(lease.item)

@@ -113,7 +113,7 @@ class QueueCore:
             self._dispatcher.wait(taker, clock)
 
     def postpone(self, nanos: int) -> None:
-        """Let all leases last longer, because nobody has served the queue for `nanos`."""
+        """Let all leases last longer, because no host has served the queue for `nanos`."""
         self._leasing.postpone(nanos)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
@@ -237,7 +237,7 @@ class QueueCore:
             self._due_work.follow_up(clock)
 
     def postpone_dead_letter(self, seq: int) -> None:
-        """The move of a message failed: put it to the end of the messages that wait for their move."""
+        """Put a message to the end of those that wait for their move, because its move failed."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 

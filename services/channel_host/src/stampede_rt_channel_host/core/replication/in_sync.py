@@ -15,8 +15,9 @@ from typing import NamedTuple
 LAG_NANOS_MAX = 1_000_000_000
 """A replica that was silent, or behind, for longer than this loses its flag."""
 EARLY_LAG_NANOS_MAX = 800_000_000
-"""The same, if puts wait only for replicas that are behind for longer than LAG_NANOS_MAX. The directory has the rest of
-that time to clear the flag, so that no put waits for it."""
+"""The same limit for a channel whose puts wait only for replicas that are behind for longer than LAG_NANOS_MAX. The
+directory then clears the flag within the rest of that time, so that no put waits.
+"""
 _NEVER = -(2**62)
 
 
@@ -58,7 +59,7 @@ class _Replica:
         self.state = state
         self.next_seq = 0
         self.caught_up = now if state is ReplicaState.IN else _NEVER
-        self.mark = owner_next_seq, now  # the owner's next seq, and the time, at an earlier report
+        self.mark = owner_next_seq, now  # the owner's next seq at an earlier report, and the time of that report
         self.change = 0  # the number of the latest change of the flag
 
     def lose_items(self, owner_next_seq: int, now: int) -> None:
@@ -83,8 +84,8 @@ class ReplicasInSync:
     """The replicas of one channel. `now` is a steady clock in nanoseconds.
 
     All items before `replicated` are at every replica for which the owner waits, and were at `min_replicas` replicas
-    with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see no
-    others. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
+    with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see only
+    these. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
     owner. They need no minimum of replicas. `is_replicated`: the former owner has said that all these items are
     replicated. `may_lag`: puts wait only for replicas with a flag that are behind for more than LAG_NANOS_MAX.
     """
@@ -112,7 +113,7 @@ class ReplicasInSync:
         return (self._is_known or self._needs_no_list) and self.replicated >= self.start
 
     def own_again(self) -> None:
-        """Another host was the owner meanwhile, and has acknowledged nothing. It may have changed the flags."""
+        """Note that another host was the owner meanwhile. It acknowledged nothing, but may have changed the flags."""
         self.start = self._next_seq
         self._replicas.clear()
         self._is_known = False
@@ -122,7 +123,7 @@ class ReplicasInSync:
         known = {one.host_id: one for one in replicas}
         for host_id in [*self._replicas]:
             if host_id not in known or known[host_id].boot_incarnation != self._replicas[host_id].boot_incarnation:
-                del self._replicas[host_id]  # the directory would not make it the owner
+                del self._replicas[host_id]  # the directory never makes such a replica the owner
         for one in known.values():
             if one.host_id not in self._replicas:
                 state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
@@ -147,12 +148,12 @@ class ReplicasInSync:
         return {host_id: one.state for host_id, one in self._replicas.items()}
 
     def put(self, next_seq: int) -> None:
-        """The owner has accepted the items before `next_seq`."""
+        """Note that the owner has accepted the items before `next_seq`."""
         self._next_seq = next_seq
         self._go_on()
 
     def report(self, host_id: bytes, next_seq: int, now: int) -> None:
-        """A replica says that it holds all items before `next_seq`."""
+        """Note that a replica holds all items before `next_seq`."""
         replica = self._replicas.get(host_id)
         if replica is not None:
             replica.report(next_seq, self._next_seq, now)
@@ -181,7 +182,7 @@ class ReplicasInSync:
         self._last_change = one.change = max(now, self._last_change + 1)
 
     def confirm(self, change: ReplicaChange) -> None:
-        """The log has the change. Ignores a change that another one has overtaken."""
+        """Note that the log has the change. Ignores the change if there is a newer one."""
         one = self._replicas.get(change.host_id)
         if one is None or (one.boot_incarnation, one.change) != (change.boot_incarnation, change.number):
             return
@@ -192,7 +193,9 @@ class ReplicasInSync:
         self._go_on()
 
     def drop(self, host_id: bytes, now: int) -> bool:
-        """The replica loses its items. Returns False while it may have the flag: then clear the flag first."""
+        """Note that the replica loses its items. Returns False, and notes nothing, while the replica may have the flag:
+        clear the flag first.
+        """
         one = self._replicas.get(host_id)
         if one is None:
             return self._is_known
