@@ -241,7 +241,7 @@ def test_a_host_gets_no_channel_of_another_host_by_its_own_word(cluster: LocalCl
             return stub.CommitMove(commit, timeout=5)
 
         owner = cluster.hosts[0].address
-        assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move channels or queues of host h1")
+        assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move channels or queues of")
         assert ask(owner, own, feed).startswith("PERMISSION_DENIED: no caller has asked this host to hand channel")
         assert ask(supernode, own, commits).startswith("PERMISSION_DENIED: host h9 cannot own channel moved/by/nobody")
         assert rt.channel("moved/by/nobody").info.host == "h1"

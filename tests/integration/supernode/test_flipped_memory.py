@@ -101,7 +101,7 @@ async def test_of_two_that_differ_neither_is_said_to_be_wrong_and_a_restart_ends
         await status_has(founder.address, "is in doubt")
         code, printed = await command("status", "--member", founder.address)
         assert (code, "2 of 2 serve" in printed) == (0, True), printed
-        assert "nobody can say which is right" in printed
+        assert "it is unknown which of them is right" in printed
         assert "start this one and the leader again" in printed
         await served_by(founder)
         await served_by(newcomer)

@@ -1,4 +1,6 @@
-"""Where a host keeps recorded channels: a folder, or an object store with a folder for what has not moved there."""
+"""The places where a host keeps recorded channels: a folder, or an object store and a folder for files that have not
+moved.
+"""
 
 from __future__ import annotations
 

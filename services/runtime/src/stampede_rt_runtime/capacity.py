@@ -1,4 +1,4 @@
-"""Limits the calls that a port serves at a time, of one caller and of all.
+"""Limits the calls that a port serves at a time: of one caller, and of all callers.
 
 The limit of streams leaves room for other calls. The limit of all callers' calls leaves room for the cluster's own
 calls.

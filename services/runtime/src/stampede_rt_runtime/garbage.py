@@ -24,7 +24,7 @@ LONG_SECONDS = 0.0005
 this time doubles the interval.
 """
 FULL_INTERVAL_SECONDS = 600.0
-"""A collection of all objects takes 0.15 s for a million of them, so it is rare."""
+"""A collection of all objects takes 0.15 s for each million objects, so it is rare."""
 
 
 class CollectionPace:

@@ -18,14 +18,14 @@ LIVENESS, READINESS = "liveness", "readiness"
 """The names that a caller may give: whether the process answers at all, and whether it can serve its callers now."""
 READ_SECONDS_MAX = 1.0
 READS_MAX = 8
-"""The most requests that `Check` reads at the same time: anybody may call it, and each request may be large."""
+"""The most requests that `Check` reads at the same time. Any caller may call it, and each request may be large."""
 
 
 class Health:
     """The health service for load balancers and supervisors.
 
-    Any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to everybody, so it reads
-    few requests at a time, and for a short time. A caller that sends no request in time, or makes way for newer
+    Any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to all callers, so it
+    reads few requests at a time, and for a short time. A caller that sends no request in time, or makes way for newer
     callers, gets the answer for READINESS.
     """
 

@@ -29,14 +29,14 @@ from stampede_rt_runtime.values import Address, parse_address
 LIVE = "--live"
 EXIT_SERVING, EXIT_NOT_SERVING, EXIT_BAD_ADDRESS = 0, 1, 2
 TIMEOUT_SECONDS = 3.0
-# a service can listen at a wildcard address, but nobody can call one
+# a service can listen at a wildcard address, but no caller can call one
 _LOOPBACK_OF_WILDCARD = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
     """The address in `argv`, or else the one at which the service beside this program listens ($STAMPEDE_LISTEN).
 
-    Raises ValueError if there is no address, or if nobody can call it.
+    Raises ValueError if there is no address, or if no caller can call it.
     """
     named = [*argv, environ.get("STAMPEDE_LISTEN", "")][0]
     if len(argv) > 1 or not named:

@@ -66,7 +66,7 @@ class Limits:
             ("grpc.server_handshake_timeout_ms", self.handshake_millis_max),
             ("grpc.max_allowed_incoming_connections", connections_max()),
             ("grpc.http2.min_ping_interval_without_data_ms", self.ping_interval_millis_min),
-            # With the probe, gRPC lets a fast caller send up to 64 MiB on each stream that nobody reads.
+            # With the probe, gRPC lets a fast caller send up to 64 MiB on each stream that the service does not read.
             ("grpc.http2.bdp_probe", 0),
             ("grpc.http2.lookahead_bytes", self.unread_bytes_max),
         ]

@@ -83,7 +83,7 @@ def set_up_logging(level: str, form: str = "text") -> None:
 
 
 def log_defects() -> None:
-    """Log each error that nobody handles as one line. Python would write the text of the error as it is.
+    """Log each unhandled error as one line. Python would write the text of the error as it is.
 
     The error may contain a text of another program. Ctrl-C is no defect.
     """
@@ -98,9 +98,9 @@ def _log_defect(kind: type[BaseException], error: BaseException | None, tracebac
 
 
 def _is_no_lost_caller(record: logging.LogRecord) -> bool:
-    """Whether gRPC tells more than that it could not answer a caller that has gone.
+    """Whether the record is more than gRPC's report that it could not answer a caller that has gone.
 
-    It writes a traceback of 3 KB for each such call if it has not yet heard of the end of the call. So callers without
-    any credential could fill the log.
+    For each such call gRPC writes a traceback of 3 KB if it has not yet heard of the end of the call. So callers
+    without any credential could fill the log.
     """
     return record.exc_info is None or getattr(record.exc_info[0], "__name__", "") != "ExecuteBatchError"

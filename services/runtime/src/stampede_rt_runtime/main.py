@@ -36,7 +36,7 @@ def run_service(
     """Load the settings, run `serve` to its end on a new event loop, and return the process's exit code.
 
     `argv` is without the program's name; None: the arguments of this process. `serve` returns an exit code; None means
-    0. Exit code 2: the settings are unusable; 1: the service failed to start or to go on. In both cases one line on
+    0. Exit code 2: the settings are unusable; 1: the service failed to start or to continue. In both cases one line on
     stderr says why.
     """
     try:

@@ -1,4 +1,4 @@
-"""Counts the work of calls for their callers, and lets a few streams go on in each turn of the event loop.
+"""Counts the work of calls for their callers, and lets a few streams run in each turn of the event loop.
 
 gRPC hands over all completed operations of a turn together. With 1000 subscriptions, 200 of them completed a write in
 one turn. Each then looked for its next message. The turn took 10 ms and more, in which the service did nothing else
@@ -44,7 +44,7 @@ class TurnGate:
         self._is_counting = False
 
     def admits(self, caller: Account) -> bool:
-        """Whether a stream of the caller may go on in this turn. If not, it must await `turn`."""
+        """Whether a stream of the caller may run in this turn. If not, it must await `turn`."""
         if not self._left or caller in self._lines:
             return False
         self._left -= 1
@@ -54,7 +54,7 @@ class TurnGate:
         return True
 
     async def turn(self, caller: Account) -> None:
-        """Wait for the turn of the event loop in which the stream may go on."""
+        """Wait for the turn of the event loop in which the stream may run."""
         place = asyncio.get_running_loop().create_future()
         self._lines.setdefault(caller, deque()).append(place)
         await place
@@ -77,8 +77,8 @@ class TurnGate:
 class AtOnceBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
-    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams go on in each turn.
-    Pauses between answers count as time in which nothing was answered, so a loop with little to do needs no other turn.
+    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Pauses
+    between answers count as time in which nothing was answered, so a loop with little to do needs no other turn.
     """
 
     def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
@@ -106,7 +106,7 @@ class AtOnceBudget:
 
 
 class PacedContext:
-    """The context of a stream. After a message was read or written, the stream goes on when its gate admits it."""
+    """The context of a stream. After a message was read or written, the stream continues when its gate admits it."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""A gRPC channel that outlives its certificate. Calls that begin after a renewal use a new connection."""
+"""A gRPC channel that stays usable after a renewal of its certificate. Later calls use a new connection."""
 
 from __future__ import annotations
 

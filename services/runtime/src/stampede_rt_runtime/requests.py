@@ -69,7 +69,7 @@ def _parser(method: str, deserializer: Parse | None) -> Parse | None:
     def parse(raw: bytes) -> Any:
         try:
             return deserializer(raw)
-        except Exception as error:  # any error of a generated parser is due to the caller's bytes
+        except Exception as error:  # any error of a generated parser comes from the caller's bytes
             raise InvalidArgument(
                 f"the {len(raw)} bytes that were sent are no request of {method}; generate the caller's stubs from the "
                 "same proto/ files"

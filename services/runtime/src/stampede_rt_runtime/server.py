@@ -83,7 +83,7 @@ class ServiceServer:
             *tracing_interceptors(),
         ]
         self.sockets = SocketServer(interceptors, limits, self.refused_calls)
-        """Streams over sockets of their own. It serves nobody until it listens."""
+        """Streams over sockets of their own. It serves no caller until it listens."""
         self.grpc: grpc.aio.Server = grpc.aio.server(
             interceptors=interceptors,
             options=limits.server_options(),

@@ -27,6 +27,6 @@ async def send_headers(context: Context) -> None:
     try:
         await asyncio.shield(sending)
     except asyncio.CancelledError:
-        sending.add_done_callback(lambda sent: sent.cancelled() or sent.exception())  # the status fails likewise
+        sending.add_done_callback(lambda sent: sent.cancelled() or sent.exception())  # the status fails, too
         await asyncio.wait({sending}, timeout=HEADERS_SECONDS_MAX)
         raise

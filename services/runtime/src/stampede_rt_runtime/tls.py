@@ -19,7 +19,7 @@ from stampede_rt_runtime.identity import Identity, Role
 logger = logging.getLogger(__name__)
 
 SOON = timedelta(days=14)  # a service warns at its start if its certificate ends within this time
-_ANYWHERE = ("0.0.0.0", "::")  # wildcard addresses, at which nobody can call the service
+_ANYWHERE = ("0.0.0.0", "::")  # wildcard addresses, at which no caller can call the service
 
 
 @dataclass(frozen=True, slots=True)

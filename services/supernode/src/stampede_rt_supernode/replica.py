@@ -1,6 +1,6 @@
 """The directory as the replicated log drives it: commands and results as bytes, on the log's own thread.
 
-Readers run on the event loop's thread. A lock keeps them from seeing the effect of half a command. Nobody holds the
+Readers run on the event loop's thread. A lock keeps them from seeing the effect of half a command. No code holds the
 lock across an await, and every read under the lock is bounded.
 """
 
@@ -103,7 +103,8 @@ class DirectoryReplica:
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
         """Decode a snapshot, on any thread. Returns a function that replaces the whole state.
 
-        Raises StampedeError for a damaged snapshot, and ReleaseTooOld. The caller must not go on without the snapshot.
+        Raises StampedeError for a damaged snapshot, and ReleaseTooOld. The caller must not continue without the
+        snapshot.
         """
         directory = decode_snapshot(snapshot)
         self._check_release(directory)

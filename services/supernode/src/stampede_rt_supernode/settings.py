@@ -121,8 +121,8 @@ class SupernodeSettings(ServiceSettings):
     def founding(self, listening_at: str) -> Founding:
         """Returns how this supernode begins: as its folder was prepared, by the list of members, or alone.
 
-        Raises StampedeError if it would begin alone in a folder that nobody has prepared and that holds no store. It
-        may be a member that lost its disk. Such a member would not know its own votes and acknowledged entries.
+        Raises StampedeError if it would begin alone in a folder that was never prepared and that holds no store. It may
+        be a member that lost its disk. Such a member would not know its own votes and acknowledged entries.
         """
         from stampede_rt_supernode.joining.founding import check_restored, read_founding
         from stampede_rt_supernode.replication import holds_store
@@ -155,11 +155,11 @@ class SupernodeSettings(ServiceSettings):
     def _check_founder(data_dir: Path, name: str) -> None:
         """Raises StampedeError if the store in the folder belongs to another supernode than `name`.
 
-        That happens when somebody starts a founder of a listed cluster without the list.
+        That happens when a founder of a listed cluster is started without the list.
         """
         from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, read_identity
 
-        with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these
+        with contextlib.suppress(StoreDamaged, StoreRefused):  # the opening of the store reports these
             _, member_id = read_identity(data_dir)
             if member_id != name:
                 raise StampedeError(
@@ -178,7 +178,7 @@ class SupernodeSettings(ServiceSettings):
 
         cluster_id = listed_cluster_id(members)
         if self.data_dir is not None and holds_store(self.data_dir):
-            with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these
+            with contextlib.suppress(StoreDamaged, StoreRefused):  # the opening of the store reports these
                 cluster_id, _ = read_identity(self.data_dir)
         return Founding(supernode_id=name, address=address, members=members, log_cluster_id=cluster_id, listed=True)
 

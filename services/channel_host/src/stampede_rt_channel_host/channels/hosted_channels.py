@@ -48,9 +48,7 @@ class HostedChannel:
     moving: Moving | None = None
     """The move of the channel away from this host, or to it, while one is under way."""
     is_inherited = False
-    """Whether another object of this host has taken the items over, because a copy became the owner or the owner a
-    replica.
-    """
+    """Whether another object of this host has taken the items over: a copy became the owner, or the reverse."""
     recording: Recording | None = None
     """The recording of a channel with an archive."""
     largest_run_bytes = 0

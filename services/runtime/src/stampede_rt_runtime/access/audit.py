@@ -45,7 +45,7 @@ class AuditLog:
     def changed(self, caller: Caller | None, address: str, verb: str, name: str, *, done: bool = True) -> None:
         """Log a change of rules, quotas, credentials or members, or the takeover of a peer. Logs each such change.
 
-        `done` False: everything was so already.
+        `done` False: the change had no effect.
         """
         result = "done" if done else "unchanged"
         logger.info("changed", extra={"event": "access_changed", **_facts(caller, address, verb, name, result)})

@@ -71,7 +71,7 @@ class Caller:
 
     @property
     def first_end_unix_nano(self) -> int:
-        """The end of the proof that ends first; 0: none ends."""
+        """The end of the proof that ends first; 0: no proof has an end."""
         return min((one.ends_unix_nano for one in self.proofs if one.ends_unix_nano), default=0)
 
     @property

@@ -323,7 +323,7 @@ def check_not_judged(what: str) -> None:
 
 
 def audit_change(what: str, name: str, *, done: bool = True) -> None:
-    """Write a change by the present call to the audit log. `done` False: everything was so already."""
+    """Write a change by the present call to the audit log. `done` False: the change had no effect."""
     call = _CURRENT.get()
     if call is not None:
         call.changed(what, name, done=done)

@@ -1,7 +1,7 @@
 """The permit with which the owner of a channel or queue lets one other host become its owner. Pure.
 
 The owner and the directory know the key (`RegisterHostRequest.move_key`). No other host can make a permit of the owner.
-A permit is for one epoch: the next owner has another one, and so has the same owner after a move that failed.
+A permit is for one epoch. The next owner has another epoch, and so has the same owner after a failed move.
 """
 
 from __future__ import annotations

@@ -68,10 +68,10 @@ class OpenCall:
         self._task.uncancel()
 
     def over(self) -> None:
-        """Let the task and the rights of the requests go at the end of the call.
+        """Drop the references to the task and to the rights of the requests, at the end of the call.
 
-        Both refer to this object. As long as this object refers to them, too, only Python's collector frees them, and
-        everything that gRPC keeps of the call.
+        Both refer to this object. Without this step, the references form a circle, and only Python's collector frees
+        these objects and everything that gRPC keeps of the call.
         """
         self._task = self.requests = None
 
@@ -89,7 +89,7 @@ class OpenCall:
             self._granted[grant] = None
 
     def check_now(self, grant: Grant) -> None:
-        """As `check`, but the call goes on if the caller loses the right later."""
+        """As `check`, but the call continues if the caller loses the right later."""
         if not self._is_judged:
             return
         rules = self.rules()
@@ -180,7 +180,7 @@ class RequestRights:
             self._of_request.setdefault(request, []).append(grant)
 
     def release(self, request: Hashable) -> None:
-        """Note that a request waits no more. Idempotent."""
+        """Note that a request no longer waits. Idempotent."""
         for grant in self._of_request.pop(request, ()):
             waiting = self._waiting.get(grant)
             if waiting is not None:

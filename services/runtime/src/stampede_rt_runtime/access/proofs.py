@@ -46,7 +46,7 @@ def identify(accepted: AcceptedProofs, authorization: bytes | None, certificate:
 
 
 def of_certificate_alone(accepted: AcceptedProofs, certificate: CallerCertificate | None) -> Caller:
-    """The caller of a method that needs no secret: the owner of the certificate if the service has certificates."""
+    """The caller of a method that needs no secret: the owner of the certificate, if the service has certificates."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
 

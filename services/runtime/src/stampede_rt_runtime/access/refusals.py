@@ -33,7 +33,7 @@ def _way_out(caller: Caller, verb: str, kind: AccessKind, name: str) -> str:
 
 
 def over(caller: Caller) -> StampedeError:
-    """The error for a credential that ended during a call, or with which an open connection began.
+    """The error for a credential that ended during a call, or after it had opened the connection.
 
     The caller should try again, because it reads renewed certificates and tokens from its files. A call that brings an
     ended token is refused for good, see `check_not_over`.

@@ -1,7 +1,8 @@
 """The HTTP server of the metrics. It runs on the event loop that serves, and answers `GET /metrics` only.
 
-`http.server` and the server of prometheus-client take a thread for each connection, without a bound of their number or
-of their time. This one has both bounds. It makes an answer in pieces, so that the event loop goes on in between.
+`http.server` and the server of prometheus-client take a thread for each connection, and bound neither their number nor
+their time. This server has both bounds. It makes an answer in pieces, so that the event loop does other work in
+between.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _USAGE = b"This is a service of Stampede RT. Its metrics are at /metrics.\n"
 
 
 class MetricsHttpServer:
-    """Serves the page that `make_page` makes, to anybody who can connect.
+    """Serves the page that `make_page` makes, to all callers that can connect.
 
     If CONNECTIONS_MAX connections are open, a further one takes the place of the oldest one.
     """
@@ -36,7 +37,7 @@ class MetricsHttpServer:
 
     async def listen(self, host: str, port: int) -> int:
         """Listen at an address. Returns the port. Raises OSError."""
-        if not port:  # else each address of the name would get a port of its own
+        if not port:  # otherwise each address of the name would get a port of its own
             host = str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[-1][4][0])
         self._server = await asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES_MAX)
         return int(self._server.sockets[0].getsockname()[1])

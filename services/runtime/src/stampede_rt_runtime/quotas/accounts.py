@@ -1,4 +1,4 @@
-"""The use that each caller makes of one port, and its limits. Pure."""
+"""How much each caller uses of one port, and its limits. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stampede_rt_runtime.quotas.loop_shares import LoopShare, LoopShares
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
-"""A caller may make the changes of this many seconds in one go."""
+"""A caller may make the changes of this many seconds at once."""
 
 _BY_NAME = {str(quota): quota for quota in Quota}
 _TEXTS: Mapping[Quota, tuple[str, str]] = {
@@ -262,7 +262,7 @@ class Accounts:
         return account
 
     def refused_ago_nanos(self) -> int | None:
-        """The time since a caller was last refused something, in nanoseconds; None: no caller was."""
+        """The time since the last refusal, in nanoseconds; None: there was none."""
         return None if not self.refusals else round((self._clock_s() - self._refused_at_s) * 1e9)
 
     def _note_refusal(self, quota: Quota) -> None:

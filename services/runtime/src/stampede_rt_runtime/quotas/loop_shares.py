@@ -3,8 +3,8 @@
 A step is the work for one message or one call, or one piece of a long task. While several callers have work, each
 caller may use its percentage of the loop's time. If a caller has used more, its next steps wait in a line: each caller
 has its own line, in the order in which the steps came. In each turn of the loop at most one step of each line runs. So
-steps that became due while the loop was busy, or had no processor, do not all run in one turn. A caller that has been
-the only one with work for CONTENDED_NANOS does not wait.
+if many steps became due while the loop was busy or had no processor, they do not all run in one turn. A caller that has
+been the only one with work for CONTENDED_NANOS does not wait.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Callable
 
 BURST_NANOS = 4_000_000
-"""How long before its next step is due by its percentage a caller may begin this step. At 50 % this is 2 ms of work."""
+"""A caller may begin a step this long before it is due by the caller's percentage. At 50 % this is 2 ms of work."""
 CONTENDED_NANOS = 100_000_000
-"""Once a caller has worked right after another caller, several callers count as having work for this time."""
+"""For this time after one caller has worked right after another, several callers count as having work."""
 PAUSE_SECONDS_MIN = 0.0005  # the shortest time after which a line looks again whether it must still wait
 _SECOND_NANOS = 10**9
 
@@ -81,7 +81,7 @@ class LoopShare:
         if self._line:
             return True
         if self._held_for(self._shares.latest) <= 0:
-            return False  # no wait was due at an earlier time, so none is due now; `now` is the slowest call here
+            return False  # no wait was due at an earlier time, so no wait is due now; `now` is the slowest call here
         return self._held_for(self._shares.now()) > 0
 
     def stand(self, wake: Callable[[], None]) -> None:

@@ -162,7 +162,7 @@ def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[An
 class _Charged(Coroutine[Any, Any, Result]):
     """Runs a coroutine, and measures the processor time of each step. The measurement takes about a microsecond.
 
-    A clock would count the time, too, in which the system ran other threads, and hold up a caller that used little.
+    A clock would also count the time in which the system ran other threads, and delay a caller that used little.
 
     It is no `async def` function: if its task is cancelled before the first step, the cancellation reaches `work`.
     """
@@ -187,7 +187,7 @@ class _Charged(Coroutine[Any, Any, Result]):
         try:
             return self._work.throw(*error)
         finally:
-            error = ()  # else the error's traceback keeps this frame, and this frame the error
+            error = ()  # otherwise the error's traceback keeps this frame, and this frame the error
             self._loop_share.spend(time.thread_time_ns() - began_at)
 
     def close(self) -> None:

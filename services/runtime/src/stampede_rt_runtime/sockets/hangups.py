@@ -52,14 +52,14 @@ class HangupWatcher:
             self._epoll.register(number, select.EPOLLRDHUP)
 
     def forget(self, one: Any) -> None:
-        """Watch a socket no longer, which may be closed already. Idempotent."""
+        """Stop watching a socket, which may be closed already. Idempotent."""
         number = self._numbers.pop(id(one), -1)
         watched = self._watched.get(number)
         if watched is not None and watched.socket is one:
             self._drop(number)
 
     def _look(self) -> None:
-        if self._gone:  # the next turn looks again
+        if self._gone:  # the next turn of the loop checks again
             return
         for number, _ in self._epoll.poll(0, CLOSED_PER_TURN):
             watched = self._watched.get(number)
@@ -86,7 +86,7 @@ class HangupWatcher:
             self._epoll.unregister(number)
 
     def close(self) -> None:
-        """Watch no socket any longer, and close those whose peers have gone."""
+        """Stop watching all sockets, and close those whose peers have gone."""
         if self._epoll is not None:
             asyncio.get_running_loop().remove_reader(self._epoll.fileno())
             self._epoll.close()

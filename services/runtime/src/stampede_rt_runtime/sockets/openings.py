@@ -14,12 +14,12 @@ def opening_in(body: bytes) -> pb.StreamOpening:
     """The opening in a frame. Raises InvalidArgument."""
     try:
         return pb.StreamOpening.FromString(body)
-    except Exception as error:  # any error of a generated parser is due to the caller's bytes
+    except Exception as error:  # any error of a generated parser comes from the caller's bytes
         raise InvalidArgument(f"the {len(body)} bytes that were sent are no StreamOpening") from error
 
 
 def unfinished(seconds: float, came_bytes: int) -> DeadlineExceeded:
-    """The error of a frame of which only some bytes came within that time."""
+    """The error for a frame if only some of its bytes came within that time."""
     return DeadlineExceeded(
         f"{came_bytes} bytes of a frame came, and not the rest within {seconds:g} s; send smaller messages, "
         "or over a faster network"
@@ -27,8 +27,8 @@ def unfinished(seconds: float, came_bytes: int) -> DeadlineExceeded:
 
 
 def unread_by_peer(connected: Any) -> bool:
-    """Whether the peer has not taken all bytes. Then a sign of life would tell it nothing new.
+    """Whether the peer has not taken all bytes yet. Such a peer needs no sign of life.
 
-    Over TCP its system takes bytes for it, until its buffer is full.
+    Over TCP the peer's system takes bytes for the peer, until its buffer is full.
     """
     return fcntl.ioctl(connected, termios.TIOCOUTQ, bytes(4)) != bytes(4)

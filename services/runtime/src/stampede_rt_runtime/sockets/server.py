@@ -81,7 +81,7 @@ class SocketServer:
         self._find: Callable[[_CallDetails], Awaitable[Any]] = find
         self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
-        # those without an opening, apart, so that callers of other machines do not keep local ones out
+        # Connections without an opening. Those over TCP count apart: other machines must not keep local callers out.
         self._unopened: dict[bool, set[StreamSocket]] = {True: set(), False: set()}
         # one line for each credential: a caller with a thousand openings delays other callers by one opening only
         self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
@@ -94,7 +94,7 @@ class SocketServer:
 
     @property
     def streams_open(self) -> int:
-        """The number of open connections, of which each carries one stream."""
+        """The number of open connections. Each of them carries one stream."""
         return len(self._streams)
 
     def register(self, add_to: Callable[[Any], object]) -> None:
@@ -165,10 +165,10 @@ class SocketServer:
         self._accepted(accepted, error, self._connection())
 
     def _accepted_over_tcp(self, context: Callable[[], ssl.SSLContext] | None, accepted: socket.socket) -> None:
-        """Serve a connection of anybody who reaches the port."""
+        """Serve a connection of any caller that reaches the port."""
         try:
             made = self._connection(peer_of(accepted))
-        except OSError:  # it has gone
+        except OSError:  # the caller has gone
             accepted.close()
             return
         if context is None:
@@ -187,10 +187,10 @@ class SocketServer:
     ) -> None:
         """Serve a connection.
 
-        Refuse one with an error, or beyond the limits, before the service reads any of its bytes.
+        If it has an error, or is beyond the limits, refuse it before the service reads any of its bytes.
         """
         error = error or self._too_many(made.is_local)
-        if error is not None:  # without time for the peer to read: there may be many
+        if error is not None:  # gives the peer no time to read, because there may be many
             with contextlib.suppress(OSError), accepted:
                 if secured is None:
                     accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
@@ -251,7 +251,7 @@ class SocketServer:
             asyncio.get_running_loop().call_soon(self._begin_some)
 
     def failed(self, connection: StreamSocket, error: StampedeError) -> None:
-        """End a stream whose frames are not as they must be."""
+        """End a stream whose frames are invalid."""
         connection.end(encode_status(error))
         self._let_go(connection)
 

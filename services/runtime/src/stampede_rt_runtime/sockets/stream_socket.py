@@ -146,23 +146,23 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._place.leave(lost_bytes)
 
     def pause_writing(self) -> None:
-        """The system takes no more bytes."""
+        """Stop writing, because the system takes no more bytes."""
         self._is_full = True
 
     def resume_writing(self) -> None:
-        """The system has taken all bytes."""
+        """Write again, because the system has taken all bytes."""
         self._is_full = False
         _wake(self._room)
 
     def eof_received(self) -> bool:
-        """The peer has gone: close the connection, after those of which this was known before."""
+        """Close the connection, because the peer has gone. Connections whose peers have gone earlier close first."""
         self._hangups.gone(self._transport.close)
         return True  # asyncio must not close it at once: thousands may end in one turn of the loop
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The peer has gone, or the connection was closed here."""
+        """Note that the peer has gone, or that the connection was closed here."""
         self._is_lost = self._has_ended = True
-        self.at_once = None  # it refers to the method, and the method to this connection
+        self.at_once = None  # it refers to the method, and the method refers to this connection
         self._hangups.forget(self.socket)
         self._drop_frame()
         if self._deadline is not None:
@@ -187,7 +187,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             if self._has_ended:
                 return EOF
             if self._must_wait_for_place():
-                self._pause()  # it may have resumed when a message before the frame was read
+                self._pause()  # reading may have resumed when an earlier message was read
                 await self._place.take(self._frames.wanted_bytes)
                 self._is_filling = True
                 if self._is_lost:
@@ -239,14 +239,14 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._drop_frame()
         if self._is_closing:
             return
-        if not self._is_full:  # else the peer reads nothing
+        if not self._is_full:  # otherwise the peer reads nothing
             self._write(frame_of(FrameKind.STATUS, status))
         self._resume()
         if self._deadline is not None:
             self._deadline.cancel()
         if self._transport.can_write_eof():
             self._transport.write_eof()
-        # a close while bytes of the peer wait here would drop the status at some systems
+        # on some systems, a close while bytes of the peer wait here would drop the status
         self._deadline = self._loop.call_later(LINGER_SECONDS, self._transport.abort)
 
     def abort(self) -> None:
@@ -255,7 +255,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def look(self, now_s: float) -> None:
-        """Give a sign of life if nothing else was written since the last look. End a stream that does not go on."""
+        """Give a sign of life if nothing else was written since the last look. End a stream that makes no progress."""
         if self._is_closing or self.is_over or not self.is_opened:
             return
         if self._frame_since_s is not None and now_s - self._frame_since_s > FRAME_SECONDS_MAX:
@@ -317,7 +317,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._deadline.cancel()
             self.is_opened = True
             self._owner.opened(self, opening_in(body))
-            self._pause()  # until the method reads: so the caller is admitted before it can send more
+            self._pause()  # until the method reads, so that the caller is admitted before it can send more
         elif kind == FrameKind.MESSAGE and not self._has_ended:
             self._messages.append(body)
             self._unread_bytes += len(body) + _MESSAGE_OVERHEAD_BYTES

@@ -28,7 +28,7 @@ def listen_over_tcp(host: str, port: int, *, allow_insecure_anywhere: bool) -> l
     except OSError as error:
         for one in made:
             one.close()
-        raise CannotListen(f"{Address(host, port)} cannot be listened at: {error.strerror or error}") from error
+        raise CannotListen(f"the service cannot listen at {Address(host, port)}: {error.strerror or error}") from error
     if not made:
         raise CannotListen(f"{host} is not an address of this machine; give --listen one of its own")
     return made

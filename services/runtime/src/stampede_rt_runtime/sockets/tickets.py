@@ -1,4 +1,4 @@
-"""Tickets. With a ticket a caller proves over a local socket which certificate it has shown over gRPC.
+"""Tickets. A ticket proves over a local socket which certificate the caller has shown over gRPC.
 
 TLS proves a certificate for one connection. A caller gets a ticket over such a connection, and sends it at the
 beginning of each stream over a socket. Only processes of the same user can open the socket, and such a process could
@@ -25,8 +25,8 @@ Proof = Mapping[str, Sequence[bytes]]
 class SocketTickets:
     """The tickets of one service. Each certificate has one, for as long as the certificate and the process live.
 
-    The end of a certificate and its revocation are checked for each stream, as over gRPC. With TICKETS_MAX valid
-    certificates there are no tickets for further ones: their callers use gRPC.
+    The end of a certificate and its revocation are checked for each stream, as over gRPC. If TICKETS_MAX valid
+    certificates have tickets, callers with other certificates get none, and use gRPC.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The TLS of an accepted connection, between its transport and the stream. It bounds the work of handshakes.
 
-A step of a handshake takes up to a millisecond, and anybody may begin one. So the event loop takes STEPS_AT_ONCE of
-them, and then none for PAUSE_SECONDS. asyncio's own TLS would take all of them in one turn.
+A step of a handshake takes up to a millisecond, and any caller may begin a handshake. So the event loop takes
+STEPS_AT_ONCE of them, and then none for PAUSE_SECONDS. asyncio's own TLS would take all of them in one turn.
 """
 
 from __future__ import annotations
@@ -81,19 +81,19 @@ class TlsStream(asyncio.BufferedProtocol):
             self._steps.add(self._shake)
 
     def eof_received(self) -> bool:
-        """The peer has gone."""
+        """Note that the peer has gone."""
         return self._stream.eof_received() if self._is_secured else False
 
     def pause_writing(self) -> None:
-        """The system takes no more bytes."""
+        """Stop writing, because the system takes no more bytes."""
         self._stream.pause_writing()
 
     def resume_writing(self) -> None:
-        """The system has taken all bytes."""
+        """Write again, because the system has taken all bytes."""
         self._stream.resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The peer has gone, or the connection was closed here."""
+        """Note that the peer has gone, or that the connection was closed here."""
         if self._deadline is not None:
             self._deadline.cancel()
         self._is_paused = True
@@ -109,12 +109,12 @@ class TlsStream(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def pause_reading(self) -> None:
-        """Leave the next bytes where they are."""
+        """Stop reading: the next bytes stay in the system."""
         self._is_paused = True
         self._transport.pause_reading()
 
     def resume_reading(self) -> None:
-        """Go on to read."""
+        """Read again."""
         self._is_paused = False
         self._transport.resume_reading()
         if self._tls.has_more:

@@ -18,9 +18,9 @@ _SUFFIX = ".sock"
 
 
 def listen_at_new_path(folder: Path | None = None) -> tuple[socket.socket, Path]:
-    """A listening Unix socket, and its path, which no other socket had. Removes the paths of dead processes.
+    """A listening Unix socket, and its path, which no other socket has had. Removes the paths of dead processes.
 
-    Raises CannotListen if others could enter the folder, or if there can be none.
+    Raises CannotListen if other users could enter the folder, or if it cannot be made.
     """
     folder = folder or _own_folder()
     path = folder / f"{secrets.token_hex(8)}{_SUFFIX}"
@@ -51,7 +51,7 @@ def _check_own(folder: Path) -> None:
 
 
 def _listening(path: Path) -> socket.socket:
-    """Binds another name first: a path with the right suffix always has a listening socket, or a dead one."""
+    """Binds another name first, so that a path with the right suffix always has a socket that listens or listened."""
     draft = path.with_suffix(".new")
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

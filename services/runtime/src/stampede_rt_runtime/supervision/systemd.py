@@ -37,5 +37,5 @@ def tell_systemd(state: str) -> None:
 
 
 def without_supervisor() -> dict[str, str]:
-    """The environment for a process whose state does not concern systemd."""
+    """The environment for a process that must not report its state to systemd."""
     return {name: value for name, value in os.environ.items() if name != SOCKET_VARIABLE}

@@ -1,10 +1,10 @@
 """Decides whether a late request to open something is still wanted. Pure.
 
-An open of an existing thing makes no log entry, so nobody remembers the request. If the caller first tried at another
-supernode, that attempt may still be under way. It may arrive after the thing was deleted, and would create it again,
-although nobody wants it any more. So every attempt carries the log position that the state had when the request came.
-If the name has become free since, nothing is created. A caller that still waits sends the request again. A caller that
-has its answer does not.
+An open of an existing thing makes no log entry, so no supernode remembers the request. If the caller first tried at
+another supernode, that attempt may still be under way. It may arrive after the thing was deleted, and would create it
+again, although no caller wants it any more. So every attempt carries the log position that the state had when the
+request came. If the name has become free since, the directory creates nothing. A caller that still waits sends the
+request again. A caller that has its answer does not send it again.
 """
 
 from __future__ import annotations

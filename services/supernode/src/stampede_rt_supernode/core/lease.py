@@ -3,7 +3,7 @@
 Pure: a method that needs the time takes `now`, in nanoseconds of a clock that also runs while the machine is suspended
 (CLOCK_BOOTTIME). Renewals are not in the log, so a table is valid only while its supernode leads. Two rules prevent two
 owners. A host stops serving 0.8 TTL after it *sent* its last acknowledged renewal, and the leader ends a lease at the
-earliest one TTL after it *received* the renewal. And a new leader first grants everybody a full TTL.
+earliest one TTL after it *received* the renewal. And a new leader first grants a full TTL to every holder.
 """
 
 from __future__ import annotations

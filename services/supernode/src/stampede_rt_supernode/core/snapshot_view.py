@@ -27,7 +27,7 @@ class SnapshotView:
     """
 
     directory: Directory
-    channels: tuple[ChannelRecord, ...]  # all channels, in no order; or none if `changes` is set
+    channels: tuple[ChannelRecord, ...]  # all channels, in no particular order; or none if `changes` is set
     changes: tuple[DirectoryChange, ...] | None  # changes of all kinds since the position of the last snapshot
     position: int  # the position in `tables.changes` after the newest change
 

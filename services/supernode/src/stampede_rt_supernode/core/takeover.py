@@ -1,9 +1,9 @@
 """Applies the loss of a host to its channels and queues, their copies and groups, and its mailboxes. Pure.
 
-A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the
-former owner's registration, and no other host gets the channel in between. If puts waited for the replica, it also
-holds all items that a reader has seen. The incarnation then stays: nobody can have a position or a cursor of an item
-that is lost.
+A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the former
+owner's registration, and no other host gets the channel in between. If puts waited for the replica, it also holds all
+items that a reader has seen. The incarnation then stays, because no reader can have a position or a cursor of a lost
+item.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ def check_name(name: str, what: str) -> None:
 def check_max_bytes(what: str, name: str, max_bytes: int | None) -> None:
     """Check that `max_bytes` leaves room for an item without payload.
 
-    Servicers check requests so. The state machine does not, because a log of an earlier release may have smaller
-    values, and all replicas must apply that log alike.
+    Only servicers make this check. The state machine does not make it, because a log of an earlier release may have
+    smaller values, and all replicas must apply that log alike.
     """
     if max_bytes is not None and max_bytes < MAX_BYTES_MIN:
         raise InvalidArgument(

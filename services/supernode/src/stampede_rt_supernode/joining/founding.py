@@ -26,7 +26,7 @@ FILE_NAME = "supernode.json"
 # This file exists while `init --restore` writes.
 RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
-# The IP addresses that stand for all addresses of a machine. A server can listen at them, but nobody can call them.
+# The IP addresses that stand for all addresses of a machine. A server can listen at them, but no caller can call them.
 ANYWHERE = ("0.0.0.0", "::")
 
 
@@ -46,7 +46,7 @@ class Founding:
     log_cluster_id: str = ""
     # Whether the cluster is founded with a list of members, which all founders got.
     listed: bool = False
-    # Whether callers of the former cluster, whose directory was restored here, may go over to this one.
+    # Whether this cluster serves the callers of the former cluster, whose directory was restored here.
     takes_over: bool = False
     # Whether the member joins a running cluster, and founds none.
     joining: bool = False

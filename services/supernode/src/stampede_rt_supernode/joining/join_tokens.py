@@ -2,7 +2,7 @@
 
 A token contains the time at which it ends, the id of the request that made it, the id of the cluster's log, and a proof
 (HMAC, RFC 2104) for one supernode id and one address. The newcomer needs the id of the log for its first hello. The
-first leader makes the random key of the proofs. The supernodes keep the key in the directory, and give it to nobody.
+first leader makes the random key of the proofs. The supernodes keep the key in the directory, and send it to no caller.
 The log makes sure that a token lets in only one member.
 """
 

@@ -23,7 +23,7 @@ def why_in_doubt(member_id: str, log_index: int) -> str:
     """The reason why a member's state is in doubt, as one sentence."""
     return (
         f"the state of {member_id!r} differs from that of the leader at log position {log_index}, and neither is known "
-        "to be that of most members, so that nobody can say which is right"
+        "to be that of most members, so it is unknown which of them is right"
     )
 
 

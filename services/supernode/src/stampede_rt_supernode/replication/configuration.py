@@ -50,7 +50,7 @@ class Configuration:
         return Configuration.of((*self.members, member), self.retired, spent[-SPENT_MAX:])
 
     def without(self, member_id: str) -> Configuration:
-        """The configuration without one member. Nobody may join under this id as long as it is among `retired`."""
+        """The configuration without one member. No member may join under this id as long as it is among `retired`."""
         remaining = [member for member in self.members if member.member_id != member_id]
         return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 

@@ -42,7 +42,7 @@ class RaftNetwork(Protocol):
         """End the stream of a member that breaks the protocol, refuse it for a while, and log that. Never blocks."""
 
     def follow(self, roster: MemberRoster) -> None:
-        """From now on keep a link to every peer and to nobody else. Never blocks."""
+        """From now on keep links to these peers only. Never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class RaftReplica:
         if node.term > TERM_MAX:
             raise StoreDamaged(
                 f"this member is in term {node.term}, and its log ends in term {last_term}: no elections explain that, "
-                f"so somebody hostile has raised its term. {REJOIN}; if all supernodes say so, found a new cluster "
+                f"so a hostile member has raised its term. {REJOIN}; if all supernodes say so, found a new cluster "
                 "from the folder of one of them, which loses nothing that it holds (stampede supernode init --restore)"
             )
         return node
@@ -196,7 +196,7 @@ class RaftReplica:
     def step(self) -> bool:
         """Take in the arrivals, advance, and release everything that is now on stable storage. Blocks only on the disk.
 
-        Returns True if another step is due at once. After any exception the replica must not go on.
+        Returns True if another step is due at once. After any exception the caller must stop the replica.
         """
         self._receive_events()
         self._log.sync()

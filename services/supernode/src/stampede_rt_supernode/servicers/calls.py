@@ -130,7 +130,8 @@ class DirectoryCalls:
 
         A first request that changes nothing gets its answer from a confirmed read, without a log entry. A repeated
         request gets an entry, unless the directory remembers its answer, because the network may still delay the first
-        attempt. The delayed attempt then finds that answer. So it opens nothing after somebody has deleted the thing.
+        attempt. The delayed attempt then finds that answer. So it opens nothing after another caller has deleted the
+        thing.
 
         `unchanged`: returns the answer if the thing exists in the requested form, else None. `check`: is awaited before
         the entry is proposed, and raises for a forbidden operation.

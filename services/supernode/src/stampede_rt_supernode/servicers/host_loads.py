@@ -46,11 +46,11 @@ class HostLoads:
         self._owned[host_id] = owned
 
     def forget(self) -> None:
-        """Forget all reports, because this supernode leads no more."""
+        """Forget all reports, because this supernode no longer leads."""
         self._reported, self._owned = {}, {}
 
     async def tick(self, tenure: int) -> None:
-        """Note the changed loads in the log, if the last time is long enough ago. Raises StampedeError."""
+        """Note the changed loads in the log, if the last note is long enough ago. Raises StampedeError."""
         now = self._clock.boottime_nanos()
         if not self._reported or now - self._noted_nanos < NOTE_NANOS:
             return

@@ -202,12 +202,13 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
 def _check_speaks_for(context: Context, member_id: str) -> None:
     """Raises PermissionDenied for the certificate of another supernode.
 
-    One supernode could else remove all others, and then decide alone about the directory. Operators may name any.
+    Without this check, one supernode could remove all others, and then decide alone about the directory. Operators may
+    name any supernode.
     """
     caller = caller_identity(context)
     if caller is not None and caller.role is Role.SUPERNODE and caller.name != member_id:
         raise PermissionDenied(
-            f"{caller} may not add or remove supernode {member_id}: a supernode does so for itself alone; use the "
+            f"{caller} may not add or remove supernode {member_id}: a supernode does so only for itself; use the "
             "certificate of an operator"
         )
 

@@ -13,7 +13,7 @@ class AccessTable:
     """The directory's facts about access. `version`: the log position of the last change; 0 if there was none.
 
     `token_key` signs client tokens. No caller ever gets it. It is empty until a leader begins a tenure at feature level
-    2 or above, or somebody creates it by CreateTokenKey.
+    2 or above, or a caller creates it by CreateTokenKey.
     """
 
     version: int = 0

@@ -12,8 +12,8 @@ class BeginTenure(Operation):
     """A new leader takes over the leases. The very first leader also founds the cluster.
 
     `new_cluster_id`, `new_lease_ttl_nanos`: the id of a new cluster, and the duration of its leases. `founded_anew`:
-    the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether the hosts and other
-    callers of that former cluster may go over to this one. `new_feature_level`: the first level of a new cluster.
+    the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether this cluster serves
+    the hosts and other callers of that former cluster. `new_feature_level`: the first level of a new cluster.
     """
 
     tenure: int
@@ -29,7 +29,7 @@ class BeginTenure(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MarkTime(Operation):
-    """The leader of `tenure` notes that MARK_NANOS have passed since the last mark; see `answered`.
+    """The leader of `tenure` notes that MARK_NANOS have passed since the last mark; see `kept_answers`.
 
     `after_index`: the log position of the last mark that the leader knows.
     """

@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.validation import check_id, check_incarnation, c
 
 GROUPS_MAX = 10_000
 GROUPS_PER_CHANNEL_MAX = 1_000  # bounded, because the deletion of a channel changes all its groups in one step
-GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # the rest is left for other callers
+GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # the other groups of the channel are for other callers
 
 
 def check_open_group(operation: OpenGroup) -> None:
@@ -215,7 +215,7 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
 
 
 def move_witness(tables: Tables, channel_id: bytes, former_host_id: bytes) -> None:
-    """Note that the owner of the channel knows the cuts of its groups if the former owner does: it took them over.
+    """If the former owner of the channel knows the cuts of its groups, note that the new owner has taken them over.
 
     The former owner stays a witness as long as it may become the owner again (see `replicas.transitions.drop_copy`).
     """

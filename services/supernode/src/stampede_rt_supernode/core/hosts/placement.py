@@ -24,8 +24,9 @@ FULL_PERMILLE = 950
 """A host with less room than this is chosen only if no host has more."""
 GROUPS_LOOKED_AT_MAX, MEMBERS_LOOKED_AT_MAX = 8, 64
 SHARE_FACTOR, SHARE_FREE = 4, 64
-"""Hosts report their own loads, and a report may be wrong. A host gets channels and queues for its low load only until
-it owns this many times as many as the others on average, and this number more."""
+"""Hosts report their own loads, and a report may be wrong. A host gets channels and queues for its low load only while
+it owns at most SHARE_FREE things more than SHARE_FACTOR times the average of the other hosts.
+"""
 
 
 def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[HostRecord], int]) -> HostRecord | None:
@@ -74,7 +75,7 @@ def _owned(tables: Tables, host: HostRecord) -> int:
 
 
 def _owns_far_more(owned: int, by_all: int, hosts: int) -> bool:
-    """Whether a host that owns `owned` of `by_all` things of `hosts` hosts has its share and far more."""
+    """Whether a host owns far more than its share: `owned` of the `by_all` things that `hosts` hosts own."""
     return hosts > 1 and (owned - SHARE_FREE) * (hosts - 1) > SHARE_FACTOR * (by_all - owned)
 
 

@@ -37,8 +37,8 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
     channels and all queues stay at the host. Recorded channels keep their incarnation if the host's archive has all of
-    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; the load begins
-    idle.
+    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; the first load is an idle
+    one.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)

@@ -2,11 +2,12 @@
 
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
-keeps its items until the new owner removes that copy. If the new owner is lost before, the former owner goes on.
-If the new owner held a replica, the former owner takes its place: it holds everything, so it stays in sync.
-The former owner of a queue is no heir. It stays as a replica if the new owner held one.
+keeps its items until the new owner removes that copy. If the new owner is lost before that, the former owner becomes
+the owner again. If the new owner held a replica, the former owner becomes a replica in its place. It holds everything,
+so it stays in sync. The former owner of a queue is never an heir. It stays as a replica if the new owner held one.
 
-The directory believes no host that it holds everything: the owner's permit must say so, see `move_permits`.
+The directory does not rely on the word of the host: the owner's permit must say that it holds everything, see
+`move_permits`.
 """
 
 from __future__ import annotations

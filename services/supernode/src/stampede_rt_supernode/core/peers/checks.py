@@ -1,4 +1,4 @@
-"""Checks the fields that a peer states, and who may replace a live peer. Pure."""
+"""Checks the fields that a peer states, and whether a registration may replace a live peer. Pure."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
     """Check that `operation` may replace a live peer.
 
     The operation must have the peer's proof. If the peer gave no proof, the operation must have none either, and come
-    from the same process. But a peer without a name and without a proof needs no protection, so its id is enough.
-    Raises PEER_EXISTS, or PermissionDenied if the peer belongs to another caller.
+    from the same process. A peer without a name and without a proof needs no protection, so its id is enough. Raises
+    PEER_EXISTS, or PermissionDenied if the peer belongs to another caller.
     """
     check_owner(before, operation.owner)
     same_proof = before.proof_sha256 == operation.proof_sha256

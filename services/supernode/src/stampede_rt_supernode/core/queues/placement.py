@@ -1,6 +1,6 @@
 """Chooses the hosts of queues and mailboxes, and applies the loss of a host to them. Pure.
 
-If the host of a queue is lost, the queue gets a new host when a client next opens it, like a channel. Nobody opens a
+If the host of a queue is lost, the queue gets a new host when a client next opens it, like a channel. No client opens a
 mailbox. So the step that ends the host's lease moves its mailboxes to other live hosts, where senders find them.
 """
 
@@ -77,7 +77,7 @@ def move_mailboxes(tables: Tables, host_id: bytes) -> None:
 
 
 def move_waiting_mailboxes(tables: Tables) -> None:
-    """Move the mailboxes whose hosts are not alive to a live host. Called when one registers after there was none."""
+    """Move the mailboxes whose hosts are not alive to a live host. For a host that registers when no host was alive."""
     lost = [host.host_id for host in tables.hosts.values() if not host.alive]
     for host_id in sorted(lost):
         move_mailboxes(tables, host_id)

@@ -203,7 +203,7 @@ def store(tables: Tables, channel: Copied, replicas: tuple[ReplicaRecord, ...]) 
     if isinstance(channel, QueueRecord):
         tables.put_queue(channel)
         return
-    host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # these serve nobody
+    host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # heirs serve no caller
     changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
     if changed != tables.channels[id_of(channel)]:
         tables.replace_channel(changed)
@@ -240,7 +240,7 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
 
 
 def end_replicas(tables: Tables, channel: Copied) -> None:
-    """Remove the replicas of a channel, because its owner did not wait for them until now, or waits no more."""
+    """Remove the replicas of a channel, because its owner did not wait for them, or no longer waits."""
     held = tables.replicas.of(id_of(channel))
     gone = {one.host_id for one in held if one.kind is ReplicaKind.WARM}
     left = (one for one in held if one.host_id not in gone)

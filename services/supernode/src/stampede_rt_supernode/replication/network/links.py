@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 # The shortest time between two rounds of new hellos to the others. Without this pause one refusing member could make
 # this member restart its streams all the time.
 ASK_OTHERS_SECONDS = 5.0
-# The beginnings of the sentence that a log message adds about an unconfirmed refusal. It goes on with "once ...".
+# The beginnings of the log's sentence about an unconfirmed refusal. The sentence ends with "once ...".
 OUTDATED_FOLLOWS = "This member goes on, but ends"
 REFUSED_FOLLOWS = "This member goes on as a follower without a vote, but ends for good"
 # The leader queues more entries and pieces of a snapshot on a link only while fewer bytes than this wait there.

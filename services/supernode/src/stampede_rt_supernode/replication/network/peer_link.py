@@ -41,7 +41,7 @@ REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
 # How long the peer may take to answer the hello.
 HELLO_SECONDS = 2.0
-# At most so many characters of a reason are logged and remembered.
+# At most this many characters of a reason are logged and remembered.
 REASON_CHARACTERS_MAX = 500
 
 # The options of a channel to a member. Without them gRPC waits up to two minutes before it tries a dead peer again, and

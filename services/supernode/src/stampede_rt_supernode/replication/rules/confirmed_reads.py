@@ -23,7 +23,7 @@ from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, Read
 class ConfirmedRead:
     """One read under way. `done` is called once: with the applied index, or with None if no index was found.
 
-    That is so after `deadline`, by the replica's clock, and when the replica closes.
+    It gets None after `deadline`, by the replica's clock, and when the replica closes.
     """
 
     deadline: float

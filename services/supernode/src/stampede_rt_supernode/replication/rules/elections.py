@@ -47,7 +47,7 @@ class RaftRules(Following, Leading):
     _votes: tuple[int, set[str]] = (0, set())
 
     def receive(self, node: MemberNode, message: Message) -> None:
-        """Pass a member's message to its rule. Ignores unknown senders. The library accepts messages from anybody.
+        """Pass a member's message to its rule. Ignores unknown senders. The library accepts messages of all senders.
 
         Raises PeerAtFault if the message breaks the protocol.
         """
@@ -174,7 +174,7 @@ class PreVoteElections(RaftRules):
         if not due or self.is_leader:
             return
         if not self.is_voter() or self.must_not_lead():
-            # Nobody may vote for a node that is not yet a voter, or was removed. A node with a diverged state, or with
+            # A node that is not yet a voter, or was removed, must get no votes. A node with a diverged state, or with
             # a store that another member refuses, must not lead.
             self.put_off_election()
             self._lose_leader()

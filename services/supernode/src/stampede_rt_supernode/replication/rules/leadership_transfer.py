@@ -83,7 +83,7 @@ class LeadershipTransfer:
             leaving.asked = self._node.send_timeout_now(complete[0])
 
     def end(self) -> None:
-        """Answer all waiting callers, because this node leads no more, or is closing."""
+        """Answer all waiting callers, because this node no longer leads, or is closing."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self._answer(leaving.callers, not self._node.is_leader)

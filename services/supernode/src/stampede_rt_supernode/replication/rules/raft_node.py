@@ -20,7 +20,7 @@ class InvariantViolation(RuntimeError):
 
 
 class PeerAtFault(Exception):
-    """A member has broken the protocol. This replica drops the stream of that member, and goes on."""
+    """A member has broken the protocol. This replica drops the stream of that member, and continues."""
 
     def __init__(self, member_id: str, why: str) -> None:
         super().__init__(f"{member_id} {why}")

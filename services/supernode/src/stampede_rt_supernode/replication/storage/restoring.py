@@ -22,8 +22,8 @@ def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, fo
 
     Returns the last log position in `source`. `founder` is the only member of the new cluster, whose id is
     `cluster_id`. `source` is a backup, or the data folder of an old member, which must be stopped. `source` stays
-    unchanged. First, this function applies all data to `state_machine`, which nobody may use afterwards. So it refuses
-    data that this release cannot read, before it writes anything. Blocks. Raises ReleaseTooOld, StoreRefused,
+    unchanged. First, this function applies all data to `state_machine`, which the caller must not use afterwards. So it
+    refuses data that this release cannot read, before it writes anything. Blocks. Raises ReleaseTooOld, StoreRefused,
     StoreDamaged, OSError, or the state machine's errors for an unreadable snapshot.
     """
     if source.is_file():

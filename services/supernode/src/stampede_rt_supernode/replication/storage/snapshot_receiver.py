@@ -31,7 +31,7 @@ class _Incoming:
 
 @dataclass(frozen=True, slots=True)
 class _Decoded:
-    """A complete snapshot, and the function that lets the state machine go on from it."""
+    """A complete snapshot, and the function that makes it the state of the state machine."""
 
     stored: StoredSnapshot
     snapshot: records.SnapshotContents
@@ -39,7 +39,7 @@ class _Decoded:
 
 
 class UnreadableSnapshot(Exception):
-    """The snapshot came complete, but this member cannot go on from it."""
+    """The snapshot came complete, but this member cannot use it."""
 
 
 @dataclass(slots=True)

@@ -125,7 +125,7 @@ class SnapshotKeeper:
         """Open the stored snapshot into the state machine, and return the last entry that it covers; None without a
         snapshot.
 
-        Raises the errors of the decoding and of the state machine: a replica must not go on without its state.
+        Raises the errors of the decoding and of the state machine: a replica must not continue without its state.
         """
         if self._log.snapshot is None:
             return None

@@ -302,7 +302,7 @@ class SqliteStore:
         self._has_old_pieces = True
 
     def _drop_old_pieces(self) -> None:
-        """Drop a few pieces of earlier snapshots. Snapshot positions only grow, so nobody needs these pieces."""
+        """Drop a few pieces of earlier snapshots. Snapshot positions only grow, so these pieces are of no use."""
         old = "SELECT rowid FROM snapshot_piece WHERE last_log_index < (SELECT last_log_index FROM snapshot)"
         dropped = self._db.execute(
             f"DELETE FROM snapshot_piece WHERE rowid IN ({old} LIMIT ?)", (OLD_PIECES_PER_COMMIT,)

@@ -33,7 +33,7 @@ LOOK_SECONDS = 0.5
 
 
 def end_process(error: BaseException) -> NoReturn:
-    """Log the reason and end the process at once: a replica that failed half-way must not answer anybody."""
+    """Log the reason and end the process at once: a replica that failed half-way must not answer any caller."""
     code = EXIT_CODE
     if isinstance(error, ReleaseTooOld):
         why, code = str(error), EXIT_TOO_OLD
@@ -110,7 +110,7 @@ class TickThread:
                 if not again:
                     self._work.wait(replica.pause_seconds())
             replica.close()
-        except BaseException as error:  # noqa: BLE001 - whatever it is, going on would be worse
+        except BaseException as error:  # noqa: BLE001 - whatever it is, to continue would be worse
             self._on_fatal(error)
         finally:
             self._ended.set()

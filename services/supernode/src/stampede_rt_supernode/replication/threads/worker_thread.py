@@ -1,4 +1,4 @@
-"""Runs long work on a thread of its own, so that the log's thread goes on."""
+"""Runs long work on a thread of its own, so that the log's thread can continue."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. Work under way goes on, but nobody gets its result."""
+        """Begin no more work. Work under way continues, but its result is dropped."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
