@@ -76,7 +76,7 @@ class RecordingStream(Subscription):
         return self._closed
 
     async def begin_reading(self) -> None:
-        """Wait until the host has opened the subscription, or `close` is called. Raises as `next_batch` does."""
+        """Wait until the host has opened the subscription, or `close` is called. Raises the errors of `next_batch`."""
         self._session.check_process()
         async with self._steps:
             await self._open()

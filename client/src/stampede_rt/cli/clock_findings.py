@@ -9,7 +9,7 @@ from stampede_rt.cli.output import roughly
 from stampede_rt.values.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000  # a clock may differ from the other clocks by this much
-UNKNOWN = "unknown"  # the text for a clock whose offset nobody knows
+UNKNOWN = "unknown"  # the text for a clock with an unknown offset
 
 
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:

@@ -1,7 +1,7 @@
 """Ctrl-C in commands.
 
 Python's own handler raises KeyboardInterrupt at any place in the main thread. Inside gRPC or `threading` the thread may
-just have taken a lock, and not yet be inside the `with` block that releases the lock. Nobody then releases this lock,
+just have taken a lock, and not yet be inside the `with` block that releases the lock. No code then releases this lock,
 and the code that later closes the connection waits for it for ever. If the exception comes in a weakref callback,
 Python drops it. Therefore a command runs on another thread. The main thread only waits, and its handler raises nothing.
 """

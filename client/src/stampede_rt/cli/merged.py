@@ -194,7 +194,9 @@ class _Stream:
         return False
 
     def _waits_for_room(self, name: str) -> bool:
-        """Wait until the merge takes an item of the channel, so that nobody holds it. False: the command has ended."""
+        """Wait until the merge takes an item of the channel, before the thread fetches one. False: the command has
+        ended.
+        """
         with self._changed:
             while not self._merge.has_room(name) and not self._is_over:
                 self._changed.wait(LOOK_S)

@@ -50,7 +50,7 @@ class TimeMerge:
         waiting.empty_since_s, waiting.has_ended = now_s, False
 
     def leave(self, channel: str) -> None:
-        """Wait no more for a channel that has ended. Its waiting items come out as before."""
+        """Stop waiting for a channel that has ended. Its waiting items come out as before."""
         self._channels[channel].has_ended = True
         self._forget(channel)
 
@@ -86,7 +86,7 @@ class TimeMerge:
         return MergedItem(name, item, late)
 
     def due_s(self) -> float:
-        """When the merge waits no more for any channel without items."""
+        """The time at which the merge no longer waits for any channel without items."""
         empty = [waiting.empty_since_s for waiting in self._channels.values() if not waiting.items]
         return max(empty, default=float("-inf")) + self._wait_s
 

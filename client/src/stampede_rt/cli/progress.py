@@ -44,7 +44,7 @@ def _show(look: Callable[[], Progress], over: threading.Event) -> None:
             if not over.is_set():
                 sys.stderr.write(ERASE + line)
                 sys.stderr.flush()
-    except Exception:  # noqa: BLE001  # the work itself tells its errors
+    except Exception:  # noqa: BLE001 # the work itself reports its errors
         return
 
 

@@ -101,7 +101,7 @@ def _hz_row(rt: Connection, rates: ChannelRates, arguments: argparse.Namespace) 
 
 
 def _jitter_nanos(rt: Connection, rates: ChannelRates, every_s: float) -> int | None:
-    """Return the standard deviation of the times between the newest items. The host sends their times alone."""
+    """Return the standard deviation of the times between the newest items. The host sends only their times."""
     try:
         items = rt.channel(rates.channel, create=False).get(
             NEWEST - f"{max(every_s, 3 / rates.items):f}s",

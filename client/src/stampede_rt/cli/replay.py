@@ -20,7 +20,7 @@ from stampede_rt.values.recording import ReplaySummary
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
 
-CLOCKS_APART_NANOS = 5 * 10**9  # items from so long before --from are read, too; only later ones are played
+CLOCKS_APART_NANOS = 5 * 10**9  # the command also reads items of this time before --from, but plays only later ones
 STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
 
 

@@ -12,7 +12,7 @@ STORE_ADVICE = (
 )
 # These words are in a text from a supernode whose state is not that of most members.
 DIVERGED = "differs from that of most members"
-# These words are in a text about a supernode whose state is not the leader's. Nobody knows the state of most members.
+# These words are in a text about a supernode whose state is not the leader's. The state of most members is unknown.
 DOUBTFUL = "differs from that of the leader"
 IN_DOUBT = "in doubt"
 REFUSED_BY = " (says "  # follows each reason for which another supernode refuses this one

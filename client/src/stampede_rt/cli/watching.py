@@ -92,7 +92,7 @@ def _follow(rt: Connection, glob: str, source: _Source, rows: Queue[Any]) -> Non
 def _pass_on(change: Change | PeerChange, known: Known, rows: Queue[Any]) -> None:
     """Put one change into the queue, and note it in `known`.
 
-    A host notes its load every few seconds. Such a change is not one for people.
+    A host notes its load every few seconds. People need not see such a change.
     """
     thing = change.peer if isinstance(change, PeerChange) else change.subject
     facts, former = facts_of(thing), known.get(id_of(thing))

@@ -1,8 +1,8 @@
 """Rules about cluster ids: which id a call names, and when a part may change to another cluster. Pure.
 
-Somebody may restore a backup at one of a cluster's addresses. A caller that accepts any directory would then leave its
-cluster for the backup. Therefore clients, hosts and front-ends stay with the first cluster that they met, and each of
-their calls names this cluster. They change to another cluster in two cases. In the first case the other cluster says
+An operator may restore a backup at one of a cluster's addresses. A caller that accepts any directory would then leave
+its cluster for the backup. Therefore clients, hosts and front-ends stay with the first cluster that they met, and each
+of their calls names this cluster. They change to another cluster in two cases. In the first case the other cluster says
 that it replaces their cluster (`supernode init --restore --take-over`). In the second case both clusters keep their
 data only in memory. Their own cluster then cannot come back.
 """

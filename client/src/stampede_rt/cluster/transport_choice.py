@@ -17,11 +17,15 @@ class Transport(StrEnum):
     SOCKET = "socket"
     """A Unix or TCP socket for each stream. A program that chooses it gets an error where there is none."""
     TCP = "tcp"
-    """A TCP socket for each stream, also to a host on the same machine. Else the program gets an error."""
+    """A TCP socket for each stream, also to a host on the same machine. If that is impossible, the program gets an
+    error.
+    """
     SHARED = "shared"
-    """As SOCKET, and memory shared with the host for reads of the newest items. Else the program gets an error."""
+    """As SOCKET, and memory shared with the host for reads of the newest items. If that is impossible, the program gets
+    an error.
+    """
     BEST = "best"
-    """The transports that the gatekeeper of the host offers first, or else gRPC."""
+    """The first transport that the host's gatekeeper offers, or else gRPC."""
 
 
 def parse_transport(given: str | None) -> Transport:

@@ -1,4 +1,4 @@
-"""Values of items as cells of a table. Pure, but for numpy, which is imported for arrays only."""
+"""Values of items as cells of a table. Pure, except that arrays need numpy."""
 
 from __future__ import annotations
 

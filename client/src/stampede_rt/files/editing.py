@@ -22,7 +22,7 @@ DAMAGES_KEPT_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileReport:
-    """The findings of a whole reading of a file.
+    """The findings of a reading of a whole file.
 
     `damages` has the first 1000 stretches that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
@@ -113,7 +113,7 @@ def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
 def _walk(
     reader: FileReader, take: Callable[[Event | Attachment | Metadata], None], on_bytes: Callable[[int], object]
 ) -> FileReport:
-    """Read a file to its end, and hand everything to `take`, also the gaps that damage has made."""
+    """Read a file to its end, and pass all its parts to `take`, including the gaps that damage has made."""
     tally, damaged_bytes, unknown = FileTally(), 0, 0
     damages: list[Damage] = []
     for part in reader.contents():

@@ -106,7 +106,7 @@ class RecordFile:
             raise FileError(f"the file {self.path!r} cannot be read: {error.strerror or error}") from error
 
     def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
-        """Yield the records from the byte `offset` on, and the stretches that are none. Ends at the end mark.
+        """Yield the records from the byte `offset` on, and the stretches that are not records. Ends at the end mark.
 
         A file that ends without the end mark ends with a Damage of the rest, perhaps of no bytes.
         """

@@ -72,7 +72,7 @@ def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event]
 
 
 def _merged(event: Event, seen: Ranges, held: Ranges) -> Iterator[Event]:
-    """Yield the rest of one event: nothing of an item that came before, and the part of a gap that no file has."""
+    """Yield the new part of one event: nothing for a repeated item, and for a gap the part that no file has."""
     if isinstance(event, FileEntry):
         foreign = event.seq is None or event.topic.incarnation is None
         key = (event.topic.name, event.topic.incarnation or 0)

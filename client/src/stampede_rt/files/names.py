@@ -1,4 +1,4 @@
-"""Names of topics: which match a glob, and how they become names of channels. Pure."""
+"""Names of topics: whether they match a glob, and how they become names of channels. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FORBIDDEN = re.compile(r"[^A-Za-z0-9._/-]")
 
 @lru_cache(256)
 def _pattern(glob: str) -> re.Pattern[str]:
-    return re.compile(translate(glob.replace("[", "[[]")))  # its stars do not try again, so a match takes no long time
+    return re.compile(translate(glob.replace("[", "[[]")))  # its stars do not backtrack, so a match takes a short time
 
 
 def matches(glob: str, name: str) -> bool:
@@ -24,7 +24,7 @@ def matches(glob: str, name: str) -> bool:
 def channel_name(topic: str, prefix: str = "") -> str:
     """Return the name of a channel for a topic, such as "imu/data" for "/imu/data".
 
-    Each character that no channel's name has becomes "_". A long name loses its beginning.
+    Each character that names of channels cannot have becomes "_". A long name loses its beginning.
     """
     name = _FORBIDDEN.sub("_", topic).lstrip("./_-") or "unnamed"
     return prefix + name[-max(1, NAME_CHARACTERS_MAX - len(prefix)) :].lstrip("./_-")

@@ -128,7 +128,7 @@ class FileReader:
             self._looked = True
             try:
                 self._index = self._read_index()
-            except FileError:  # a damaged index is none
+            except FileError:  # a damaged index counts as a missing one
                 self._index = None
         return self._index
 

@@ -1,4 +1,4 @@
-"""When each item of a file is put, and with which time. Pure."""
+"""The schedule of a replay: when it puts each item of a file, and with which time. Pure."""
 
 from __future__ import annotations
 

@@ -67,14 +67,14 @@ class ChannelTally:
             self.reaches(gap.last_seq)
 
     def reaches(self, seq: int) -> None:
-        """The recording reaches at least to `seq`, inclusive."""
+        """Note that the recording reaches at least to `seq`, inclusive."""
         self._end_seq = max(self._end_seq, seq)
 
     def ends(self, accepted_to: int, read_to: int) -> list[RecordingGap]:
         """End at the seq `accepted_to`, the last that the host has accepted. The stream has been read to `read_to`.
 
-        Returns the gaps that nobody has told: items that were not read, and items without any reason. The caller
-        writes them, and adds them here.
+        Returns the gaps that the host has not named: items that were not read, and items that are missing without a
+        reason. The caller writes them, and adds them here.
         """
         self.reaches(accepted_to)
         gaps, unread = [], max(0, accepted_to - read_to)

@@ -16,7 +16,7 @@ from stampede_rt.ring.layout import (
 )
 
 CATCH_UP_NANOS = 30_000_000_000  # the host's clock makes up for its offset in this time, see HostTime
-AGE_MARGIN_NANOS = 1_000_000  # a reader asks the host about an item that is so close to the age limit
+AGE_MARGIN_NANOS = 1_000_000  # a reader asks the host about an item that is this close to the age limit
 
 
 def host_now(facts: Sequence[int], boottime: int) -> int:

@@ -25,7 +25,7 @@ ABSENT_INSTANT = -(2**63)
 
 # Words that the host writes once, when it makes the ring.
 MAGIC_WORD, VERSION_WORD, SLOTS_WORD, DATA_BYTES_WORD, INCARNATION_WORD = range(5)
-STATE_WORD = 5  # OPEN, or CLOSED: the host writes this ring no more, and never will again
+STATE_WORD = 5  # OPEN, or CLOSED: the host never writes this ring again
 FENCE_WORD = 6  # the host may serve until this instant, in nanoseconds of CLOCK_BOOTTIME
 TAIL_WORD = 7  # the number of the first slot whose bytes are whole
 

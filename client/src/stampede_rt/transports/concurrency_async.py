@@ -161,7 +161,7 @@ class EventLoopCheck:
     def check_thread(self) -> None:
         """Raise WrongEventLoop on another thread than the one that runs the loop at present.
 
-        asyncio does not notice such a call, and may go on without a look at the changes of that call.
+        asyncio does not notice such a call, and may continue without noticing the changes of that call.
         """
         try:
             running = asyncio.get_running_loop()
@@ -246,4 +246,4 @@ async def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
             raise
         raise RuntimeError(
             "the function awaited something that was cancelled"
-        ) from error  # the function failed; nobody cancelled this task
+        ) from error  # the function failed; this task was not cancelled
