@@ -12,7 +12,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.lifting import lifted
+from tests.support.awaitable_blocking import awaitable
 
 UPPER, LOWER = "LSL/EEG_Amp", "lsl/eeg_amp"
 
@@ -24,7 +24,7 @@ async def rt(request: pytest.FixtureRequest, cluster: LocalCluster) -> AsyncIter
             yield connection
         return
     with ThreadPoolExecutor(4) as pool, st.connect(cluster.address) as blocking:
-        yield lifted(blocking, pool)
+        yield awaitable(blocking, pool)
 
 
 async def test_channels_whose_names_differ_in_case_are_different_channels(rt: Any) -> None:

@@ -23,9 +23,9 @@ from tests.robustness.faults import (
     host_faults,
     hostile_callers,
     kills_and_cuts,
+    malformed_traffic,
     membership,
-    noise,
-    strangers,
+    wrong_certificates,
 )
 from tests.robustness.faults.scene import Fault, Outcome, Scene
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
@@ -41,16 +41,16 @@ OPEN_FAULTS: dict[str, Fault] = {
     **kills_and_cuts.FAULTS,
     **disks_and_clocks.FAULTS,
     **membership.FAULTS,
-    **noise.FAULTS,
+    **malformed_traffic.FAULTS,
 }
-SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
+SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **wrong_certificates.FAULTS}
 # For clusters that compact their logs as rarely as in production: no partition of a campaign outlasts such a log.
 RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
     **host_faults.FAULTS,
-    **noise.FAULTS,
-    **strangers.FAULTS,
+    **malformed_traffic.FAULTS,
+    **wrong_certificates.FAULTS,
     **{name: fault for name, fault in OPEN_FAULTS.items() if name in OF_THE_DIRECTORY},
 }
 HOSTILE_FAULTS: dict[str, Fault] = hostile_callers.FAULTS

@@ -83,7 +83,7 @@ async def test_replicated_channels_lose_nothing_when_their_owner_is_restarted_or
 
 @needs_namespaces
 async def test_a_secured_cluster_whose_host_is_killed_has_one_owner_at_a_time(tmp_path: Path) -> None:
-    faults = ["restart_host", "strangers"]
+    faults = ["restart_host", "wrong_certificates"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=True, hosts=HOSTS, quiet_s=0.1)
     assert found.violations == ()
     assert not [outcome for outcome in found.outcomes if outcome.failed]

@@ -10,7 +10,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
-from tests.support.lifting import lifted
+from tests.support.awaitable_blocking import awaitable
 
 numbers = itertools.count()
 
@@ -28,7 +28,7 @@ class Rig:
         if self.pool is None:
             made = await aio.connect(self.address, **named)
         else:
-            made = lifted(await asyncio.to_thread(st.connect, self.address, **named), self.pool)
+            made = awaitable(await asyncio.to_thread(st.connect, self.address, **named), self.pool)
         self.connections.append(made)
         return made
 

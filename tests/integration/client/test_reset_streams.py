@@ -20,7 +20,7 @@ from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import dial
 from tests.support.cluster import running_cluster
-from tests.support.lifting import Lifted
+from tests.support.awaitable_blocking import AwaitableBlocking
 from tests.support.resetting_relay import ResettingRelay
 
 READY_S = 30.0
@@ -66,17 +66,17 @@ async def rt(request: pytest.FixtureRequest, world: World) -> AsyncIterator[Any]
         return
     with ThreadPoolExecutor(8) as pool:
         made = await asyncio.to_thread(lambda: st.connect(world.address, transport="grpc"))
-        lifted = Lifted(made, pool)
-        yield lifted
-        await lifted.aclose()
+        awaitable = AwaitableBlocking(made, pool)
+        yield awaitable
+        await awaitable.aclose()
 
 
 async def opened(rt: Any, made: Any) -> Any:
     """A producer or subscription of either client, with methods that are awaited."""
-    if not isinstance(rt, Lifted):
+    if not isinstance(rt, AwaitableBlocking):
         return made
     found = await made
-    return found if isinstance(found, Lifted) else Lifted(found, rt._pool)
+    return found if isinstance(found, AwaitableBlocking) else AwaitableBlocking(found, rt._pool)
 
 
 async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:

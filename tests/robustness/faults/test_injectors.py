@@ -14,7 +14,7 @@ from stampede_rt_runtime.quotas.limits import Quota
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.robustness.__main__ import write_page
 from tests.robustness.faults.hostile_callers import FAULTS, QUOTAS, Puts
-from tests.robustness.faults.noise import giant_frame
+from tests.robustness.faults.malformed_traffic import giant_frame
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
 from tests.robustness.real_cluster.relay import LinkConditions

@@ -58,8 +58,8 @@ class _Trap:
         return subprocess.check_call, (["touch", str(self._canary)],)
 
 
-async def noise(scene: Scene) -> None:
-    """Send noise of every kind to every port, without TLS and, if there are certificates, also with TLS."""
+async def malformed_traffic(scene: Scene) -> None:
+    """Send malformed bytes of every kind to every port, without TLS and, if there are certificates, also with TLS."""
     began = time.monotonic()
     canary = scene.folder / "canary"
     trap = pickle.dumps(_Trap(canary))
@@ -79,10 +79,10 @@ async def noise(scene: Scene) -> None:
     grown = {one.name: one.memory_peak_bytes() - before[one.name] for one in victims}
     worst = max(grown, key=lambda name: grown[name])
     if grown[worst] > MEMORY_BYTES_MAX:
-        raise AssertionError(f"{worst} grew by {grown[worst] / 2**20:.0f} MiB for noise")
+        raise AssertionError(f"{worst} grew by {grown[worst] / 2**20:.0f} MiB for malformed traffic")
     evidence = f"{refused} connections and calls were refused at {len(victims)} ports"
     note = f"the memory of {worst} grew the most, by {grown[worst] / 2**20:.0f} MiB"
-    kind = "noise at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames"
+    kind = "malformed traffic at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames"
     scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
 
 
@@ -139,7 +139,7 @@ def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles |
     contexts: list[ssl.SSLContext | None] = [None] if insider is None else [None, tls_context(insider)]
     ended = sum(_send(one, payload, context) for payload in payloads for context in contexts)
     if not ended:
-        raise FaultHadNoEffect(f"{one.name} ended none of {len(payloads)} connections with noise")
+        raise FaultHadNoEffect(f"{one.name} ended none of {len(payloads)} connections with malformed bytes")
     return ended
 
 
@@ -205,4 +205,4 @@ async def _refused(channel: Any, method: str, payload: bytes) -> bool:
     return False
 
 
-FAULTS: dict[str, Fault] = {"noise": noise}
+FAULTS: dict[str, Fault] = {"malformed_traffic": malformed_traffic}

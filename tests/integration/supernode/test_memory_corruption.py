@@ -15,12 +15,12 @@ import pytest
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from tests.support.flipped_memory import FLAG, FLIPPED
+from tests.support.memory_corruption import FLIP_FILE, CORRUPTED_PREFIX
 from tests.support.supernode.commands import command, prepared, status_has
 from tests.support.supernode.processes import Cluster, Supernode, attempts, called, free_ports, open_channel, register
 
-MODULE = "tests.support.flipped_memory"
-NAME = f"{FLIPPED}cam"
+MODULE = "tests.support.memory_corruption"
+NAME = f"{CORRUPTED_PREFIX}cam"
 
 
 @asynccontextmanager
@@ -37,7 +37,7 @@ async def three(folder: Path) -> AsyncIterator[Cluster]:
 
 async def flip(one: Supernode, folder: Path, ask: Supernode) -> None:
     """Let a bit flip at `one`, and show in a later command."""
-    (folder / one.name / FLAG).touch()
+    (folder / one.name / FLIP_FILE).touch()
     await register(ask, 1)
     channel = (await open_channel(ask, NAME)).channel
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=7))
@@ -105,7 +105,7 @@ async def test_of_two_that_differ_neither_is_said_to_be_wrong_and_a_restart_ends
         assert "start this one and the leader again" in printed
         await served_by(founder)
         await served_by(newcomer)
-        (tmp_path / founder.name / FLAG).unlink()
+        (tmp_path / founder.name / FLIP_FILE).unlink()
         await founder.end(signal.SIGTERM)
         await founder.start()
         async for _ in attempts():

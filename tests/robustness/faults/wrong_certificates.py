@@ -1,4 +1,4 @@
-"""Certificates that are renewed during use, and callers without the right one, in a cluster with certificates."""
+"""Certificates that are renewed during use, and callers with wrong certificates, in a cluster with certificates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.identity import Role
-from tests.robustness.faults.noise import tls_context
+from tests.robustness.faults.malformed_traffic import tls_context
 from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, PlacedProcess
@@ -51,8 +51,8 @@ async def _rotated(certificates: Certificates, victims: list[PlacedProcess], for
     await _each(victims, lambda one: not accepts(one, late), "refuses the former authority's")
 
 
-async def strangers(scene: Scene) -> None:
-    """Check that every port refuses each kind of stranger, and accepts the same call with the right certificate."""
+async def wrong_certificates(scene: Scene) -> None:
+    """Check that every port refuses callers with wrong certificates, and accepts one with the right certificate."""
     certificates = _certificates(scene)
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")
@@ -130,4 +130,4 @@ def _connected(one: PlacedProcess, context: ssl.SSLContext) -> ssl.SSLSocket:
         raise
 
 
-FAULTS: dict[str, Fault] = {"rotate": rotate, "strangers": strangers}
+FAULTS: dict[str, Fault] = {"rotate": rotate, "wrong_certificates": wrong_certificates}

@@ -1,8 +1,8 @@
 """A supernode in whose memory a bit flips. Its state then differs from the others', and its log does not show why.
 
-`python -m tests.support.flipped_memory ARGUMENTS` is `stampede supernode ARGUMENTS`. If the file FLAG is in the data
-folder, the bit flips when a channel with a name that begins with FLIPPED is opened. It is a bit of the channel's
-incarnation. The result of the next command about that channel shows it.
+`python -m tests.support.memory_corruption ARGUMENTS` is `stampede supernode ARGUMENTS`. If the file FLIP_FILE is in the
+data folder, the bit flips when a channel with a name that begins with CORRUPTED_PREFIX is opened. It is a bit of the
+channel's incarnation. The result of the next command about that channel shows it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from unittest import mock
 
 from stampede_rt_supernode.replica import DirectoryReplica
 
-FLIPPED, FLAG = "flipped/", "flip"
+CORRUPTED_PREFIX, FLIP_FILE = "corrupted/", "flip"
 
 
-class FlippedReplica(DirectoryReplica):
+class CorruptedReplica(DirectoryReplica):
     """The directory of such a supernode. `flag`: whether the bit flips."""
 
     flag: Path
@@ -29,7 +29,7 @@ class FlippedReplica(DirectoryReplica):
         if self.flag.exists():
             channels = self._directory.tables.channels
             for channel_id in channels.keys() - known:
-                if channels[channel_id].name.startswith(FLIPPED):
+                if channels[channel_id].name.startswith(CORRUPTED_PREFIX):
                     channels[channel_id] = replace(
                         channels[channel_id], incarnation=channels[channel_id].incarnation ^ 1
                     )
@@ -40,8 +40,8 @@ def main() -> int:
     """Run the supernode. Returns its exit code."""
     from stampede_rt_supernode import app
 
-    FlippedReplica.flag = Path(sys.argv[sys.argv.index("--data-dir") + 1]) / FLAG
-    with mock.patch.object(app, "DirectoryReplica", FlippedReplica):
+    CorruptedReplica.flag = Path(sys.argv[sys.argv.index("--data-dir") + 1]) / FLIP_FILE
+    with mock.patch.object(app, "DirectoryReplica", CorruptedReplica):
         return app.main()
 
 

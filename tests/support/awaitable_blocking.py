@@ -8,18 +8,18 @@ from typing import Any
 
 import stampede_rt as st
 
-_LIFTED = (
+_BLOCKING = (
     st.Channel, st.Group, st.Queue, st.Mailbox, st.Message, st.Connection, st.Subscription, st.CutSubscription,
     st.MatchSubscription, st.Watch, st.PeerWatch,
 )  # fmt: skip
 
 
-def lifted(value: Any, pool: ThreadPoolExecutor | None) -> Any:
+def awaitable(value: Any, pool: ThreadPoolExecutor | None) -> Any:
     """Return `value` with awaitable methods. Without a pool it already has them."""
-    return Lifted(value, pool) if pool is not None and isinstance(value, _LIFTED) else value
+    return AwaitableBlocking(value, pool) if pool is not None and isinstance(value, _BLOCKING) else value
 
 
-class Lifted:
+class AwaitableBlocking:
     """A blocking object with awaitable methods. They return wrapped objects, too."""
 
     def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
@@ -28,12 +28,12 @@ class Lifted:
 
     async def _run(self, function: Any, *args: Any, **kwargs: Any) -> Any:
         call = asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*args, **kwargs))
-        return lifted(await call, self._pool)
+        return awaitable(await call, self._pool)
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._wrapped, {"aclose": "close"}.get(name, name))
         if not callable(value):
-            return lifted(value, self._pool)
+            return awaitable(value, self._pool)
 
         async def call(*args: Any, **kwargs: Any) -> Any:
             return await self._run(value, *map(_plain, args), **{key: _plain(one) for key, one in kwargs.items()})
@@ -41,10 +41,10 @@ class Lifted:
         return call
 
     def __getitem__(self, name: str) -> Any:
-        return Lifted(self._wrapped[name], self._pool)
+        return AwaitableBlocking(self._wrapped[name], self._pool)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Lifted) and other._wrapped == self._wrapped
+        return isinstance(other, AwaitableBlocking) and other._wrapped == self._wrapped
 
     def __hash__(self) -> int:
         return hash(self._wrapped)
@@ -56,7 +56,7 @@ class Lifted:
     async def __aexit__(self, *error: Any) -> None:
         await self._run(self._wrapped.__exit__, *error)
 
-    def __aiter__(self) -> Lifted:
+    def __aiter__(self) -> AwaitableBlocking:
         return self
 
     async def __anext__(self) -> Any:
@@ -70,4 +70,4 @@ def _plain(argument: Any) -> Any:
     """Return the client's own object, without the wrapper."""
     if isinstance(argument, list):
         return [_plain(one) for one in argument]
-    return argument._wrapped if isinstance(argument, Lifted) else argument
+    return argument._wrapped if isinstance(argument, AwaitableBlocking) else argument
