@@ -19,8 +19,8 @@ from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import dial
-from tests.support.cluster import running_cluster
 from tests.support.awaitable_blocking import AwaitableBlocking
+from tests.support.cluster import running_cluster
 from tests.support.resetting_relay import ResettingRelay
 
 READY_S = 30.0

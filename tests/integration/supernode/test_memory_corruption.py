@@ -15,7 +15,7 @@ import pytest
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from tests.support.memory_corruption import FLIP_FILE, CORRUPTED_PREFIX
+from tests.support.memory_corruption import CORRUPTED_PREFIX, FLIP_FILE
 from tests.support.supernode.commands import command, prepared, status_has
 from tests.support.supernode.processes import Cluster, Supernode, attempts, called, free_ports, open_channel, register
 

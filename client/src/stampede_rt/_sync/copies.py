@@ -21,7 +21,7 @@ LOST_S = 2.0  # for this time no get asks a copy that could not be reached, or a
 def copy_for_gets(session: Session, state: ChannelState) -> Binding | None:
     """Return a copy of the channel; None if there is none to use at this moment.
 
-    Blocks for three times GET_TIMEOUT_S at most. Raises the errors that no other host can heal.
+    Blocks for three times GET_TIMEOUT_S at most. Raises the errors that no other host can cure.
     """
     is_known, binding = session.copies.find(state.info.channel_id, monotonic_s())
     if is_known:

@@ -43,11 +43,11 @@ class Files(Moves):
         all held items; None: with the items that come from now on. `for_`: end after that time; None: at `stop`.
         `compression`: "zstd", "lz4" or "none". An existing file is not overwritten unless `overwrite` is True.
 
-        The recording never delays a producer. What retention collects before the recording has read it is named in the
-        file and in the summary: for every channel accepted = recorded + missing. The recording keeps at most 1 MiB for
-        each channel in memory, and two chunks of the file. This call returns when all present channels are recorded;
-        with asyncio, the handle for that. Raises FileError if the file cannot be made, or if `mcap` is not
-        installed; InvalidArgument.
+        The recording never delays a producer. The file and the summary name the items that retention collects before
+        the recording has read them: for every channel accepted = recorded + missing. The recording keeps at most 1 MiB
+        for each channel in memory, and two chunks of the file. This call returns when all present channels are
+        recorded; with asyncio, the handle for that. Raises FileError if the file cannot be made, or if `mcap` is
+        not installed; InvalidArgument.
         """
         from stampede_rt._sync.recorder import Recorder, parse_globs  # they load mcap
         from stampede_rt.files.writing import FileWriter
@@ -84,8 +84,8 @@ class Files(Moves):
 
         `shift`: "now" moves the times so that the items come as if they were new, by one amount for all, so that
         durations and distances stay. At a speed above 1 the first item is then in the past, by the time that the replay
-        gains. A duration such as "-1h" moves them by it; None keeps them as recorded. A channel that does not exist is
-        created with its recorded policy; without a shift it gets no max_age.
+        gains. A duration such as "-1h" moves all times by this duration; None keeps them as recorded. A channel that
+        does not exist is created with its recorded policy; without a shift it gets no max_age.
 
         The call returns when all channels are open; with asyncio, the handle for that. Raises InvalidArgument,
         before the first item, if a channel would refuse the items; FileError.

@@ -18,7 +18,7 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
 OVER_NANOS_MAX = 3600 * 10**9
-ITEM_WORK_BYTES = 4096  # an item costs a host about as much as so many bytes
+ITEM_WORK_BYTES = 4096  # an item costs a host about as much as this many bytes
 RETRY_S = 0.05
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
 
@@ -37,11 +37,11 @@ class Moves(Proxies):
         """Move a channel to another host, while it is in use. Its items, producers and readers go with it.
 
         Returns when the new host accepts puts; blocks for `timeout` at most. Puts wait for some milliseconds meanwhile,
-        and blocked gets and subscriptions go on at the new host: nothing is lost, and nothing comes twice. If the
+        and blocked gets and subscriptions continue at the new host: nothing is lost, and nothing comes twice. If the
         channel is at that host already, the call returns at once. Raises HostNotFound, PermissionDenied without the
         right to configure the channel, StampedeError with reason MOVE_CONFLICT if another move of the channel is under
         way, Unavailable if too few of its replicas are in sync, Overloaded if 8 channels move from or to one host, or
-        if the copy cannot catch up with the producers, and DeadlineExceeded (the move goes on then).
+        if the copy cannot catch up with the producers, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
         name = channel.name if isinstance(channel, Reader) else channel
@@ -59,7 +59,7 @@ class Moves(Proxies):
         meanwhile, because the whole queue moves at once. Takers keep their leases, and settle at the new host. If the
         queue is at that host already, the call returns at once. Raises QueueNotFound, HostNotFound, PermissionDenied
         without the right to configure the queue, Overloaded if 8 queues move from or to one host, Unavailable if the
-        queue does not arrive within 5 s, and DeadlineExceeded (the move goes on then).
+        queue does not arrive within 5 s, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
 
@@ -92,7 +92,7 @@ class Moves(Proxies):
         return answer
 
     def _allow(self, request: pb.MoveHereRequest, owner: str, host_id: bytes, deadline_s: float) -> None:
-        """Tell the owner, at that address, which host may ask for the thing. Raises StaleBinding if it is elsewhere."""
+        """Tell the owner which host may ask for the thing. Raises StaleBinding if the owner is another host."""
         allow = pb.AllowMoveRequest(channel_id=request.channel_id, queue_id=request.queue_id, to_host_id=host_id)
         endpoint = self._session.endpoints.to(owner)
         endpoint.call(endpoint.moves.AllowMove, allow, max(deadline_s - monotonic_s(), 0.1))
@@ -137,8 +137,8 @@ class Moves(Proxies):
     def drain(self, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> DrainInfo:
         """Move all channels, queues and mailboxes of a host to other hosts, while they are in use. For operators.
 
-        Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most
-        60 s. The answer names the channels that have not moved, and why. The host goes on to serve, and may get other
+        Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most 60
+        s. The answer names the channels that have not moved, and why. The host continues to serve, and may get other
         channels. Raises HostNotFound, PermissionDenied, Unavailable.
         """
         nanos = parse_duration(timeout, "timeout")

@@ -28,7 +28,7 @@ class PlayedChannel:
         self.name = channel.name
         self._channel = channel
         self._producer: Producer = channel.producer()
-        self._gap: RecordingGap | None = None  # told with the next item
+        self._gap: RecordingGap | None = None  # the program learns of it with the next item
         self.advances = self._refused_here = 0
         self.first_refusal = ""
 
@@ -90,11 +90,11 @@ class PlayedChannel:
                 content_type=entry.content_type or None,
                 timeout=PUT_TIMEOUT_S,
             )
-        except InvalidArgument as error:  # no channel takes it, such as an item of a hostile or very large size
+        except InvalidArgument as error:  # no channel accepts it, for example because of a hostile or very large size
             self._note_refusal(error)
 
     def note_gap(self, gap: RecordingGap) -> None:
-        """Tell with the next item that items before it are missing."""
+        """State with the next item that items before it are missing."""
         self._gap = gap
 
     def advance(self, time: int) -> None:
@@ -120,7 +120,7 @@ class PlayedChannel:
         try:
             self._producer.flush(PUT_TIMEOUT_S)
         except StampedeError as error:
-            if self._producer.rejected is noted:  # no refusal of an item: the channel cannot be reached, or is gone
+            if self._producer.rejected is noted:  # not a refusal of an item: the channel cannot be reached, or is gone
                 raise
             self.first_refusal = self.first_refusal or error.message
 

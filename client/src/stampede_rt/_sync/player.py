@@ -22,12 +22,12 @@ from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary
 
-EVENTS_AT_ONCE = 64  # that are read from the file in one step
+EVENTS_AT_ONCE = 64  # the events that one step reads from the file
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayRequest:
-    """The file's part to play, and how.
+    """The part of the file to play, and the way to play it.
 
     `start` and `end` are times of the file, `end` exclusive. `speed` 0: without pauses.
     """

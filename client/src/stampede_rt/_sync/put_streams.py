@@ -45,11 +45,12 @@ class PutStream:
 
 
 class PutStreams:
-    """Keeps one open stream for each host and thread. Beyond 512 streams it closes the idle stream unused for longest.
+    """Keeps one open stream for each host and thread. Beyond 512 streams it closes the idle stream that was not used
+    for the longest time.
 
     A put that waits for room blocks later puts on its stream. A handle whose puts may wait therefore has streams of its
-    own, unless a thread has only one put under way in any case. Of these streams a put with an earlier deadline uses
-    another one, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
+    own, unless a thread has only one put under way in any case. A put with an earlier deadline uses another of these
+    streams, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
     order (decision 0150).
     """
 

@@ -113,14 +113,14 @@ class Reader(Reference):
         seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or with `complete`
         until no more items can come into the interval. After the timeout it returns the items that are there.
 
-        With `max_staleness`, such as "500ms", a proxy of the channel may answer whose state is at most this old. With
-        `least_seq`, such as the seq of the program's own last item, a proxy may answer that has this item. If no proxy
-        can, the owner answers. `staleness_nanos` of the answer tells. `within="memory"` reads only the items that the
-        host has in memory, and never waits for the archive of a recorded channel.
+        With `max_staleness`, such as "500ms", a proxy of the channel may answer if its state is at most this old. With
+        `least_seq`, such as the seq of the program's own last item, a proxy may answer if it has this item. If no proxy
+        can answer, the owner does. `staleness_nanos` of the answer says how old its state may be. `within="memory"`
+        reads only the items that the host has in memory, and never waits for the archive of a recorded channel.
 
-        `as_of`, an instant that has passed: the answer of a recorded channel as its host would have given it then, with
-        the items that it had accepted by then and that its archive still holds. Without a timeout. Raises
-        InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
+        `as_of` is a past instant. The answer is the one that the host of a recorded channel would have given then: with
+        the items that it had accepted by then and that its archive still holds. Do not combine it with a timeout.
+        Raises InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         position = None if after is None else after_position(after)

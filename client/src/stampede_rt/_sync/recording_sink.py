@@ -16,7 +16,7 @@ from stampede_rt.transports.concurrency_sync import Signal, StepLock, in_thread
 
 ENCODINGS_MAX = 16  # topics of one channel; items with a further content type share one
 Metadata = tuple[tuple[str, str], ...]
-FLUSH_S = 1.0  # the longest time that something waits for its chunk to end
+FLUSH_S = 1.0  # the longest time for which an item waits for the end of its chunk
 
 
 class RecordingSink:

@@ -77,7 +77,7 @@ class RecordingStream(Subscription):
         return self._closed
 
     def begin_reading(self) -> None:
-        """Wait until the host has opened the subscription, or `close` is called. Raises as `next_batch` does."""
+        """Wait until the host has opened the subscription, or `close` is called. Raises the errors of `next_batch`."""
         self._session.check_process()
         with self._steps:
             self._open()

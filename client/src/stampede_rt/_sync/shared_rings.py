@@ -27,7 +27,7 @@ READS_BEFORE = 8  # a ring costs the host memory, so the client asks for one onl
 OPEN_S = 1.0  # the time limit for opening a ring
 AGAIN_S = 1.0  # the pause after a ring has ended, or could not be opened for a reason that may pass
 LONG_AGAIN_S = 30.0  # the pause after the host has refused a ring
-RINGS_MAX = 64  # beyond it the connection gives up the ring of the channel that it has known longest
+RINGS_MAX = 64  # beyond it the connection gives up the ring of the channel that it has known for the longest time
 CHANNELS_MAX = 4096  # the most channels whose reads are counted
 
 

@@ -159,7 +159,7 @@ class Recordings:
         return ArchiveCounts(*map(sum, zip(self._departed, *present, strict=True)))
 
     def _drop_stopped(self) -> None:
-        """Of the channels that the host no longer records, keep only the counts."""
+        """Keep only the counts of the channels that the host no longer records."""
         for channel_id, recording in [*self._recorded.items()]:
             if recording.is_stopped:
                 counts = _counts(self._recorded.pop(channel_id))._replace(backlog_items=0)

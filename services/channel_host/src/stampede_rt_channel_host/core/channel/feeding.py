@@ -189,7 +189,7 @@ def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, 
             return False
         raise Unavailable(
             f"this host has the channel up to seq {held.next_seq - 1}, and the copy has more items; ask "
-                "again soon, or ask the owner"
+            "again soon, or ask the owner"
         )
     return place.floor_resets == held.floor_resets
 
