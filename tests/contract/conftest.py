@@ -40,7 +40,7 @@ IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
 """The test modules that also run in a program that is the host of its channels: puts and gets by reference."""
 
 
-OVER_TCP = ("puts", "resumed_streams", "slow_readers", "subscriptions", "taking")
+OVER_TCP = ("callbacks", "puts", "resumed_streams", "slow_readers", "subscriptions", "taking")
 """The test modules that also run over TCP sockets. Their streams stop, break, or carry long messages."""
 
 

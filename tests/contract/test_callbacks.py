@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
+import os
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -66,6 +67,27 @@ async def test_a_function_is_called_for_each_new_item(surface: Surface) -> None:
     handle.cancel()
     assert await joined(handle)
     assert (handle.active, handle.failures, handle.error) == (False, 0, None)
+
+
+async def test_the_calls_of_one_handle_follow_each_other_and_never_overlap(surface: Surface) -> None:
+    running, overlaps = threading.Semaphore(1), list[int]()
+
+    def alone(item: st.Item) -> None:
+        if not running.acquire(blocking=False):
+            overlaps.append(item.seq)
+            return
+        for _ in range(50):  # other threads run meanwhile
+            os.sched_yield()
+        running.release()
+
+    channel = await surface.channel()
+    called = Called(alone)
+    handle = await channel.on_item(called)
+    await asyncio.gather(*(channel.put(b"%d" % number) for number in range(30)))
+    assert [item.seq for item in await called.until(30)] == [*range(1, 31)]
+    assert overlaps == []
+    handle.cancel()
+    assert await joined(handle)
 
 
 async def test_held_items_come_first_when_a_start_is_given(surface: Surface) -> None:

@@ -93,12 +93,14 @@ def test_a_consumer_goes_on_where_it_was(rt: Any, channel: Any) -> None:
 
 
 def test_many_moves_in_a_row_lose_nothing_and_repeat_nothing(rt: Any, channel: Any) -> None:
-    """Checks of a producer with single puts and one with a stream, subscriptions, blocked gets, and a group with its
-    cuts.
+    """Checks of a producer with single puts and one with a stream, subscriptions, a callback, blocked gets, and a group
+    with its cuts.
     """
     other = rt.channel(f"mic/{next(numbers)}", max_items=100_000, host="h1")
     group = rt.group(f"both/{next(numbers)}", [channel, other])
     cuts, got = Collecting(group.subscribe()), Following(channel)
+    called: list[int] = []
+    listener = channel.on_item(lambda item: called.append(item.seq), st.OLDEST)
     with produced(channel) as producing, produced(other) as beside, reading(channel, 3) as readers:
         stream = channel.producer()
         for move in range(MOVES):
@@ -112,11 +114,14 @@ def test_many_moves_in_a_row_lose_nothing_and_repeat_nothing(rt: Any, channel: A
             eventually(lambda reader=reader: reader.last == end, "a reader has everything")  # type: ignore[misc]
             assert reader.seqs == [*range(1, end + 1)]
         eventually(lambda: got.seqs and got.seqs[-1] == end, "the blocked gets have everything")
+        eventually(lambda: called and called[-1] == end, "the callback has everything")
     got.stop()
     stream.close()
     cuts.check()
     assert (stream.accepted, stream.rejections) == (MOVES, 0)
+    listener.cancel()
     assert got.seqs == [*range(got.seqs[0], end + 1)]
+    assert called == [*range(1, end + 1)]
     assert channel.stats().accepted == end
 
 
