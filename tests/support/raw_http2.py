@@ -6,7 +6,7 @@ import asyncio
 import struct
 from collections.abc import Mapping
 
-from stampede_rt.wire.runs import encode_varint
+from stampede_rt.wire.varints import encode_varint
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
 DATA, HEADERS, RST_STREAM, SETTINGS, PING, GOAWAY, WINDOW_UPDATE = 0, 1, 3, 4, 6, 7, 8

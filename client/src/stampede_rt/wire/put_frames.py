@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from stampede_rt.wire.runs import encode_varint
+from stampede_rt.wire.varints import encode_varint
 
+HEADS_KEPT_MAX = 1024
 _PUTS_TAG = bytes((4 << 3 | 2,))  # PutRequest.puts
+_FIRST_NUMBER_TAG = bytes((1 << 3,))  # PutRun.first_number
+_WAIT_TAG = bytes((2 << 3,))  # PutRun.wait_nanos, sint64
 _RUN_TAG = bytes((3 << 3 | 2,))  # PutRun.run
 
 
+@lru_cache(HEADS_KEPT_MAX)  # a handle's puts have the same head
 def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
     """Return the encoded fields that name the channel or queue and the producer.
 
@@ -49,7 +54,15 @@ def put_pieces(
 
     The pieces of several requests, joined, are one request with all their runs. Give a head to the first one only.
     """
-    put = channel_pb.PutRun(first_number=first_number, wait_nanos=wait_nanos).SerializeToString()
-    run_length = encode_varint(sum(map(len, run)))
-    inner = len(put) + len(_RUN_TAG) + len(run_length) + sum(map(len, run)) + len(tail)
-    return [head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run, tail]
+    run_bytes = sum(map(len, run))
+    put = _numbers_of(first_number, wait_nanos) + _RUN_TAG + encode_varint(run_bytes)
+    return [head, _PUTS_TAG, encode_varint(len(put) + run_bytes + len(tail)), put, *run, tail]
+
+
+def _numbers_of(first_number: int, wait_nanos: int | None) -> bytes:
+    """Return the encoded fields of a PutRun before its run."""
+    first = _FIRST_NUMBER_TAG + encode_varint(first_number) if first_number else b""  # proto3 leaves out a zero
+    if wait_nanos is None:
+        return first
+    zigzag = wait_nanos << 1 if wait_nanos >= 0 else (-wait_nanos << 1) - 1
+    return first + _WAIT_TAG + encode_varint(zigzag)

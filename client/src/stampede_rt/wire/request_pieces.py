@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.wire.runs import encode_varint
+from stampede_rt.wire.varints import encode_varint
 
 MESSAGE_BYTES_MAX = 2**18  # the most bytes of one message to a host
 REQUEST_BYTES_MAX = 20 * 2**20  # the most bytes of all pieces of one request

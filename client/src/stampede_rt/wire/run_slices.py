@@ -10,7 +10,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.runs import decode_varint, encode_varint
+from stampede_rt.wire.varints import decode_varint, encode_varint
 
 _TIMES, _DURATIONS, _LENGTHS, _PAYLOADS, _FIRST_SEQ = 1, 2, 3, 6, 7  # fields of ItemRun
 _COLUMN_WIDTHS = {_TIMES: 8, _DURATIONS: 8, _LENGTHS: 4}

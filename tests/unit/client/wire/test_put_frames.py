@@ -16,17 +16,20 @@ from stampede_rt.wire.runs import run_parts
     some.lists(some.binary(max_size=300), min_size=1, max_size=4),
     some.none() | some.integers(-1, 2**62),
     some.booleans(),
+    some.sampled_from(({}, {"k": "v"})),
 )
-def test_a_framed_put_reads_as_the_message(number: int, payloads: list[bytes], wait: int | None, first: bool) -> None:
+def test_a_framed_put_reads_as_the_message(
+    number: int, payloads: list[bytes], wait: int | None, first: bool, labels: dict[str, str]
+) -> None:
     head = put_head(b"c" * 16, 7, 9) if first else b""
     times = list(range(len(payloads)))
     request = channel_pb.PutRequest.FromString(
-        put_request(head, number, run_parts(payloads, times=times, attributes={"k": "v"}), wait)
+        put_request(head, number, run_parts(payloads, times=times, attributes=labels), wait)
     )
     run = item_pb2.ItemRun(
         time_unix_nano=times,
         payload_length_bytes=[len(payload) for payload in payloads],
-        attributes={"k": "v"},
+        attributes=labels,
         payloads=b"".join(payloads),
     )
     expected = channel_pb.PutRequest(puts=[channel_pb.PutRun(first_number=number, wait_nanos=wait, run=run)])

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
+from stampede_rt.wire.varints import encode_varint
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
 MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
@@ -61,7 +62,7 @@ def get_responses(
     call_id: int, answer: ReadAnswer, summary: pb.GetSummary, *, without_payloads: bool
 ) -> Iterator[EncodedMessage]:
     """Yield the messages that answer a get. The last message has the summary."""
-    head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
+    head = _CALL_ID + encode_varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
     parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
     next_time, rest = answer.next_time, drained(answer.slices)
     following = next(rest, None)
@@ -78,15 +79,15 @@ def get_responses(
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes
     encoded = summary.SerializeToString()
-    parts += (_GET_SUMMARY, _varint(len(encoded)), encoded)
+    parts += (_GET_SUMMARY, encode_varint(len(encoded)), encoded)
     yield EncodedMessage(b"".join(parts), payload_bytes, True, items)
 
 
 def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
     """Yield the single message that ends a get with an error."""
     encoded = error.SerializeToString()
-    head = _CALL_ID + _varint(call_id) if call_id else b""
-    yield EncodedMessage(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
+    head = _CALL_ID + encode_varint(call_id) if call_id else b""
+    yield EncodedMessage(b"".join((head, _GET_ERROR, encode_varint(len(encoded)), encoded)), 0, True)
 
 
 class Delivery(NamedTuple):
@@ -170,20 +171,6 @@ def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_
 
 
 def _add_run(parts: list[bytes], tag: bytes, body: bytes, next_time: int | None) -> None:
-    length = _varint(len(body))
+    length = encode_varint(len(body))
     end = b"" if next_time is None else _NEXT_TIME.pack(_NEXT_TIME_TAG, next_time)
-    parts += (tag, _varint(1 + len(length) + len(body) + len(end)), _RUN, length, body, end)
-
-
-def _varint(value: int) -> bytes:
-    if value < 0x80:
-        return _SMALL[value]
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-_SMALL = [bytes((value,)) for value in range(0x80)]
+    parts += (tag, encode_varint(1 + len(length) + len(body) + len(end)), _RUN, length, body, end)

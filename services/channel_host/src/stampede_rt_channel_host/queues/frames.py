@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from stampede_rt.v1 import queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.wire.run_slices import RunSlicer
-from stampede_rt.wire.runs import encode_varint
+from stampede_rt.wire.varints import encode_varint
 from stampede_rt_channel_host.core.queue import Batch, LeasedSlice
 
 _LENGTH_DELIMITED = 2

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
-from stampede_rt.wire.runs import decode_varint
+from stampede_rt.wire.varints import decode_varint
 from stampede_rt_channel_host.channels.requests import MessageType, parse
 
 SHORT_BYTES = 4096

@@ -1,0 +1,58 @@
+"""Runs of one item without labels, encoded and read without protobuf, which takes longer for them. Pure."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from stampede_rt.wire.varints import decode_varint, encode_varint
+
+_COLUMN = struct.Struct("<BBq")  # the tag and the length of a packed column, and its only number
+_LENGTHS = struct.Struct("<BBIB")  # the same of the column of lengths, and the tag of the payloads
+_TIMES_TAG = 1 << 3 | 2
+_DURATIONS_TAG = 2 << 3 | 2
+_LENGTHS_TAG = 3 << 3 | 2
+_PAYLOADS_TAG = 6 << 3 | 2
+
+
+class PlainRun(NamedTuple):
+    """The columns of such a run. `time` or `duration` None: the run lacks the column. `length`: of the payload."""
+
+    time: int | None
+    duration: int | None
+    length: int
+
+
+def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> list[bytes]:
+    """Return the bytes of such a run in pieces, of which the last one is the payload.
+
+    They equal those of protobuf. None leaves a column out.
+    """
+    head = _LENGTHS.pack(_LENGTHS_TAG, 4, len(payload), _PAYLOADS_TAG) + encode_varint(len(payload))
+    if duration is not None:
+        head = _COLUMN.pack(_DURATIONS_TAG, 8, duration) + head
+    if time is not None:
+        head = _COLUMN.pack(_TIMES_TAG, 8, time) + head
+    return [head, payload]
+
+
+def read_plain_run(raw: bytes | memoryview) -> PlainRun | None:
+    """Return the columns of such a run if its fields come in the order of their numbers; None for all other bytes."""
+    try:
+        at, time = _number_at(raw, 0, _TIMES_TAG)
+        at, duration = _number_at(raw, at, _DURATIONS_TAG)
+        *tags, length, payloads_tag = _LENGTHS.unpack_from(raw, at)
+        payload_bytes, begin = decode_varint(raw, at + _LENGTHS.size)
+    except (IndexError, struct.error):  # the run ends within a field
+        return None
+    is_plain = tags == [_LENGTHS_TAG, 4] and payloads_tag == _PAYLOADS_TAG
+    if not is_plain or length != payload_bytes or begin + length != len(raw):
+        return None
+    return PlainRun(time, duration, length)
+
+
+def _number_at(raw: bytes | memoryview, at: int, tag: int) -> tuple[int, int | None]:
+    """Return the only number of the column at `at`, after the position behind it; None if another field is there."""
+    if raw[at] != tag or raw[at + 1] != 8:
+        return at, None
+    return at + _COLUMN.size, _COLUMN.unpack_from(raw, at)[2]

@@ -1,0 +1,62 @@
+"""Runs of one item without labels equal those of protobuf, and everything else is left to protobuf."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run
+from stampede_rt.wire.runs import encode_run, parse_run, seal_run
+
+instants = some.integers(-(2**63), 2**63 - 1)
+
+
+@given(some.binary(max_size=300), some.none() | instants, some.none() | instants)
+def test_a_plain_run_equals_that_of_protobuf(payload: bytes, time: int | None, duration: int | None) -> None:
+    made = b"".join(plain_run_parts(payload, time, duration))
+    expected = item_pb2.ItemRun(
+        time_unix_nano=() if time is None else (time,),
+        duration_nanos=() if duration is None else (duration,),
+        payload_length_bytes=(len(payload),),
+        payloads=payload,
+    )
+    assert item_pb2.ItemRun.FromString(made) == expected
+    if payload:  # protobuf leaves out an empty field
+        assert made == expected.SerializeToString()
+    assert read_plain_run(made) == read_plain_run(memoryview(made)) == (time, duration, len(payload))
+
+
+@given(some.binary(max_size=40), some.data())
+def test_a_cut_run_is_not_plain(payload: bytes, data: some.DataObject) -> None:
+    made = b"".join(plain_run_parts(payload, 5, 6))
+    assert read_plain_run(made[: data.draw(some.integers(0, len(made) - 1))]) is None
+
+
+@given(some.binary(max_size=60))
+def test_any_bytes_read_as_plain_are_a_run_of_these_columns(raw: bytes) -> None:
+    found = read_plain_run(raw)
+    if found is not None:
+        run = item_pb2.ItemRun.FromString(raw)
+        assert [*run.time_unix_nano] == ([] if found.time is None else [found.time])
+        assert ([*run.payload_length_bytes], len(run.payloads)) == ([found.length], found.length)
+
+
+def test_other_runs_are_not_plain() -> None:
+    for raw in (
+        b"",
+        encode_run((b"a", b"b"), times=(1, 2)),
+        encode_run((b"a",), times=(1,), content_type="text/plain"),
+        encode_run((b"a",), times=(1,), attributes={"k": "v"}),
+        seal_run(encode_run((b"a",), times=(1,)), 7),
+        encode_run((b"a",), times=(1,)) + b"\x32\x01b",
+        b"\x1a\x04\x02\x00\x00\x00\x32\x01a",
+    ):
+        assert read_plain_run(raw) is None
+
+
+def test_a_plain_run_has_the_columns_of_any_other_run() -> None:
+    found = parse_run(encode_run((b"abc",), times=(5,), durations=(7,)))
+    assert (found.times, found.durations, found.lengths) == ((5,), (7,), (3,))
+    found = parse_run(encode_run((b"",), times=None))
+    assert (found.times, found.durations, found.lengths) == (None, None, (0,))

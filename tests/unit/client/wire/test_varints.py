@@ -1,0 +1,21 @@
+"""Numbers in protobuf's form: what one function writes, the other one reads."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.wire.varints import decode_varint, encode_varint
+
+
+@given(some.integers(0, 2**64 - 1), some.binary(max_size=3))
+def test_a_number_comes_back(value: int, before: bytes) -> None:
+    encoded = encode_varint(value)
+    assert decode_varint(before + encoded + b"rest", len(before)) == (value, len(before) + len(encoded))
+
+
+def test_numbers_that_are_cut_or_too_long_raise() -> None:
+    for raw in (b"", b"\x80", b"\x80" * 10 + b"\x01"):
+        with pytest.raises(IndexError):
+            decode_varint(raw, 0)
