@@ -241,15 +241,14 @@ class Interval:
 
         Returns None if a bound is NEWEST or OLDEST and the channel has no items.
         """
-        if self.needs_items and (newest is None or oldest is None):
+        if self.start.meta is None and self.end.meta is None:
+            start, end = self.start.offset, self.end.offset
+        elif self.needs_items and (newest is None or oldest is None):
             return None
-        anchors = {None: 0, MetaTime.NOW: now, MetaTime.NEWEST: newest or 0, MetaTime.OLDEST: oldest or 0}
-        return ResolvedInterval(
-            clamp(anchors[self.start.meta] + self.start.offset),
-            clamp(anchors[self.end.meta] + self.end.offset),
-            self.start_exclusive,
-            self.end_exclusive,
-        )
+        else:
+            anchors = {None: 0, MetaTime.NOW: now, MetaTime.NEWEST: newest or 0, MetaTime.OLDEST: oldest or 0}
+            start, end = anchors[self.start.meta] + self.start.offset, anchors[self.end.meta] + self.end.offset
+        return ResolvedInterval(clamp(start), clamp(end), self.start_exclusive, self.end_exclusive)
 
 
 def fixed(interval: Interval, resolved: ResolvedInterval | None) -> Interval:

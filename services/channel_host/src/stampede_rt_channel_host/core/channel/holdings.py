@@ -301,6 +301,8 @@ class Holdings(HeldItems):
         """
         floor = self._free_floor
         for freed in range(FREED_ENTRIES_MAX):
+            if self._stored_items == self.items:  # nothing is outdated
+                return False
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 return self.has_backlog
             if not self._free_entry(floor):

@@ -14,10 +14,8 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from itertools import chain, islice
 from operator import attrgetter
-from typing import Any
 
-from sortedcontainers import SortedKeyList
-
+from stampede_rt_channel_host.core.channel.entry_list import EntryList
 from stampede_rt_channel_host.core.channel.index_entries import (
     Entry,
     IndexPart,
@@ -29,8 +27,7 @@ from stampede_rt_channel_host.core.channel.index_entries import (
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
-_BUCKET_ENTRIES_SCANNED = 8
-"""The index scans up to this many entries with the same first time in order. If there are more, it bisects."""
+_time_of, _seq_of = attrgetter("first_time"), attrgetter("first_seq")
 
 
 class ChannelIndex:
@@ -39,8 +36,8 @@ class ChannelIndex:
     __slots__ = ("_by_seq", "_by_time")
 
     def __init__(self) -> None:
-        self._by_time: Any = SortedKeyList(key=attrgetter("first_time"))
-        self._by_seq: Any = SortedKeyList(key=attrgetter("first_seq"))
+        self._by_time = EntryList(_time_of)
+        self._by_seq = EntryList(_seq_of)
 
     def __len__(self) -> int:
         """The number of entries."""
@@ -110,15 +107,11 @@ class ChannelIndex:
 
     def _last_up_to(self, time: int) -> Entry | None:
         """The last entry that begins at or before `time`, or None if there is none."""
-        if self._by_time and self._by_time[-1].first_time <= time:
-            return self._by_time[-1]  # type: ignore[no-any-return]
-        return next(self._by_time.irange_key(None, time, reverse=True), None)
+        return self._by_time.last_up_to(time)
 
     def _first_later(self, time: int) -> Entry | None:
         """The first entry that begins after `time`, or None if there is none."""
-        if not self._by_time or self._by_time[-1].first_time <= time:
-            return None
-        return next(self._by_time.irange_key(time, None, (False, True)), None)
+        return self._by_time.first_above(time)
 
     def slices(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """The items at or above `low` and below `high`, in ascending order.
@@ -127,51 +120,18 @@ class ChannelIndex:
         """
         if low >= high:
             return
-        before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
+        before = self._by_time.last_below(low[0])
         if before is not None and before.last_time >= low[0]:
             yield from clipped(before, low, high)
-        for entry in self._entries_from(low, high[0]):
+        for entry in self._by_time.between(low[0], high[0], low[1]):
             if entry.first_time == high[0] and entry.first_seq >= high[1]:
                 return
             yield from clipped(entry, low, high)
 
-    def _entries_from(self, low: ItemKey, last_time: int) -> Iterator[Entry]:
-        """Entries that begin between `low`'s time and `last_time`, both inclusive, without most entries below `low`."""
-        time, seq = low
-        entries = self._by_time.irange_key(time, last_time)
-        first = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq else []
-        if len(first) < _BUCKET_ENTRIES_SCANNED or first[-1].first_time > time or first[-1].first_seq >= seq:
-            return chain(first, entries)
-        at = self._entry_in_bucket(time, seq)
-        return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
-
-    def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
-        """Entries that begin between `first_time` and `high`'s time, both inclusive, the last one first.
-
-        Leaves out most entries that begin at or above `high`.
-        """
-        time, seq = high
-        entries = self._by_time.irange_key(first_time, time, reverse=True)
-        last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
-        if len(last) < _BUCKET_ENTRIES_SCANNED or last[-1].first_time < time or last[-1].first_seq < seq:
-            return chain(last, entries)
-        end = self._entry_in_bucket(time, seq) + 1
-        return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
-
-    def _entry_in_bucket(self, time: int, seq: int) -> int:
-        """The position of the last entry that begins at `time` and whose first seq is at most `seq`.
-
-        If there is no such entry, returns the position of the first entry that begins at `time`. Bisects, because a
-        bucket may hold any number of entries.
-        """
-        lo: int = self._by_time.bisect_key_left(time)
-        hi: int = self._by_time.bisect_key_right(time)
-        above: int = bisect_right(self._by_time, seq, lo, hi, key=attrgetter("first_seq"))
-        return above - 1 if above > lo else above
-
     def slices_from(self, floor: ItemKey) -> Iterator[Slice]:
         """The items at or above `floor`, in ascending order. Faster than `slices` if few entries lie below `floor`."""
-        if self._by_time and self._by_time[0].last_time < floor[0]:
+        first = self._by_time.first
+        if first is not None and first.last_time < floor[0]:
             yield from self.slices(floor, LAST_KEY)
             return
         for entry in self._by_time:
@@ -183,11 +143,11 @@ class ChannelIndex:
         """The items at or above `low` and below `high`, the last slice first."""
         if low >= high:
             return
-        for entry in self._entries_down(high, low[0]):
+        for entry in self._by_time.between_down(low[0], high[0], high[1] if high[1] < SEQ_END else None):
             if (entry.last_time, entry.run.first_seq + entry.hi - 1) < low:
                 return
             yield from clipped(entry, low, high)
-        before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
+        before = self._by_time.last_below(low[0])
         if before is not None and before.last_time >= low[0]:
             yield from clipped(before, low, high)
 
@@ -197,15 +157,16 @@ class ChannelIndex:
         Changes of this index do not affect the copy.
         """
         copy = ChannelIndex()
-        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, high))
+        for part in self.slices(low, high):
+            copy._by_time.add(IndexPart(part.run, part.lo, part.hi))
         return copy
 
     def slices_by_seq(self, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
         """The items with seqs from `low` up to `high`, exclusive, and keys at or above `floor`, in seq order."""
-        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
+        before = self._by_seq.last_below(low)
         if before is not None:
             yield from clipped_by_seq(before, low, high, floor)
-        for entry in self._by_seq.irange_key(low, high, (True, False)):
+        for entry in self._by_seq.between(low, high - 1):
             yield from clipped_by_seq(entry, low, high, floor)
 
     def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
@@ -215,8 +176,8 @@ class ChannelIndex:
         Looks at `entries_max` entries at most. If these hold no such item, returns the first seq of the next entry: no
         item with a seq from `low` up to this one is left.
         """
-        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
-        entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
+        before = self._by_seq.last_below(low)
+        entries = chain(() if before is None else (before,), self._by_seq.between(low, high - 1))
         for entry in islice(entries, entries_max):
             for part in clipped_by_seq(entry, low, high, floor):
                 return part.first_seq
@@ -228,8 +189,8 @@ class ChannelIndex:
 
         Looks at `entries_max` entries at most. If all of these hold such items, returns the seq after their last item.
         """
-        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
-        entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
+        before = self._by_seq.last_below(low)
+        entries = chain(() if before is None else (before,), self._by_seq.between(low, high - 1))
         for entry in islice(entries, entries_max):
             for part in clipped_by_seq(entry, low, high, floor):
                 if part.first_seq > low:
@@ -256,16 +217,17 @@ class ChannelIndex:
 
     def has_below(self, floor: ItemKey, entries: int = 1) -> bool:
         """Whether all items of the first `entries` entries are below `floor`. False if the index has fewer entries."""
-        return len(self._by_time) >= entries and is_below(self._by_time[entries - 1], floor)
+        last = self._by_time.first if entries == 1 else self._by_time.nth(entries - 1)
+        return last is not None and is_below(last, floor)
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
         """Remove and return the first entry if all its items are below `floor`; else return None."""
-        entry: Entry | None = self._by_time[0] if self._by_time else None
+        entry = self._by_time.first
         if entry is None or not is_below(entry, floor):
             return None
-        del self._by_time[0]
-        if self._by_seq[0] is entry:
-            del self._by_seq[0]
+        self._by_time.remove_first()
+        if self._by_seq.first is entry:
+            self._by_seq.remove_first()
         else:
             self._by_seq.remove(entry)
         return entry
@@ -275,7 +237,7 @@ class ChannelIndex:
 
         None if the first entry begins after the floor's time, has a run of one item, or does not exist.
         """
-        entry: Entry | None = self._by_time[0] if self._by_time else None
+        entry = self._by_time.first
         if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
             return None
         return Slice(entry.run, entry.lo, index_of(entry, floor))
@@ -283,14 +245,15 @@ class ChannelIndex:
     def parts_of(self, run: Run, parts_max: int) -> list[IndexPart]:
         """The first entries of a run of several items, `parts_max` at most."""
         end_seq = run.first_seq + len(run)
-        return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
+        found = islice(self._by_seq.between(run.first_seq, end_seq - 1), parts_max)
+        return [entry for entry in found if isinstance(entry, IndexPart)]
 
     def trim_below(self, floor: ItemKey) -> Slice | None:
         """Remove and return the items below `floor` of the first entry, if it has such items and also other items.
 
         Otherwise returns None.
         """
-        entry: Entry | None = self._by_time[0] if self._by_time else None
+        entry = self._by_time.first
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:
             return None

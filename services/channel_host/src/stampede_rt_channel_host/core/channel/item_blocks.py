@@ -121,6 +121,8 @@ class ItemBlocks:
         if not self._ends:
             return NO_BLOCKS
         if items is not None:
+            if items < self._items[0]:
+                return NO_BLOCKS
             return self._whole(_within(iter(self._items), items))
         columns = zip(self._items, self._payload_bytes, strict=True)
         charges = (count * ITEM_OVERHEAD_BYTES + payload for count, payload in columns)

@@ -183,8 +183,13 @@ class Reading:
         """Whether an item or an advance has passed the region's end: it is at or after an exclusive end, or after an
         inclusive end.
         """
-        marks = [mark for mark in (self._held.newest, self.advance, self.consumed_up_to) if mark is not None]
-        return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
+        passed = region.end + (not region.end_exclusive)
+        newest, advance, consumed = self._held.newest, self.advance, self.consumed_up_to
+        return (
+            (newest is not None and newest >= passed)
+            or (advance is not None and advance >= passed)
+            or (consumed is not None and consumed >= passed)
+        )
 
     def _is_below_frontier(self, region: ResolvedInterval) -> bool:
         frontier = self._held.frontier

@@ -109,6 +109,8 @@ def select(
     taking = _Taking(snapshot, query.limit, next_time, down=query.newest_first)
     try:
         for stretch in reversed(stretches) if query.newest_first else stretches:
+            if stretch.low >= stretch.high:
+                continue
             while (rest := taking.take(stretch)) is not None:
                 stretch = rest  # the stretch without the items already taken
                 if not snapshot.is_held:
