@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
+from typing import Any
 
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.transports.concurrency_async import Mutex, live_thread_ids, thread_id, when_dropped
@@ -15,6 +16,8 @@ STREAMS_MAX = 512  # the most streams of puts of one connection
 LINES_MAX = 16  # streams of one owner and thread at the same time, for puts with different deadlines
 Owner = int | tuple[object, str]
 """The owner of a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""
+StreamKey = tuple[Owner, int, int]
+"""The owner, the thread, and the number of the stream among those of both."""
 _handle_ids = itertools.count(1)
 
 
@@ -54,7 +57,7 @@ class PutStreams:
     """
 
     def __init__(self) -> None:
-        self._streams: dict[tuple[Owner, int, int], PutStream] = {}  # the stream that was unused longest is first
+        self._streams: dict[StreamKey, PutStream] = {}  # the stream that was unused longest is first
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
@@ -63,14 +66,19 @@ class PutStreams:
         when_dropped(owner, partial(self._let_go, handle_id))
         return handle_id
 
-    @contextmanager
     def use(
         self, owner: Owner, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
-    ) -> Iterator[PutExchange]:
-        """Yield the owner's stream to the host of `binding` for one put.
+    ) -> AbstractContextManager[PutExchange]:
+        """Return a context with the owner's stream to the host of `binding`, for one put.
 
         The put may wait for room until `ends_s` (monotonic clock).
         """
+        return _PutUnderWay(self, owner, ends_s, binding, open_stream)
+
+    def begin(
+        self, owner: Owner, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
+    ) -> tuple[StreamKey, PutStream]:
+        """Note that a put begins, and return its stream with the key. `end` must follow. The arguments: see `use`."""
         key = self._line(owner, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
@@ -80,16 +88,17 @@ class PutStreams:
             stream.puts += 1
             if self._streams.pop(key, None) is stream:
                 self._streams[key] = stream  # the most recently used stream is the last in the order
-        try:
-            yield stream.exchange
-        finally:
-            with self._mutex:
-                stream.puts -= 1
-                over = not stream.puts and self._streams.get(key) is not stream
-            if over:  # the stream was closed during the put
-                stream.exchange.cancel()
+        return key, stream
 
-    def _line(self, owner: Owner, ends_s: float) -> tuple[Owner, int, int]:
+    def end(self, key: StreamKey, stream: PutStream) -> None:
+        """Note that a put has ended. If the stream was closed meanwhile, end it with its last put."""
+        with self._mutex:
+            stream.puts -= 1
+            over = not stream.puts and self._streams.get(key) is not stream
+        if over:
+            stream.exchange.cancel()
+
+    def _line(self, owner: Owner, ends_s: float) -> StreamKey:
         """Return the key of a stream on which no put waits beyond `ends_s`. The stream may not exist yet.
 
         If all LINES_MAX streams of the owner and thread are busy with longer waits, returns the key of the last one.
@@ -101,7 +110,7 @@ class PutStreams:
                 return owner, caller, line
         return owner, caller, LINES_MAX - 1
 
-    def _replace(self, key: tuple[Owner, int, int], stream: PutStream) -> PutStream:
+    def _replace(self, key: StreamKey, stream: PutStream) -> PutStream:
         with self._mutex:
             gone = [self._streams.pop(key, None)]  # a stream with a stale binding
             alive = live_thread_ids()
@@ -120,6 +129,23 @@ class PutStreams:
 
     async def _let_go(self, handle_id: int) -> None:
         self.close(handle_id)
+
+
+class _PutUnderWay:
+    """The context of one put."""
+
+    __slots__ = ("_arguments", "_begun", "_streams")
+
+    def __init__(self, streams: PutStreams, *arguments: Any) -> None:
+        """`arguments`: those of `PutStreams.begin`."""
+        self._streams, self._arguments = streams, arguments
+
+    def __enter__(self) -> PutExchange:
+        self._begun = self._streams.begin(*self._arguments)
+        return self._begun[1].exchange
+
+    def __exit__(self, *_error: object) -> None:
+        self._streams.end(*self._begun)
 
 
 def _close(streams: list[PutStream | None]) -> None:

@@ -172,7 +172,7 @@ class SingleItem:
             parse_item_duration(duration),
             dict(attributes or {}),
             content_type_of(content_type) or (coding.content_type if coding else ""),
-            put_tail(ack_to_wire(ack)) if ack else enqueue_tail(message_id),
+            put_tail(ack_to_wire(ack)) if ack else enqueue_tail(message_id) if message_id else b"",
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:

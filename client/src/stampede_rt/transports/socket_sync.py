@@ -7,7 +7,7 @@ import socket
 import threading
 import weakref
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from contextlib import suppress
 from math import inf
 from queue import SimpleQueue
@@ -24,6 +24,7 @@ from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_o
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
+Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
 
 
@@ -153,13 +154,13 @@ class SocketCall:
             raise cancelled()
         return min(left_s, SILENCE_S_MAX)
 
-    def _write(self, buffers: Iterable[bytes]) -> None:
+    def _write(self, buffers: Sequence[bytes]) -> None:
         """Send as much as the system takes now.
 
         Send the rest on this thread or on another one. The caller holds the mutex.
         """
         try:
-            left = [memoryview(one) for one in (buffers if self._tls is None else (self._tls.seal(buffers),))]
+            left: Buffers = buffers if self._tls is None else (self._tls.seal(buffers),)
             if not self._backlog.writes:
                 left = _send_some(self._socket, left)
             if left and self._in_turn:
@@ -171,7 +172,7 @@ class SocketCall:
         except SocketError as error:
             self._failure = error
 
-    def _send_rest(self, left: list[memoryview]) -> None:
+    def _send_rest(self, left: Buffers) -> None:
         """Send the rest, and receive meanwhile.
 
         As long as the host gives signs of life, it may take more bytes later.
@@ -215,11 +216,11 @@ class _Backlog:
         self.writes = 0
         """The number of writes that are not done."""
         self._socket = connected
-        self._queue: SimpleQueue[list[memoryview] | None] = SimpleQueue()
+        self._queue: SimpleQueue[Buffers | None] = SimpleQueue()
         self._mutex = threading.Lock()
         self._has_thread = False
 
-    def send(self, left: list[memoryview]) -> None:
+    def send(self, left: Buffers) -> None:
         """Send `left` after everything before it. Does not wait."""
         with self._mutex:
             self.writes += 1
@@ -243,23 +244,23 @@ class _Backlog:
         self._queue.put(None)
 
 
-def _send_some(connected: socket.socket, left: list[memoryview]) -> list[memoryview]:
+def _send_some(connected: socket.socket, left: Buffers) -> Buffers:
     """Send the bytes that the system takes without waiting. Returns the rest."""
     while left:
         try:
             sent_bytes = connected.sendmsg(left, (), _NOW)
         except BlockingIOError:
             break
-        left = _after(left, sent_bytes)
+        left = () if sent_bytes == sum(map(len, left)) else _after(left, sent_bytes)
     return left
 
 
-def _after(buffers: list[memoryview], sent_bytes: int) -> list[memoryview]:
+def _after(buffers: Buffers, sent_bytes: int) -> Buffers:
     """Return the parts of the buffers behind the sent bytes."""
     left = []
     for one in buffers:
         if sent_bytes < len(one):
-            left.append(one[sent_bytes:])
+            left.append(memoryview(one)[sent_bytes:])
         sent_bytes = max(0, sent_bytes - len(one))
     return left
 

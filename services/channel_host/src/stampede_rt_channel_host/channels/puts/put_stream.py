@@ -145,7 +145,8 @@ class PutStream:
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
         received_s = time.monotonic()
-        write(pb.PutResponse(acks=[self._judge_now(put, received_s) for put in request.puts]).SerializeToString())
+        acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
+        write(pb.PutResponse(acks=acks).SerializeToString())
         return True
 
     async def _take(self, received: _ReceivedRequest) -> None:
@@ -166,9 +167,9 @@ class PutStream:
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
-    def _judge_now(self, put: Put, received_s: float) -> pb.PutAck:
+    def _judge_now(self, put: Put, received_s: float, hosted: HostedChannel) -> pb.PutAck:
         """The ack of a run whose channel lets no put wait."""
-        ack = self._judge(put, received_s)
+        ack = self._judge(put, received_s, hosted)
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
         return ack
 
@@ -197,8 +198,13 @@ class PutStream:
         ack = judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
         return ack if self._judged_at is None else held_ack(ack, self._judged_at, put, received.received_s)
 
-    def _judge(self, put: Put, received_s: float) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
-        """The ack of a run, or the run and its channel if the run has to wait for room."""
+    def _judge(
+        self, put: Put, received_s: float, hosted: HostedChannel | None = None
+    ) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
+        """The ack of a run, or the run and its channel if the run has to wait for room.
+
+        `hosted`: the channel, if it was found in this turn of the event loop.
+        """
         now = self._store.now()
         run: IncomingRun | None = None
         try:
@@ -207,7 +213,7 @@ class PutStream:
                 raise InvalidArgument(
                     "the put names no channel; set channel_id and epoch in the stream's first request"
                 )
-            hosted = self._judged_at = self._store.find(self._channel_id, self._epoch)
+            hosted = self._judged_at = hosted or self._store.find(self._channel_id, self._epoch)
             self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             check_wanted(hosted, put.ack)
             try:
@@ -215,7 +221,8 @@ class PutStream:
             except StampedeError as error:
                 hosted.puts.count_unread(len(put.run), error, now)
                 raise
-            check_disk(hosted, put.ack, is_repeated=hosted.puts.repeats(run, now))
+            if hosted.recording is not None:
+                check_disk(hosted, put.ack, is_repeated=hosted.puts.repeats(run, now))
             return hosted.puts.put(run, now) or (run, hosted)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)

@@ -17,6 +17,8 @@ from stampede_rt_channel_host.channels.puts.put_requests import Put
 from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
 from stampede_rt_channel_host.channels.replication import Kind
 
+_KNOWN = frozenset(channel_pb2.Ack.values())
+
 
 def may_be_held(hosted: HostedChannel, stated: int) -> bool:
     """Whether the ack of a put that states this may have to wait."""
@@ -25,8 +27,10 @@ def may_be_held(hosted: HostedChannel, stated: int) -> bool:
 
 def check_wanted(hosted: HostedChannel, stated: int) -> None:
     """Raises InvalidArgument if the channel cannot acknowledge a put in the stated way."""
+    if not stated and hosted.record.policy.ack != "disk":
+        return
     name = hosted.record.name
-    if stated not in channel_pb2.Ack.values():
+    if stated not in _KNOWN:
         raise InvalidArgument(f"ack is {stated}, which this version does not know; see Ack for the values")
     if stated == channel_pb2.ACK_REPLICA and hosted.replication is None:
         raise InvalidArgument(
