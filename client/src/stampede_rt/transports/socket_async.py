@@ -17,6 +17,7 @@ from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import broken, error_of, silent
 from stampede_rt.transports.socket_limits import (
     JOINED_BYTES_MAX,
+    KEPT_ROOM_BYTES_MAX,
     RECEIVE_BYTES,
     RECEIVED_BYTES_MAX,
     SILENCE_S_MAX,
@@ -35,7 +36,7 @@ class SocketCall(asyncio.BufferedProtocol):
         self._method, self._tls = method, tls
         self._opening = opening
         self._transport: Any = None
-        self._frames = FrameReader(RECEIVED_BYTES_MAX)
+        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_ROOM_BYTES_MAX)
         # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))

@@ -18,7 +18,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
-from stampede_rt.transports.socket_limits import RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
+from stampede_rt.transports.socket_limits import KEPT_ROOM_BYTES_MAX, RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
@@ -49,7 +49,7 @@ class SocketCall:
         self._in_turn = in_turn
         self._socket, self._tls = connected, tls
         self._forks = forking.forks()
-        self._frames = FrameReader(RECEIVED_BYTES_MAX)
+        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_ROOM_BYTES_MAX)
         self._came: deque[Frame] = deque()
         self._is_cancelled = False
         self._failure: SocketError | None = None  # the error of a send

@@ -40,12 +40,18 @@ def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
 
 
 class FrameReader:
-    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame."""
+    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one room."""
 
-    __slots__ = ("_bytes_max", "_came_bytes", "_partial", "_wanted_bytes")
+    __slots__ = ("_bytes_max", "_came_bytes", "_kept_bytes_max", "_kept_room", "_partial", "_wanted_bytes")
 
-    def __init__(self, bytes_max: Mapping[FrameKind, int]) -> None:
-        """`bytes_max`: the longest body of each kind of frame that may come."""
+    def __init__(self, bytes_max: Mapping[FrameKind, int], kept_bytes_max: int = 0) -> None:
+        """`bytes_max`: the longest body of each kind of frame that may come.
+
+        `kept_bytes_max`: the reader writes each frame of up to this length into the same room, and keeps that room.
+        New memory for each frame would cost a page fault for each 4 KiB.
+        """
+        self._kept_bytes_max = kept_bytes_max
+        self._kept_room = bytearray()
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
         self._partial = bytearray()
         self._wanted_bytes = 0  # of the unfinished frame, or of its head
@@ -86,10 +92,18 @@ class FrameReader:
         Write the bytes there, and tell `filled` how many. `feed` must not be called until the frame is complete.
         """
         if not self._came_bytes:
-            begun, self._partial = self._partial, bytearray(self._wanted_bytes)
+            begun, self._partial = self._partial, self._room_for(self._wanted_bytes)
             self._came_bytes = len(begun)
             self._partial[: len(begun)] = begun
-        return memoryview(self._partial)[self._came_bytes :]
+        return memoryview(self._partial)[self._came_bytes : self._wanted_bytes]
+
+    def _room_for(self, frame_bytes: int) -> bytearray:
+        if len(self._kept_room) >= frame_bytes:
+            return self._kept_room
+        room = bytearray(frame_bytes)
+        if frame_bytes <= self._kept_bytes_max:
+            self._kept_room = room
+        return room
 
     def filled(self, more_bytes: int) -> list[Frame]:
         """Take bytes that were written to `room`. Returns the frame if it is complete now."""
@@ -142,7 +156,7 @@ class FrameReader:
         """The frame whose last byte has come."""
         partial = self._partial
         self.drop()
-        return partial[4], bytes(memoryview(partial)[HEAD_BYTES:])
+        return partial[4], bytes(memoryview(partial)[HEAD_BYTES : self._wanted_bytes])
 
     def _body_bytes(self, data: bytes | bytearray | memoryview, at: int) -> int:
         length, kind = _HEAD.unpack_from(data, at)

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import gc
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -92,6 +95,34 @@ def test_the_rest_of_a_long_frame_is_read_into_its_own_memory() -> None:
         found = reader.take(short, len(part))
     assert found == [(FrameKind.MESSAGE, b"x" * 200)]
     assert reader.place(short) is short
+
+
+@given(lengths=st.lists(st.integers(SHORT_BYTES, 4 * SHORT_BYTES), min_size=2, max_size=6))
+def test_frames_that_come_into_the_same_room_stay_as_they_came(lengths: list[int]) -> None:
+    limits = {FrameKind.MESSAGE: 4 * SHORT_BYTES}
+    reader, short = FrameReader(limits, kept_bytes_max=3 * SHORT_BYTES), memoryview(bytearray(SHORT_BYTES))
+    found: list[tuple[int, bytes]] = []
+    bodies = [bytes([turn]) * length for turn, length in enumerate(lengths)]
+    for body in bodies:
+        left = frame_of(FrameKind.MESSAGE, body)
+        while left:
+            place = reader.place(short)
+            size = min(len(place), len(left), SHORT_BYTES - 1)
+            place[:size] = left[:size]
+            found += reader.take(short, size)
+            left = left[size:]
+    assert found == [(FrameKind.MESSAGE, body) for body in bodies]
+
+
+def test_a_reader_keeps_no_room_of_a_longer_frame_than_it_may() -> None:
+    reader, short = FrameReader({FrameKind.MESSAGE: 2**20}, kept_bytes_max=1000), memoryview(bytearray(10))
+    frame = frame_of(FrameKind.MESSAGE, bytes(2**20))
+    for begin, end in ((0, 10), (10, len(frame))):
+        place = reader.place(short)
+        place[: end - begin] = frame[begin:end]
+        found = reader.take(short, end - begin)
+    assert found == [(FrameKind.MESSAGE, bytes(2**20))]
+    assert sum(sys.getsizeof(kept) for kept in gc.get_referents(reader) if isinstance(kept, bytearray)) < 1000
 
 
 def test_only_the_bytes_that_came_of_an_unfinished_frame_are_kept() -> None:
