@@ -38,6 +38,19 @@ def newest_here(session: Session, state: ChannelState) -> Item | None:
     return None if found is None else state.decoder(found.incarnation, payloads=True).decode_here(found.runs)[0]
 
 
+def at_here(session: Session, state: ChannelState, time: int) -> Items | None:
+    """Return the answer to a read at an instant, if one item of this process is all of it. Waits for nothing."""
+    here, binding = session.here, session.cache.binding(state.info.channel_id, thread_id())
+    if here is None or binding is None or binding.target != here.target:
+        return None
+    session.check()
+    try:
+        answer = here.at_now(binding.subject_id, binding.epoch, time)
+    except StampedeError:
+        return None
+    return None if answer is None else _items(state, answer)
+
+
 def _binding_here(session: Session, state: ChannelState, here: HostHere) -> Binding | None:
     """Return the channel's binding if the channel is at the host of this process."""
     session.check()
@@ -85,13 +98,15 @@ def read_here(session: Session, state: ChannelState, query: ReadQuery) -> Items 
             answer = result_of(here.read(binding.subject_id, binding.epoch, query), limit_s)
     except (StampedeError, TimeoutError):
         return None
-    return None if answer is None else _items(state, query, answer)
+    if answer is None:
+        return None
+    return _items(state, answer, payloads=query.payloads, backwards=query.newest_first)
 
 
-def _items(state: ChannelState, query: ReadQuery, answer: AnswerHere) -> Items:
-    decoder = state.decoder(answer.incarnation, payloads=query.payloads)
+def _items(state: ChannelState, answer: AnswerHere, *, payloads: bool = True, backwards: bool = False) -> Items:
+    decoder = state.decoder(answer.incarnation, payloads=payloads)
     return Items(
-        decoder.decode_here(answer.runs, backwards=query.newest_first),
+        decoder.decode_here(answer.runs, backwards=backwards),
         interval=answer.interval,
         complete=answer.complete,
         truncated=answer.truncated,

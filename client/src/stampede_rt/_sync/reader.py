@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
-from stampede_rt._sync.calls_here import may_be_here, newest_here, read_here
+from stampede_rt._sync.calls_here import at_here, may_be_here, newest_here, read_here
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
@@ -146,6 +146,11 @@ class Reader(Reference):
     ) -> Items:
         """Return the items whose span holds `time`. `timeout` and `as_of` as in `get`."""
         bound = parse_bound(time, "time")
+        is_plain = bound.meta is None and payloads is True and timeout == 0 and timeout is not False and as_of is None
+        if is_plain and self._view is None and self._session.here is not None:
+            found = at_here(self._session, self._state, bound.offset)
+            if found is not None:
+                return found
         return self._read(
             ReadQuery(
                 parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout), as_of=parse_as_of(as_of)

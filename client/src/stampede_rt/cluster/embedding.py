@@ -129,6 +129,10 @@ class HostHere(Protocol):
         """Read by reference on the calling thread. None: take `read`. Raises StampedeError."""
         ...
 
+    def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+        """Read at an instant by reference on the calling thread. None: take `read_now`. Raises StampedeError."""
+        ...
+
     def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
         """Read the newest item by reference on the calling thread. None: take `read_now`."""
         ...

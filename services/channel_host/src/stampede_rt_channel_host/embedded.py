@@ -25,7 +25,7 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable
 from stampede_rt.security.credentials import Credentials, SecretReader
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
-from stampede_rt_channel_host.channels.calls_here import newest_now, put_here, read_here, read_now
+from stampede_rt_channel_host.channels.calls_here import at_now, newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.forked_sockets import close_copies
@@ -61,6 +61,7 @@ class EmbeddedHost:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._is_leaving = False  # also before the loop runs
+        self._has_ended = False
         self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
         self._started: Future[None] = Future()
         self._turns = Turns()
@@ -120,19 +121,23 @@ class EmbeddedHost:
 
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
         """Read by reference, at once. None: take `read`. Raises the errors of a get."""
-        if self._served is None or not self.is_alive:
-            return None
-        self._turns.give_way()
-        with self._turns.lock:
-            return read_now(self._served.host.store, channel_id, epoch, query)
+        return self._look(read_now, channel_id, epoch, query)
+
+    def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+        """Read at an instant by reference, at once. None: take `read_now`. Raises the errors of a get."""
+        return self._look(at_now, channel_id, epoch, time)
 
     def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
         """Read the newest item by reference, at once. None: take `read_now`."""
-        if self._served is None or not self.is_alive:
+        return self._look(newest_now, channel_id, epoch)
+
+    def _look(self, look: Callable[..., AnswerHere | None], *arguments: Any) -> AnswerHere | None:
+        """Call `look` with the store, between two steps of the loop. None if the host is not there."""
+        if self._served is None or self._has_ended or self._process != os.getpid():
             return None
         self._turns.give_way()
         with self._turns.lock:
-            return newest_now(self._served.host.store, channel_id, epoch)
+            return look(self._served.host.store, *arguments)
 
     def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
         """Read by reference, with the wait of the query. None: the answer is long."""
@@ -196,6 +201,7 @@ class EmbeddedHost:
             else:
                 logger.exception("the host in this process ended", extra={"event": "embedded_host_failed"})
         finally:
+            self._has_ended = True
             self._turns.loop_ended()
             _here.discard(self)  # its port may belong to others now
             for told in [*self._asked]:  # the loop no longer answers them

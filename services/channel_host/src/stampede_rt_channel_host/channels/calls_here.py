@@ -72,7 +72,19 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
     found = first_of(hosted.channel.reading(query_of(query), now))
-    return None if isinstance(found, Unfinished) else _told(hosted, query, found)
+    return None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads)
+
+
+def at_now(store: ChannelStore, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+    """The answer to a read at an instant, if one item is all of it. Changes nothing.
+
+    None: take `read_now`. The caller holds the turn of the loop. Raises the errors of a get.
+    """
+    hosted, now = find_here(store, channel_id, epoch), store.now()
+    if hosted is None or (hosted.due is not None and hosted.due <= now):
+        return None
+    found = hosted.channel.at(time, now)
+    return None if found is None else _told(hosted, found)
 
 
 def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere | None:
@@ -105,7 +117,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
     asked = query_of(query)
     if query.wait.seconds == 0:
         found = first_of(hosted.channel.reading(asked, now))
-        tell(None if isinstance(found, Unfinished) else _told(hosted, query, found))
+        tell(None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads))
         return None
     pending = hosted.channel.begin(asked, now)
     polled = first_of(hosted.channel.polling(pending, now))
@@ -114,7 +126,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
         if isinstance(found, StampedeError):
             tell(found)
         elif isinstance(found, ReadAnswer):
-            tell(_told(hosted, query, found))
+            tell(_told(hosted, found, payloads=query.payloads))
         else:
             tell(None)
 
@@ -146,11 +158,11 @@ def _position(after: Item | int | None) -> Position | None:
     return Position(after, None, 0)
 
 
-def _told(hosted: HostedChannel, query: ReadQuery, answer: ReadAnswer) -> AnswerHere:
+def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> AnswerHere:
     slices = [*answer.slices]
     ends = [answer.next_times.get((part.last_time, part.end_seq)) for part in slices[:-1]]
     runs = [
-        _run(DeliveredSlice(part, end), payloads=query.payloads)
+        _run(DeliveredSlice(part, end), payloads=payloads)
         for part, end in zip(slices, [*ends, answer.next_time], strict=False)
     ]
     hosted.count_delivered(sum(part.items for part in slices), sum(part.payload_bytes for part in slices))

@@ -97,6 +97,10 @@ class ChannelCore(ConsumedChannel):
         clock = self._age_and_free(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
+    def at(self, time: int, now: int) -> ReadAnswer | None:
+        """The answer to a read at an instant, if one item is all of it; None: `read` finds it."""
+        return self._reading.at(time, self._age_and_free(self._tick(now)))
+
     def begin(self, query: Query, now: int) -> Pending:
         """Begin a blocking get. The caller calls `poll` right afterwards.
 

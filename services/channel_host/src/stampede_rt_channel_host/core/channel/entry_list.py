@@ -45,6 +45,11 @@ class EntryList:
         """The first entry, or None."""
         return self._chunks[0][0] if self._chunks else None
 
+    @property
+    def last(self) -> Entry | None:
+        """The last entry, or None."""
+        return self._chunks[-1][-1] if self._chunks else None
+
     def nth(self, at: int) -> Entry | None:
         """The entry at position `at`, or None. One step for each chunk before it."""
         for chunk in self._chunks:
@@ -105,6 +110,17 @@ class EntryList:
         if self._lasts and self._lasts[-1] <= key:
             return self._chunks[-1][-1]
         return self._before(self._place(key, bisect_right))
+
+    def only_up_to(self, key: int) -> Entry | None:
+        """The last entry at or below `key`, if no other entry has its key; else None."""
+        number, at = self._place(key, bisect_right)
+        if not at:
+            number, at = number - 1, len(self._keys[number - 1]) if number else 0
+        if not at:
+            return None
+        keys = self._keys[number]
+        before = keys[at - 2] if at > 1 else self._lasts[number - 1] if number else None
+        return None if keys[at - 1] == before else self._chunks[number][at - 1]
 
     def last_below(self, key: int) -> Entry | None:
         """The last entry below `key`, or None."""

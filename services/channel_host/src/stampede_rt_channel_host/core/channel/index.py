@@ -215,6 +215,22 @@ class ChannelIndex:
         times = entry.run.times
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
+    def single_up_to(self, time: int) -> Slice | None:
+        """The last item at or before `time`, if no other item has its time; else None."""
+        entry = self._by_time.only_up_to(time)
+        if entry is None or isinstance(entry, OneRun):
+            return None if entry is None else Slice(entry, 0, 1)
+        times = entry.run.times
+        at = bisect_right(times, time, entry.lo, entry.hi) - 1
+        is_single = at == entry.lo or times[at - 1] < times[at]
+        return Slice(entry.run, at, at + 1) if is_single else None
+
+    @property
+    def last_item(self) -> Slice | None:
+        """The last item in the order (time, seq), or None."""
+        entry = self._by_time.last
+        return None if entry is None else Slice(entry.run, entry.hi - 1, entry.hi)
+
     def has_below(self, floor: ItemKey, entries: int = 1) -> bool:
         """Whether all items of the first `entries` entries are below `floor`. False if the index has fewer entries."""
         last = self._by_time.first if entries == 1 else self._by_time.nth(entries - 1)

@@ -8,9 +8,11 @@ from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
+from stampede_rt_channel_host.core.channel.held_items import HeldItems
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import Readable, select
+from stampede_rt_channel_host.core.channel.single_items import item_at
 from stampede_rt_channel_host.core.channel.values import Position, Query, ReadAnswer, WakeAt
 from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
@@ -116,6 +118,18 @@ class Reading:
             incarnation=self._incarnation,
             next_times=found.next_times,
         )
+
+    def at(self, time: int, clock: int) -> ReadAnswer | None:
+        """The answer to a read at an instant, if one item is all of it; None: `answer` finds it."""
+        held = self._held
+        found = item_at(held, time, self.now(clock)) if isinstance(held, HeldItems) else None
+        if found is None:
+            return None
+        within = ResolvedInterval(time, time)
+        truncated = self._is_truncated(within)
+        reason = self._gone(within) if truncated else None
+        over = self._is_over(within)
+        return ReadAnswer((found.part,), found.next_time, within, over, truncated, False, reason, self._incarnation)
 
     def reason(self, query: Query, within: ResolvedInterval, *, has_items: bool, more: bool) -> Reason | None:
         """The reason of an answer that the caller has put together: why it is empty or partial."""

@@ -15,10 +15,12 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.held_items import HeldItems
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
+from stampede_rt_channel_host.core.channel.single_items import item_at, newest_in
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
 from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES, Position, Query
 
@@ -100,6 +102,8 @@ def select(
     """
     if within.is_empty or held.oldest is None:
         return NOTHING
+    if isinstance(held, HeldItems) and (single := _single(held, query, within, now)) is not None:
+        return single
     stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
     snapshot = held.snapshot()
 
@@ -127,6 +131,19 @@ def select(
         raise
     finally:
         snapshot.close()
+
+
+def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -> Selected | None:
+    """The answer of a usual read for one item, found without a walk; None: walk."""
+    if query.after is not None or query.newer_than is not None:
+        return None
+    if query.match is Match.SPAN and within.start == within.end:
+        found = item_at(held, within.start, now)
+        return None if found is None else Selected((found.part,), False, found.next_time, NO_NEXT_TIMES)
+    if query.match is Match.START and query.newest_first and query.limit == 1:
+        found = newest_in(held, within)
+        return None if found is None else Selected((found.part,), held.items > 1, None, NO_NEXT_TIMES)
+    return None
 
 
 class _Taking:

@@ -1,0 +1,71 @@
+"""A read that finds its only item without a walk gives the answer of the walk."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match
+from stampede_rt_channel_host.core.channel import ChannelCore, ReadAnswer, selection
+from tests.support.channel_host.channel_cores import a_channel, get, put
+
+runs = some.lists(some.lists(some.integers(0, 30), min_size=1, max_size=4), max_size=12)
+durations = some.sampled_from((None, 0, 1, 5, -1))
+policies = some.sampled_from(({}, {"max_items": 5}, {"max_age_nanos": 12}, {"overlap_nanos": 4}))
+
+
+def filled(puts: list[list[int]], duration: int | None, policy: dict[str, int]) -> ChannelCore:
+    channel = a_channel(**policy)
+    for times in puts:
+        put(channel, *times, now=15, durations=None if duration is None else [duration] * len(times))
+    return channel
+
+
+def facts(answer: ReadAnswer | None) -> tuple[object, ...] | None:
+    return None if answer is None else ([*answer.slices], *answer[1:])
+
+
+@given(runs, durations, policies, some.integers(-2, 34), some.integers(10, 40))
+def test_an_item_at_an_instant_is_that_of_a_walk(
+    puts: list[list[int]], duration: int | None, policy: dict[str, int], time: int, now: int
+) -> None:
+    channel = filled(puts, duration, policy)
+    found, short = facts(get(channel, time, time, now=now)), facts(channel.at(time, now))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "_single", lambda *arguments: None)
+        walked = facts(get(channel, time, time, now=now))
+    assert found == walked
+    assert short in (None, walked)
+
+
+@given(runs, durations, policies, some.integers(0, 34), some.integers(10, 40))
+def test_the_newest_item_is_that_of_a_walk(
+    puts: list[list[int]], duration: int | None, policy: dict[str, int], bound: int, now: int
+) -> None:
+    channel = filled(puts, duration, policy)
+
+    def newest() -> list[tuple[object, ...] | None]:
+        limits = ((MIN_INSTANT, MAX_INSTANT), (bound, MAX_INSTANT), (MIN_INSTANT, bound))
+        return [facts(get(channel, *one, now=now, match=Match.START, limit=1, newest_first=True)) for one in limits]
+
+    found = newest()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "_single", lambda *arguments: None)
+        assert found == newest()
+
+
+def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_walk() -> None:
+    channel = a_channel()
+    put(channel, *range(0, 1000, 10))
+    found = channel.at(505, 10**6)
+    assert found is not None
+    [part] = found.slices
+    assert (part.first_time, part.items, found.next_time) == (500, 1, 510)
+
+
+def test_two_items_of_one_time_need_a_walk() -> None:
+    channel = a_channel()
+    put(channel, 10, 20, 20, 30)
+    assert channel.at(25, 10**6) is None
+    assert channel.at(15, 10**6) is not None
