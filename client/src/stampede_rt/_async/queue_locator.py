@@ -87,7 +87,7 @@ class QueueLocator:
     async def find(self, deadline_s: float) -> Binding:
         """Return the queue's binding, from the cache or from the cluster."""
         queue_id = self._state.info.queue_id
-        owner = self._session.cache.owner(queue_id)
+        owner = self._session.cache.reachable_owner(queue_id)
         if owner is None:
             await self._resolve(deadline_s)
             owner = self._session.cache.owner(queue_id)
@@ -138,6 +138,10 @@ class QueueLocator:
         create = state.create and await supernodes.present_cluster(deadline_s) != state.cluster_id
         state.info = await open_queue(self._session, state.name, state.stated, None, create, left_s(deadline_s))
         state.cluster_id = supernodes.cluster_id
+
+    def is_stale(self, error: StampedeError) -> bool:
+        """Whether a service does not know the queue that the cache names. Another queue may have the name."""
+        return isinstance(error, QueueNotFound) and self._session.cache.owner(self._state.info.queue_id) is not None
 
     def forget(self, error: StampedeError | None = None) -> None:
         """Forget the binding."""

@@ -224,7 +224,7 @@ class Session:
         found = self.cache.binding(state.info.channel_id, thread_id())
         if found is not None:  # another caller found it meanwhile
             return found
-        owner = self.cache.owner(state.info.channel_id)
+        owner = self.cache.reachable_owner(state.info.channel_id)
         if owner is None:
             await self._resolve(state, deadline_s)
             owner = self.cache.owner(state.info.channel_id)
@@ -319,6 +319,10 @@ class ChannelLocator:
     async def find(self, deadline_s: float) -> Binding:
         """Return the channel's binding, from the cache or from the cluster."""
         return await self.session.bind(self.state, deadline_s)
+
+    def is_stale(self, error: StampedeError) -> bool:
+        """Whether a service does not know the channel that the cache names. Another channel may have the name."""
+        return isinstance(error, ChannelNotFound) and self.session.cache.owner(self.state.info.channel_id) is not None
 
     def forget(self, error: StampedeError | None = None) -> None:
         """Forget the binding. If `error` names the new owner, learn that owner."""

@@ -28,6 +28,10 @@ class Locator(Protocol):
         """
         ...
 
+    def is_stale(self, error: StampedeError) -> bool:
+        """Whether a service does not know the channel or queue that the cache names. Another one may have the name."""
+        ...
+
     def forget(self, error: StampedeError | None = None) -> None:
         """Forget a binding that turned out to be stale. `error` may name the new host."""
         ...
@@ -57,7 +61,7 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     locator.check()
     deadline_s = time.monotonic() + timeout_s
     backoff = Backoff(deadline_s)
-    followed = False  # whether an error has sent the operation to another host, where it goes on at once
+    followed = False  # whether an error has let the operation go on at once, at another host
     failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
@@ -68,12 +72,13 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
                 locator.check()  # raises "closed" instead of the broken call's error
             locator.explain(error)
             slow = isinstance(error, DeadlineExceeded)  # the host may hang; the channel may get another host
-            if not (error.retryable or slow):
+            stale = not followed and locator.is_stale(error)
+            if not (error.retryable or slow or stale):
                 raise
             if isinstance(error, Overloaded) and error.is_over_open_streams:
                 backoff.end_within(OPEN_STREAMS_S, time.monotonic())
             locator.forget(error)
-            if error.reason == "MOVED" and not followed:
+            if stale or (error.reason == "MOVED" and not followed):
                 followed = True
                 continue
             failure = failure if slow and failure is not None else error

@@ -55,6 +55,14 @@ class BindingCache:
         """Return the owner of a channel or queue; None if the cache has none."""
         return self._owners.get(subject_id)
 
+    def reachable_owner(self, subject_id: bytes) -> Owner | None:
+        """Return the owner. If the cache lacks the gatekeepers of this host, drop the owner and return None."""
+        owner = self._owners.get(subject_id)
+        if owner is None or owner.host_id in self._gatekeepers:
+            return owner
+        self._owners.pop(subject_id, None)
+        return None
+
     def gatekeepers(self, host_id: bytes) -> Sequence[str]:
         """Return the addresses of a host's gatekeeper, best first; an empty sequence if the cache has none."""
         return self._gatekeepers.get(host_id, ())

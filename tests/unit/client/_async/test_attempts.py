@@ -33,12 +33,16 @@ class Place:
     """A place that is always found, and keeps how often it turned out to be stale."""
 
     closed = False
+    names_a_lost_channel = False
 
     def __init__(self) -> None:
         self.forgotten = 0
 
     async def find(self, deadline_s: float) -> Binding:
         return BINDING
+
+    def is_stale(self, error: st.StampedeError) -> bool:
+        return self.names_a_lost_channel and isinstance(error, st.ChannelNotFound)
 
     def forget(self, error: st.StampedeError | None = None) -> None:
         self.forgotten += 1
@@ -148,3 +152,17 @@ async def test_an_operation_whose_channel_has_moved_goes_on_at_the_new_host_at_o
     assert (clock.now_s, place.forgotten) == (100.0, 1)
     assert await attempt(place, Operation(moved, moved), 10.0) == "done"
     assert clock.now_s > 100.0
+
+
+async def test_a_cached_channel_that_is_gone_is_looked_for_once_and_then_the_error_counts(clock: Clock) -> None:
+    place, calls = Place(), 0
+    place.names_a_lost_channel = True
+
+    async def missing(binding: Binding, timeout_s: float) -> None:
+        nonlocal calls
+        calls += 1
+        raise st.ChannelNotFound("gone")
+
+    with pytest.raises(st.ChannelNotFound):
+        await attempt(place, missing, 10.0)
+    assert (calls, place.forgotten, clock.now_s) == (2, 1, 100.0)
