@@ -14,7 +14,8 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import moving
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.owned_replicas import ServingPeriod
+from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.copies import (
     copy_feed,
     incoming_moves,
@@ -53,7 +54,7 @@ class ReplicatedStory(Story):
 
     def __init__(self, replica_at: int, crash_at: str = "", happens: Callable[[World], None] = lambda world: None):
         super().__init__(crash_at, happens, replica_at)
-        self.at: dict[int, HostedChannel] = {}
+        self.at: dict[int, tuple[Replication, ServingPeriod]] = {}
         self.seen: set[int] = set()
 
     def put(self) -> None:
@@ -63,7 +64,8 @@ class ReplicatedStory(Story):
         if self.next > number and (waiting := [host for one, _, host in self.waiting if one == number]):
             hosted = waiting[0].store.known(self.world.channel_id)
             assert hosted is not None
-            self.at[number] = hosted
+            assert hosted.replication is not None
+            self.at[number] = hosted.replication, hosted.replication.period
 
     def look(self) -> None:
         """Note what readers see now."""
@@ -77,15 +79,15 @@ class ReplicatedStory(Story):
     def note_acks(self) -> None:
         for each in [*self.waiting]:
             number, run, host = each
-            hosted = self.at.get(number)
+            replication, period = self.at.get(number, (None, None))
             if not host.alive or (run.ack is not None and run.ack.HasField("error")):
                 self.waiting.remove(each)
-            elif run.ack is not None and hosted is not None and hosted.replication is not None:
-                if hosted.replication.replicated_next_seq > run.ack.first_seq:
+            elif run.ack is not None and replication is not None and period is not None:
+                if replication.replicated_next > run.ack.first_seq:
                     self.acknowledged.append(number)
                     self.waiting.remove(each)
-                elif hosted.replication.ended is not None or not host.store.serves(hosted):
-                    self.waiting.remove(each)  # the producer tries again at the next owner
+                elif period.ended is not None:
+                    self.waiting.remove(each)  # the producer tries again
 
     def in_sync(self) -> dict[bytes, ReplicaKind]:
         copies = self.world.log.directory.tables.replicas.of(self.world.channel_id)
@@ -191,6 +193,24 @@ async def test_the_directory_cannot_be_reached_for_a_while(
     stories.append(story)
     await story.move()
     await story.finish()
+
+
+async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_acknowledges_puts(
+    stories: list[ReplicatedStory],
+) -> None:
+    """Its lease has run out by its own clock only, so it is the owner all the time and does not register again."""
+    story = ReplicatedStory(DESTINATION)
+    stories.append(story)
+    await story.begin()
+    story.source.has_lease = False
+    story.source.store.fence()
+    story.put()
+    story.source.has_lease = True
+    story.world.kill(DESTINATION)
+    story.world.expire(DESTINATION)
+    await story.finish()
+    assert story.world.owner is story.source
+    assert story.in_sync() == {id_of(THIRD): ReplicaKind.WARM}
 
 
 @pytest.mark.parametrize("replica_at", PLACES)

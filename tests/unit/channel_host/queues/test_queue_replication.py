@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from stampede_rt.errors import Unavailable
@@ -111,9 +113,10 @@ async def test_a_wait_ends_with_the_replicas_with_its_time_or_with_the_queue() -
     owner.report(2)
     assert await owner.replication.replicated(2, None)
     owner.put("two")
+    waiting = asyncio.create_task(owner.replication.replicated(3, None))
+    await asyncio.sleep(0)
     owner.replication.end(Unavailable("the host gives the queue up"))
-    assert not await owner.replication.replicated(3, None)
-    owner.replication.resume()
+    assert not await waiting
     owner.report(3)
     assert (await owner.replication.replicated(3, None), owner.done) == (True, ["one"])
 

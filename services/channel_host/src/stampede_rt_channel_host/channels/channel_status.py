@@ -54,7 +54,7 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
 def _replicated(hosted: HostedChannel) -> int | None:
     """The seq before which items are replicated; None if no put waits for replicas."""
     replication = hosted.replication
-    return None if replication is None or hosted.core is hosted.channel else replication.replicated_next_seq
+    return None if replication is None or hosted.core is hosted.channel else replication.replicated_next
 
 
 def _copy_status(hosted: HostedChannel, copy: CopyState) -> channel_pb2.CopyStatus:

@@ -159,8 +159,6 @@ class HostedChannel:
         self.record, self.epoch = record, record.epoch
         if self.recording is not None:
             self.recording.set_policy(record.policy, record.epoch)
-        if self.replication is not None:
-            self.replication.resume()
         self._touched()
 
     def has_same_items(self, record: RecordedChannel) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -11,20 +10,17 @@ from typing import Protocol
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
+from stampede_rt_channel_host.channels.owned_replicas import READY_SECONDS_MAX, OwnedReplicas, OwnersFeed
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Pieces, ReplicatedView
 from stampede_rt_channel_host.core.records import RecordedChannel
-from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
+from stampede_rt_channel_host.core.replication import ReplicasInSync, ReplicaState
 
 UNSEEN_BYTES_MAX = 64 * 2**20
 """The most memory for items that have left the channel before its readers may see them."""
-READY_SECONDS_MAX = 3.0  # the longest wait for the replicas of a new owner, by a caller that binds the channel
 
 
-class ReplicaFeed(Protocol):
+class ReplicaFeed(OwnersFeed, Protocol):
     """The feed of one replica."""
-
-    def wake(self) -> None:
-        """Note that the channel has new items."""
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer feeds the replica over this stream."""
@@ -45,16 +41,13 @@ def kind_of(policy: Policy) -> Kind:
     return Kind.LAGGING if policy.replicas else Kind.NONE
 
 
-class Replication:
+class Replication(OwnedReplicas[ReplicaFeed]):
     """The replicas of the channel `core`. `shown` is the channel as readers see it.
 
     If puts wait for replicas, `shown` has replicated items only; else it is `core`. Calls `on_shown` with the time
     after each change of `shown`.
     """
 
-    ended: StampedeError | None = None
-    not_replicated = 0
-    """The items of puts that ended with NOT_REPLICATED."""
     _is_filled = False
 
     def __init__(
@@ -65,31 +58,19 @@ class Replication:
 
         `is_replicated`: the channel has moved here, and its former owner had all items replicated.
         """
+        self.kind = kind_of(core.policy)
+        may_lag, least = self.kind is Kind.LAGGING, _least(core.policy)
+        in_sync = ReplicasInSync(core.next_seq, least, is_replicated=is_replicated, may_lag=may_lag)
+        super().__init__(in_sync, epoch, steady_nanos)
         self._core = core
         self._now = now
         self._on_shown = on_shown
-        self._steady_nanos = steady_nanos
-        self.kind = kind_of(core.policy)
-        may_lag = self.kind is Kind.LAGGING
         self._view = None if may_lag else ReplicatedView(core, now(), slice_run)
-        least = _least(core.policy)
-        self._in_sync = ReplicasInSync(core.next_seq, least, is_replicated=is_replicated, may_lag=may_lag)
-        self.since_epoch = epoch
-        """This host has been the owner since this epoch."""
-        self._feeds: dict[bytes, ReplicaFeed] = {}
-        self._changed = asyncio.Event()
-        self.news = asyncio.Event()
-        """Set when the keeper of the replicas has work to do."""
 
     @property
     def shown(self) -> ChannelCore:
         """The channel as readers see it."""
         return self._core if self._view is None else self._view.shown
-
-    @property
-    def replicated_next_seq(self) -> int:
-        """All items before this seq are replicated."""
-        return self._in_sync.replicated
 
     @property
     def is_ready(self) -> bool:
@@ -102,21 +83,11 @@ class Replication:
         return self._in_sync.within_lag(self._steady_nanos())
 
     @property
-    def min_replicas(self) -> int:
-        """The least number of replicas in sync. With fewer, no item counts as replicated."""
-        return self._in_sync.min_replicas
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the owner knows the directory's replicas."""
-        return self._in_sync.is_known
-
-    @property
     def is_level(self) -> bool:
         """Whether all items of the channel are replicated, so that it may move."""
         if self._view is None:
             return self._in_sync.is_level
-        return self.replicated_next_seq == self._core.next_seq
+        return self.replicated_next == self._core.next_seq
 
     def check_movable(self) -> None:
         """Raises Unavailable if too few replicas are in sync: after a move the items would still not be replicated."""
@@ -134,11 +105,6 @@ class Replication:
         self._in_sync.own_again()
         self.since_epoch = epoch
 
-    @property
-    def start(self) -> int:
-        """The channel's next seq when this host became its owner."""
-        return self._in_sync.start
-
     def filling(self) -> Pieces[None]:
         """Take in the items that the channel has from before, in pieces."""
         if self._view is not None:
@@ -148,13 +114,7 @@ class Replication:
 
     async def ready(self) -> bool:
         """Wait until readers and producers may use the channel, READY_SECONDS_MAX at most. Returns whether they may."""
-        try:
-            async with asyncio.timeout(READY_SECONDS_MAX):
-                while not self.is_ready and self.ended is None:
-                    await self._changed.wait()
-        except TimeoutError:
-            pass
-        return self.is_ready
+        return await self.wait_until(lambda: self.is_ready, READY_SECONDS_MAX)
 
     def configure(self, policy: Policy) -> None:
         """Take over another policy."""
@@ -174,7 +134,7 @@ class Replication:
             feed.wake()
         if self._view is None:
             self._on_shown(now)
-        self._go_on(now)
+        self._show(now)
 
     @property
     def footprint_bytes(self) -> int:
@@ -206,39 +166,6 @@ class Replication:
         self.accepted(now)
         return self._view.shown.collect(now)
 
-    def know(self, replicas: list[KnownReplica]) -> None:
-        """Take over the replicas that the directory has."""
-        self._in_sync.know(replicas, self._steady_nanos())
-        self._go_on(self._now())
-
-    def states(self) -> dict[bytes, ReplicaState]:
-        """The state of each replica, by its host."""
-        return self._in_sync.states()
-
-    def changes(self) -> list[ReplicaChange]:
-        """The flags that the directory must set or clear now."""
-        return self._in_sync.changes(self._steady_nanos())
-
-    def confirm(self, change: ReplicaChange) -> None:
-        """Note that the directory's log has the change."""
-        self._in_sync.confirm(change)
-        self._go_on(self._now())
-
-    def is_fed(self, host_id: bytes) -> bool:
-        """Whether the replica at this host has a feed."""
-        return host_id in self._feeds
-
-    async def begin_anew(self, host_id: bytes) -> bool:
-        """Wait until the replica at this host may lose its items, READY_SECONDS_MAX at most. Returns whether it may."""
-        try:
-            async with asyncio.timeout(READY_SECONDS_MAX):
-                while not self._in_sync.drop(host_id, self._steady_nanos()) and self.ended is None:
-                    self.news.set()
-                    await self._changed.wait()
-        except TimeoutError:
-            return False
-        return self.ended is None
-
     def add(self, host_id: bytes, feed: ReplicaFeed, error: StampedeError) -> None:
         """Note the feed of a replica. An earlier feed of the same replica ends with `error`."""
         former = self._feeds.get(host_id)
@@ -246,70 +173,25 @@ class Replication:
         if former is not None:
             former.end(error)
 
-    def discard(self, host_id: bytes, feed: ReplicaFeed) -> None:
-        """Forget an ended feed. Idempotent."""
-        if self._feeds.get(host_id) is feed:
-            del self._feeds[host_id]
-            self.news.set()
-
-    def report(self, host_id: bytes, feed: ReplicaFeed, held_next_seq: int) -> None:
-        """Note that the replica at the end of this feed holds all items before the seq `held_next_seq`."""
-        if self._feeds.get(host_id) is feed:
-            self._in_sync.report(host_id, min(held_next_seq, self._core.next_seq), self._steady_nanos())
-            if self._in_sync.states().get(host_id) is ReplicaState.OUT:
-                self.news.set()
-            self._go_on(self._now())
-
-    def copies(self, next_seq: int) -> int:
-        """The number of hosts that hold all items before `next_seq`, and may become the owner."""
-        return self._in_sync.copies(next_seq)
-
-    async def replicated(self, next_seq: int, seconds_max: float | None) -> bool:
-        """Wait until all items before `next_seq` are replicated, or the host gives the channel up.
-
-        Waits `seconds_max` at most; None: without a limit. Returns whether they are replicated.
-        """
-        return await self._holds(lambda: self.replicated_next_seq >= next_seq, seconds_max)
-
-    async def within_lag(self, seconds_max: float | None) -> bool:
-        """Wait until `is_within_lag`, as `replicated`. Returns whether it is."""
-        return await self._holds(lambda: self.is_within_lag, seconds_max)
-
-    async def _holds(self, condition: Callable[[], bool], seconds_max: float | None) -> bool:
-        try:
-            async with asyncio.timeout(seconds_max):
-                while not condition() and self.ended is None:
-                    await self._changed.wait()
-        except TimeoutError:
-            pass
-        return condition()
-
     def end(self, error: StampedeError) -> None:
-        """End the feeds and the waits: the host stops serving the channel. The host may serve it again later."""
+        """End the feeds and the waits. The replicas come back if this host remains the owner."""
         for feed in [*self._feeds.values()]:
             feed.end(error)
-        self.ended = error
-        self._wake()
-
-    def resume(self) -> None:
-        """The host serves the channel again."""
-        self.ended = None
-        self.news.set()
+        super().end(error)
 
     def close(self) -> None:
         """End the replication, because the host gives the channel up. Idempotent."""
         if self._view is not None:
             self._view.close()
 
-    def _go_on(self, now: int) -> None:
+    def go_on(self) -> None:
         """Show the replicated items to readers, and release the calls that wait for them."""
-        if self._view is not None and self._is_filled and self._view.show(self._in_sync.replicated, now):
-            self._on_shown(now)
-        self._wake()
+        self._show(self._now())
 
-    def _wake(self) -> None:
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
+    def _show(self, now: int) -> None:
+        if self._view is not None and self._is_filled and self._view.show(self.replicated_next, now):
+            self._on_shown(now)
+        self.wake_waits()
 
 
 def own_again(replication: Replication | None, record: RecordedChannel, *, is_heir: bool) -> None:

@@ -7,7 +7,7 @@ import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Any
 
 import grpc
 
@@ -23,11 +23,12 @@ from stampede_rt.errors import (
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import gatekeeper_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas
 from stampede_rt_channel_host.channels.replication import Kind
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
-from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicaState
+from stampede_rt_channel_host.core.replication import ReplicaState
 
 logger = logging.getLogger(__name__)
 
@@ -75,31 +76,6 @@ class ReplicaKeeper:
             )
 
 
-class FlagsOfReplicas(Protocol):
-    """The replicas of a channel or queue, as their keeper sees them."""
-
-    news: asyncio.Event
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the owner knows the directory's replicas."""
-
-    def know(self, replicas: list[KnownReplica]) -> None:
-        """Take over the replicas that the directory has."""
-
-    def states(self) -> dict[bytes, ReplicaState]:
-        """The state of each replica, by its host."""
-
-    def changes(self) -> list[ReplicaChange]:
-        """The flags that the directory must set or clear now."""
-
-    def confirm(self, change: ReplicaChange) -> None:
-        """Note that the directory's log has the change."""
-
-    def is_fed(self, host_id: bytes) -> bool:
-        """Whether the replica at this host has a feed."""
-
-
 class KeptReplicas(ABC):
     """Keeps the replicas of one channel or queue.
 
@@ -108,7 +84,7 @@ class KeptReplicas(ABC):
     """
 
     def __init__(
-        self, host_id: bytes, directory: ReplicaDirectory, replication: FlagsOfReplicas, thing_id: bytes
+        self, host_id: bytes, directory: ReplicaDirectory, replication: OwnedReplicas[Any], thing_id: bytes
     ) -> None:
         """`thing_id`: the id of the channel or queue."""
         self._host_id = host_id

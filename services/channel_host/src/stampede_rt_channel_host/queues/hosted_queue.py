@@ -111,8 +111,6 @@ class HostedQueue(ReplicatedQueue):
         if self.moving is not None and not has_failed:
             return  # nothing may change the queue now; it gets the new limits when the move is over
         moving, self.moving = self.moving, None
-        if self.replication is not None:
-            self.replication.resume()
         if has_changed:
             self.replicate()
         if has_changed or moving is not None:

@@ -23,8 +23,9 @@ async def wait_for_replicas(hosted: HostedQueue) -> None:
     replication = hosted.replication
     if replication is None:
         return
+    period = replication.period
     if not await replication.replicated(replication.journal.next_step, ANSWER_SECONDS_MAX):
-        raise replication.ended or _not_replicated(hosted, replication, {}, 1)
+        raise period.ended or _not_replicated(hosted, replication, {}, 1)
 
 
 class AckOfQueue:
@@ -37,6 +38,7 @@ class AckOfQueue:
         self._ack = ack
         self._hosted = hosted
         self._replication = replication
+        self._period = replication.period
         self._next_step = replication.journal.next_step
         self._ends_s = None if wait_s is None else asyncio.get_running_loop().time() + wait_s
 
@@ -44,12 +46,12 @@ class AckOfQueue:
         """Wait until the ack is due, and return it. After the longest wait it has the error NOT_REPLICATED."""
         replication, ack = self._replication, self._ack
         left_s = None if self._ends_s is None else max(0.0, self._ends_s - asyncio.get_running_loop().time())
-        is_replicated = await replication.replicated(self._next_step, left_s)
+        is_replicated = await replication.replicated(self._next_step, left_s, self._period)
         ack.copies = replication.copies(self._next_step)
         if is_replicated:
             return ack
-        if replication.ended is not None:
-            return refused(ack.first_number, ack.items, replication.ended, ack.host_time_unix_nano, ack.incarnation)
+        if (ended := self._period.ended) is not None:
+            return refused(ack.first_number, ack.items, ended, ack.host_time_unix_nano, ack.incarnation)
         replication.not_replicated += ack.items - len(ack.rejections)
         error = _not_replicated(self._hosted, replication, {"seq": str(ack.first_seq)}, ack.copies)
         ack.error.CopyFrom(to_error_message(error))

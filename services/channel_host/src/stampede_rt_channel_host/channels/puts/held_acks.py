@@ -89,24 +89,27 @@ class AckOfReplicas:
         self._ack = ack
         self._channel = channel
         self._replication = replication
+        self._period = replication.period
         self._next_seq = next_seq
         self._ends_s = _ends_s(wait_nanos)
 
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it. After the longest wait it has the error NOT_REPLICATED."""
         replication, ack = self._replication, self._ack
-        left_s = _left_s(self._ends_s)
-        wait = replication.within_lag(left_s) if self._may_lag else replication.replicated(self._next_seq, left_s)
-        is_due = await wait
+        is_due = await replication.wait_until(self._is_due, _left_s(self._ends_s), self._period)
         ack.copies = replication.copies(self._next_seq)
         if is_due:
             return ack
-        if replication.ended is not None:
-            return refused(ack.first_number, ack.items, replication.ended, ack.host_time_unix_nano, ack.incarnation)
+        if (ended := self._period.ended) is not None:
+            return refused(ack.first_number, ack.items, ended, ack.host_time_unix_nano, ack.incarnation)
         items = ack.items - len(ack.rejections)
         replication.not_replicated += items
         ack.error.CopyFrom(to_error_message(self._error(items, ack.copies)))
         return ack
+
+    def _is_due(self) -> bool:
+        replication = self._replication
+        return replication.is_within_lag if self._may_lag else replication.replicated_next >= self._next_seq
 
     def _error(self, items: int, copies: int) -> NotReplicated:
         least = self._replication.min_replicas

@@ -156,7 +156,7 @@ class ReplicasInSync:
         """Note that a replica holds all items before `next_seq`."""
         replica = self._replicas.get(host_id)
         if replica is not None:
-            replica.report(next_seq, self._next_seq, now)
+            replica.report(min(next_seq, self._next_seq), self._next_seq, now)
             self._go_on()
 
     def changes(self, now: int) -> list[ReplicaChange]:

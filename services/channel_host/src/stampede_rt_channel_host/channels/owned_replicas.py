@@ -1,0 +1,159 @@
+"""The replicas of one channel or queue, as its owner keeps them: their flags, their feeds, and the waits for them."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
+
+READY_SECONDS_MAX = 3.0
+"""The longest wait of a caller that binds a channel, and of a replica that has to begin anew."""
+
+
+class OwnersFeed(Protocol):
+    """The feed of one replica, at the owner."""
+
+    def wake(self) -> None:
+        """Note that the channel or queue has changed."""
+
+
+Feed = TypeVar("Feed", bound=OwnersFeed)
+
+
+class ServingPeriod:
+    """A time in which a host serves a channel or queue without a break.
+
+    `ended`: the error with which it ended; None: it goes on. A period ends with the lease, too. If the host renews the
+    lease in time, it remains the owner, and the next period has begun.
+    """
+
+    ended: StampedeError | None = None
+
+
+class OwnedReplicas(ABC, Generic[Feed]):
+    """The replicas of one channel or queue. A "place" is a seq of a channel, or the number of a step of a queue."""
+
+    not_replicated = 0
+    """The items or messages of puts that ended with NOT_REPLICATED."""
+
+    def __init__(self, in_sync: ReplicasInSync, epoch: int, steady_nanos: Callable[[], int]) -> None:
+        """`epoch`: that of the channel or queue."""
+        self.since_epoch = epoch
+        """This host has been the owner since this epoch."""
+        self.period = ServingPeriod()
+        self._in_sync = in_sync
+        self._steady_nanos = steady_nanos
+        self._feeds: dict[bytes, Feed] = {}
+        self._changed = asyncio.Event()
+        self.news = asyncio.Event()
+        """Set when the keeper of the replicas has work to do."""
+
+    @abstractmethod
+    def go_on(self) -> None:
+        """Tell callers and readers of newly replicated items or steps, if there are any."""
+
+    @property
+    def replicated_next(self) -> int:
+        """Everything before this place is replicated."""
+        return self._in_sync.replicated
+
+    @property
+    def start(self) -> int:
+        """The next place when this host became the owner."""
+        return self._in_sync.start
+
+    @property
+    def min_replicas(self) -> int:
+        """The least number of replicas in sync. With fewer, nothing counts as replicated."""
+        return self._in_sync.min_replicas
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the owner knows the directory's replicas."""
+        return self._in_sync.is_known
+
+    def know(self, replicas: list[KnownReplica]) -> None:
+        """Take over the replicas that the directory has."""
+        self._in_sync.know(replicas, self._steady_nanos())
+        self.go_on()
+
+    def states(self) -> dict[bytes, ReplicaState]:
+        """The state of each replica, by its host."""
+        return self._in_sync.states()
+
+    def changes(self) -> list[ReplicaChange]:
+        """The flags that the directory must set or clear now."""
+        return self._in_sync.changes(self._steady_nanos())
+
+    def confirm(self, change: ReplicaChange) -> None:
+        """Note that the directory's log has the change."""
+        self._in_sync.confirm(change)
+        self.go_on()
+
+    def copies(self, next_place: int) -> int:
+        """The number of hosts that hold everything before `next_place`, and may become the owner."""
+        return self._in_sync.copies(next_place)
+
+    def is_fed(self, host_id: bytes) -> bool:
+        """Whether the replica at this host has a feed."""
+        return host_id in self._feeds
+
+    def discard(self, host_id: bytes, feed: Feed) -> None:
+        """Forget an ended feed. Idempotent."""
+        if self._feeds.get(host_id) is feed:
+            del self._feeds[host_id]
+            self.news.set()
+
+    def report(self, host_id: bytes, feed: Feed, next_place: int) -> None:
+        """Note that the replica at the end of this feed holds everything before `next_place`."""
+        if self._feeds.get(host_id) is feed:
+            self._in_sync.report(host_id, next_place, self._steady_nanos())
+            if self.states().get(host_id) is ReplicaState.OUT:
+                self.news.set()
+            self.go_on()
+
+    async def begin_anew(self, host_id: bytes) -> bool:
+        """Wait until the replica at this host may lose its items, READY_SECONDS_MAX at most. Returns whether it may."""
+        period = self.period
+        return await self.wait_until(lambda: self._drop(host_id), READY_SECONDS_MAX) and period.ended is None
+
+    def _drop(self, host_id: bytes) -> bool:
+        has_dropped = self._in_sync.drop(host_id, self._steady_nanos())
+        if not has_dropped:
+            self.news.set()
+        return has_dropped
+
+    async def replicated(self, next_place: int, seconds_max: float | None, period: ServingPeriod | None = None) -> bool:
+        """Wait until everything before `next_place` is replicated; see `wait_until`."""
+        return await self.wait_until(lambda: self.replicated_next >= next_place, seconds_max, period)
+
+    async def wait_until(
+        self, condition: Callable[[], bool], seconds_max: float | None, period: ServingPeriod | None = None
+    ) -> bool:
+        """Wait until `condition` holds, or `period` ends (None: the present one). Returns whether the condition holds.
+
+        Waits `seconds_max` at most; None: without a limit.
+        """
+        period = period or self.period
+        try:
+            async with asyncio.timeout(seconds_max):
+                while not condition() and period.ended is None:
+                    await self._changed.wait()
+        except TimeoutError:
+            pass
+        return condition()
+
+    def end(self, error: StampedeError) -> None:
+        """End the waits: the host stops serving the channel or queue, for good or until it has its lease again."""
+        self.period.ended = error
+        self.period = ServingPeriod()
+        self.wake_waits()
+
+    def wake_waits(self) -> None:
+        """Let all waits look at their conditions."""
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()

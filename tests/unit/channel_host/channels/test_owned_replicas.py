@@ -1,0 +1,80 @@
+"""The waits for replicas end with the lease of their owner, and begin again if the owner has renewed it."""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicasInSync
+
+REPLICA, START, NEXT = b"r" * 16, 5, 6
+FENCED = Unavailable("the host could not renew its lease in time")
+
+
+class Feed:
+    """A feed that sends nothing."""
+
+    def wake(self) -> None:
+        pass
+
+
+class Replicas(OwnedReplicas[Feed]):
+    """The replicas of a thing that shows nothing to anybody."""
+
+    def __init__(self) -> None:
+        super().__init__(ReplicasInSync(START, 1), 1, lambda: 0)
+        self._in_sync.put(NEXT)
+        self._feeds[REPLICA] = self.feed = Feed()
+
+    def go_on(self) -> None:
+        self.wake_waits()
+
+    def join(self) -> None:
+        """The replica has everything, and the log has its flag."""
+        self.report(REPLICA, self.feed, NEXT)
+        for change in self.changes():
+            self.confirm(change)
+
+
+async def test_a_replica_may_begin_anew_at_an_owner_that_renewed_its_lease_late() -> None:
+    replicas = Replicas()
+    replicas.end(FENCED)
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    assert await replicas.begin_anew(REPLICA)
+
+
+async def test_a_replica_does_not_begin_anew_over_a_break() -> None:
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, True)])  # with the flag, which the log must clear first
+    beginning = asyncio.create_task(replicas.begin_anew(REPLICA))
+    await asyncio.sleep(0)
+    replicas.end(FENCED)
+    for change in replicas.changes():
+        replicas.confirm(change)
+    assert not await beginning
+
+
+async def test_waits_go_on_after_a_break() -> None:
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    replicas.end(FENCED)
+    waiting = asyncio.create_task(replicas.replicated(NEXT, None))
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    replicas.join()
+    assert await waiting
+
+
+async def test_a_wait_for_something_from_before_a_break_ends_however_late_it_begins() -> None:
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    period = replicas.period
+    waiting = asyncio.create_task(replicas.replicated(NEXT, None))
+    await asyncio.sleep(0)
+    replicas.end(FENCED)
+    assert not await waiting
+    assert not await replicas.replicated(NEXT, None, period)
+    assert (period.ended, replicas.period.ended) == (FENCED, None)
+    replicas.join()
+    assert await replicas.replicated(NEXT, None, period)
