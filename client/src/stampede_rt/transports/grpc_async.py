@@ -166,7 +166,7 @@ class ServerEndpoint(Stubs):
         receiving = asyncio.ensure_future(in_thread(receive))
         try:
             return await asyncio.shield(receiving)
-        except asyncio.CancelledError:  # the thread goes on, and nobody else would close its ring
+        except asyncio.CancelledError:  # the thread continues, and no other code would close its ring
             receiving.add_done_callback(_close_unwanted)
             raise
 
@@ -285,7 +285,7 @@ class PutExchange(CallStream):
     async def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `stays`: the put waits for no room, so the stream goes on if the task is cancelled.
+        `stays`: the put waits for no room, so the stream continues if the task is cancelled.
         """
         if self.broken:
             raise closed(self._target)

@@ -238,7 +238,7 @@ class GetExchange(LockstepStream):
         try:
             count.add(one.run for one in response.runs)
         except StampedeError:
-            self.cancel()  # nobody reads the rest of the answer
+            self.cancel()  # no code reads the rest of the answer
             raise
 
 

@@ -37,7 +37,7 @@ class Requests:
         return len(self._waiting)
 
     def send(self, request: Any) -> int:
-        """Add `request`, and return its number for `withdraw`. After the end of the call nobody sends the request."""
+        """Add `request`, and return its number for `withdraw`. After the end of the call the request is not sent."""
         self._sent += 1
         self._waiting[self._sent] = request
         self._more.set()

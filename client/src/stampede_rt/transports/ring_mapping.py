@@ -55,7 +55,7 @@ class RingMapping:
         self._listened_nanos = 0
         self._mutex = threading.Lock()  # held by the thread that listens
         self._is_ended = False
-        self._newest: tuple[int, FoundNewest] | None = None  # the sequence number of the facts, and what they led to
+        self._newest: tuple[int, FoundNewest] | None = None  # by the facts with this sequence number
         self._forks = forking.forks()
         connected.setblocking(False)
         forking.keep_out_of_children(connected)
@@ -66,7 +66,7 @@ class RingMapping:
             self._newest = facts[0], found
 
     def unchanged_newest(self) -> FoundNewest | None:
-        """Return the kept newest item if it still is the newest one. Call `is_open` afterwards."""
+        """Return the kept newest item if it is still the newest one. Call `is_open` afterwards."""
         kept = self._newest
         return kept[1] if kept is not None and kept[0] == self.view.words[SEQUENCE_WORD] else None
 
@@ -119,7 +119,7 @@ class RingMapping:
         futexes.wake(self._changes_address)
 
     def close(self) -> None:
-        """Give the ring up, and wake the waiting callers.
+        """Close the ring, and wake the waiting callers.
 
         The system frees the memory after its last user. Idempotent.
         """
@@ -189,7 +189,9 @@ def _response(connected: socket.socket, frames: FrameReader, files: list[int]) -
 
 
 def _mapped(file: int, memory_bytes: int) -> mmap.mmap:
-    """Map the file, after a check that no process can shrink it. Else a read could end this process by a signal."""
+    """Map the file, after a check that no process can shrink it. If one could, a read could end this process by a
+    signal.
+    """
     found_bytes, seals = os.fstat(file).st_size, fcntl.fcntl(file, _GET_SEALS)
     if found_bytes != memory_bytes or memory_bytes > RING_BYTES_MAX or seals & _SEALS != _SEALS:
         raise InvalidArgument(

@@ -1,6 +1,6 @@
 """Waits for changes of rings in the client on asyncio. One thread waits for all rings of a connection.
 
-The thread begins with the first wait, and ends when nobody has waited for a while.
+The thread begins with the first wait, and ends when no caller has waited for a while.
 """
 
 from __future__ import annotations

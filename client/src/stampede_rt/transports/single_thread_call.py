@@ -1,9 +1,9 @@
 """A gRPC call whose reading thread takes the call's events from gRPC itself (decision 0155).
 
 gRPC's public calls with a stream of requests use a thread for the requests and another one for the events. Each request
-and each response then passes between three threads. grpcio has the means for calls on one thread, and uses them for
-calls with one request, but offers them to nobody. So this module uses private names of grpcio. If a version of grpcio
-lacks them, `begin` returns None, and the caller uses the public interface.
+and each response then passes between three threads. grpcio uses calls on one thread for calls with one request, but has
+no public interface for them. So this module uses private names of grpcio. If a version of grpcio lacks them, `begin`
+returns None, and the caller uses the public interface.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def begin(channel: Any, method: BidiMethod, metadata: Any) -> SingleThreadCall |
 
 
 class SingleThreadCall:
-    """A call with the methods of `GrpcCall`, for callers that read on.
+    """A call with the methods of `GrpcCall`, for callers that continue to read.
 
     One thread at a time reads, and any thread may send and cancel.
 

@@ -107,16 +107,16 @@ class SocketCall(asyncio.BufferedProtocol):
         return frames
 
     def pause_writing(self) -> None:
-        """The system takes no more bytes."""
+        """Stop writing, because the system takes no more bytes."""
         self._is_full = True
 
     def resume_writing(self) -> None:
-        """The system has taken all bytes."""
+        """Write again, because the system has taken all bytes."""
         self._is_full = False
         _wake(self._room)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The connection is closed."""
+        """Note that the connection is closed."""
         self._end(broken(str(error) if error else "the host has closed it"))
 
     # --- the stream's user calls these methods

@@ -146,7 +146,7 @@ class SocketCall:
             self._came.extend(self._frames.take(self._buffer, opened_bytes))
 
     def _left_s(self) -> float:
-        """Return for how long the thread may wait for bytes. Cancels the stream and raises if its limit is over."""
+        """Return how long the thread may wait for bytes. Cancels the stream and raises if its limit is over."""
         left_s = self._limit.ends_s - monotonic()
         if left_s <= 0:
             self._limit.overdue.append(True)
@@ -168,7 +168,7 @@ class SocketCall:
             elif left:
                 self._backlog.send(left)
         except OSError:
-            pass  # reading tells the reason: maybe a status, which came before the host closed the socket
+            pass  # a read gives the reason: perhaps a status that came before the host closed the socket
         except SocketError as error:
             self._failure = error
 

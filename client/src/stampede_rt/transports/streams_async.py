@@ -31,7 +31,7 @@ def silent(target: str) -> Unavailable:
 
 
 def is_cancelled() -> bool:
-    """Whether somebody cancelled this task. If not, only its gRPC call was cancelled."""
+    """Whether this task was cancelled. If not, only its gRPC call was cancelled."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
 

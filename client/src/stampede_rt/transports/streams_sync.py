@@ -111,7 +111,7 @@ class ServerStream(Generic[Response]):
             if self._forks == forking.forks():
                 run_later(self._call.cancel)
             raise
-        except BaseException:  # an interrupt ends this call. If the reader goes on, it opens a new stream
+        except BaseException:  # an interrupt ends this call. If the reader continues, it opens a new stream
             self._end_call()
             raise
         if not self._cancelled:

@@ -70,7 +70,9 @@ def _even_out(load: dict[str, float], bunches: list[_Bunch], shares: Mapping[str
 
 
 def _best(bunches: Iterable[_Bunch], host: str, gap: float) -> _Bunch | None:
-    """The bunch of the host that comes nearest to half of the gap between two loads; None: none makes it smaller."""
+    """The set of the host's channels that comes nearest to half of the gap between two loads; None: no set makes the
+    gap smaller.
+    """
     if gap < DIFFERENCE_PERMILLE_MIN:
         return None
     fitting = (one for one in bunches if one.host == host and 0 < one.busy < gap)
@@ -78,7 +80,7 @@ def _best(bunches: Iterable[_Bunch], host: str, gap: float) -> _Bunch | None:
 
 
 def _together(names: Collection[str], groups: Iterable[Collection[str]]) -> list[list[str]]:
-    """The names in bunches. Members of one group are in the same bunch."""
+    """The names in sets. Members of one group are in the same set."""
     bunch_of = {name: [name] for name in names}
     for members in groups:
         present = [name for name in members if name in bunch_of]

@@ -228,7 +228,7 @@ class Items(Sequence[Item]):
 
 
 def read_only(column: array[int]) -> memoryview:
-    """Return a view of a column, through which nobody can change it."""
+    """Return a read-only view of a column."""
     return memoryview(column).toreadonly()
 
 

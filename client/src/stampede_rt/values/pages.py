@@ -18,7 +18,7 @@ class Pages:
 
     @property
     def rest(self) -> ReadQuery:
-        """The query of the next page: the items after those that have come, as many as the limit leaves.
+        """The query of the next page: the items after those of the earlier pages, as many as the limit leaves.
 
         Through a group it reads at the cut of the first page.
         """
@@ -41,7 +41,7 @@ class Pages:
         items: list[Item] = [item for page in self._pages for item in page]
         lost = next((page.reason for page in self._pages if page.reason == "LOST"), None)
         by_last = self._query.newest_first and first.truncated and not last.more
-        hidden = last.reason if last.reason == "HIDDEN" else None  # the last page comes to the cut
+        hidden = last.reason if last.reason == "HIDDEN" else None  # the last page reaches the cut
         return Items(
             items,
             interval=first.interval,

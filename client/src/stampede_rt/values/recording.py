@@ -73,7 +73,7 @@ class RecordedCounts:
 
     - `accepted` counts the items that the host accepted and that belong to the recording, `recorded` those in the file,
       and `missing` those that the gaps name. `gaps` has the first 1000 gaps. A gap whose number of items is not known
-      counts as 0 in `missing`; `complete` is then False all the same.
+      counts as 0 in `missing`; even so, `complete` is then False.
     - `first_seq` and `last_seq` are those of the recorded items, `start` and `end` their least and greatest time. None
       without items. `advance` is the channel's last advance in the recording.
     """

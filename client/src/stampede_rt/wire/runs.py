@@ -159,7 +159,7 @@ def _payloads_of(raw: bytes | memoryview) -> tuple[int, int]:
             if tag not in _TAGS_BEFORE_PAYLOADS:
                 break
             at = value + length
-    except IndexError:  # it ends within a field: the parser says so
+    except IndexError:  # it ends within a field: the parser raises the error
         pass
     return size, 0
 
