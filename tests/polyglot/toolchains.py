@@ -27,7 +27,10 @@ GO_PLUGINS = (
     "google.golang.org/grpc/cmd/protoc-gen-go-grpc@v1.6.0",
 )
 GO_PACKAGE = "stampede-rt.example/polyglot/v1"
-GO_BUILD_FLAGS = ("-gcflags=google.golang.org/...=-N -l",)  # an optimised gRPC takes longer to compile than to run
+GO_BUILD_FLAGS = (
+    "-trimpath",  # without the paths of this checkout, so that the build cache serves other checkouts, too
+    "-gcflags=google.golang.org/...=-N -l",  # an optimised gRPC takes longer to compile than to run
+)
 
 # The words of Go and npm when they cannot reach a registry. A wrong version or checksum has other words, and is a
 # failure.

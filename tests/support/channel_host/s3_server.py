@@ -1,6 +1,7 @@
 """A real S3 server (versitygw, from the Go module proxy) as a process, for tests.
 
-`python -m tests.support.channel_host.s3_server` builds it beforehand.
+`python -m tests.support.channel_host.s3_server` builds it beforehand, which takes more than a minute of CPU time. The
+program is therefore in the user's cache folder, where all checkouts find it.
 """
 
 from __future__ import annotations
@@ -18,29 +19,32 @@ from pathlib import Path
 
 import pytest
 
-from tests.polyglot.toolchains import ROOT, BuildFailed, Unavailable, step, tool
+from tests.polyglot.toolchains import GO_BUILD_FLAGS, ROOT, BuildFailed, Unavailable, step, tool
 
-MODULE = "github.com/versity/versitygw/cmd/versitygw@v1.8.0"
-HOME = ROOT / ".make" / "s3_server"
+VERSION = "v1.8.0"
+MODULE = f"github.com/versity/versitygw/cmd/versitygw@{VERSION}"
+CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stampede-rt" / f"versitygw-{VERSION}"
+MODULES = ROOT / ".make" / "s3_server" / "modules"  # needed only for the build
 BUCKET, ACCESS_KEY, SECRET_KEY = "archives", "tests", "secret-of-tests"
 START_SECONDS_MAX = 20
 
 
 def build() -> Path:
     """The program, built once on this machine. Raises Unavailable, BuildFailed."""
-    program = HOME / "bin" / "versitygw"
-    HOME.mkdir(parents=True, exist_ok=True)
-    with (HOME / "lock").open("w") as lock:
+    program = CACHE / "versitygw"
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not program.exists():
             environment = {
                 **os.environ,
-                "GOBIN": str(program.parent),
-                "GOMODCACHE": str(HOME / "modules"),
+                "GOBIN": str(CACHE / "new"),
+                "GOMODCACHE": str(MODULES),
                 "GOFLAGS": "-modcacherw",  # so that `make clean` can remove the modules
                 "GOTOOLCHAIN": "local",
             }
-            step([tool("go"), "install", MODULE], HOME, environment)
+            step([tool("go"), "install", *GO_BUILD_FLAGS, MODULE], ROOT, environment)
+            (CACHE / "new" / "versitygw").replace(program)  # never a part of a program
     return program
 
 
