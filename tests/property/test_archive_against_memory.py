@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, 
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import ends_as_read, facts, items_of
 
-SCENARIOS = 200
+SCENARIOS = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "60"))
 READS = 25
 
 

@@ -31,7 +31,7 @@ from tests.property.draws import (
 from tests.property.draws import a_query as a_client_query
 from tests.property.random_source import RandomSource
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
 FIRST_CLOCK = 100
 HUGE = 2**62
 

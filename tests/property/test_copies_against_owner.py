@@ -20,7 +20,7 @@ from tests.property.fed_copies import FedCopy, Wanderer, held_by, refuses_behind
 from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, a_query, consume
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 
 class Scenario:

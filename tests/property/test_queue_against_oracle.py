@@ -15,7 +15,7 @@ from tests.oracle.queue import Setup
 from tests.property.queue_pair import QueuePair, Verdict
 from tests.property.random_source import RandomSource
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
 FIRST_CLOCK = 100
 TEN_MINUTES = 600 * 10**9
 

@@ -23,7 +23,7 @@ from tests.property import test_queue_against_oracle as stories
 from tests.property.queue_pair import QueuePair, limits_of
 from tests.property.random_source import RandomSource
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 
 def contents(core: QueueCore, clock: int) -> list[bytes]:

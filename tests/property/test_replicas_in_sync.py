@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.replication import (
 )
 from tests.property.random_source import RandomSource
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
 HOSTS = (b"a", b"b", b"c")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections import Counter
 from dataclasses import replace
@@ -16,7 +17,7 @@ from stampede_rt_channel_host.core.group import Horizon, VisibleAll
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.test_archive_against_memory import drained
 
-SCENARIOS = 250
+SCENARIOS = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "60"))
 archived_steps: Counter[str] = Counter()
 
 
@@ -88,4 +89,4 @@ def test_a_subscription_through_a_group_over_an_archive_brings_what_one_of_memor
 
 def test_the_scenarios_had_steps_that_came_from_the_archive() -> None:
     if archived_steps:  # they ran in this process
-        assert archived_steps["steps"] > 100
+        assert archived_steps["steps"] > SCENARIOS // 3

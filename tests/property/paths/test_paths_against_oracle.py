@@ -25,7 +25,7 @@ from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 # The clients draw the delays of their retries in their own threads, whatever hypothesis is doing.
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "50"))
 RING_ANSWERS = ("get", "newest", "subscription")
 SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
 
