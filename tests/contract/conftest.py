@@ -30,10 +30,17 @@ OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "wai
 
 
 OVER_SHARED_MEMORY = (
-    "callbacks", "codecs", "consuming", "groups", "puts", "reads", "resumed_streams", "shared_streams", "slow_readers",
-    "stepped_clock", "subscriptions", "time_rules", "waiting",
+    "callbacks", "codecs", "puts", "reads", "resumed_streams", "shared_streams", "slow_readers", "stepped_clock",
+    "subscriptions", "time_rules", "waiting",
 )  # fmt: skip
-"""The test modules that also run over shared memory. In the others nothing is read from it."""
+"""The test modules that also run over shared memory.
+
+The others read nothing from it. For example, reads through groups, and reads of channels with consumers, ask the host.
+"""
+
+
+NOT_OVER_GRPC = ("time_rules",)
+"""The test modules that do not run over gRPC. Sockets carry the same messages for the rules of time."""
 
 
 IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
@@ -71,6 +78,8 @@ def _is_wanted(item: pytest.Item) -> bool:
         return "memory" not in found and module in OVER_SHARED_MEMORY
     if "here" in found:
         return "memory" not in found and module in IN_THE_HOSTS_OWN_PROCESS
+    if module in NOT_OVER_GRPC and "grpc" in found:
+        return "memory" in found
     return not {"memory", "socket"} <= found
 
 
