@@ -39,6 +39,10 @@ def test_neighbours_of_a_key_are_found(added: list[int], key: int) -> None:
     assert (made.first, len(made)) == (entries[0] if entries else None, len(entries))
     assert made.last_up_to(key) is next((one for one in reversed(entries) if one.first_time <= key), None)
     assert made.last_below(key) is next((one for one in reversed(entries) if one.first_time < key), None)
+    last = made.last_up_to(key)
+    is_only = last is not None and [one.first_time for one in entries].count(last.first_time) == 1
+    assert made.only_up_to(key) is (last if is_only else None)
+    assert made.last is (entries[-1] if entries else None)
     assert made.first_above(key) is next((one for one in entries if one.first_time > key), None)
     assert [made.nth(at) for at in range(len(entries) + 1)] == [*entries, None]
 

@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.oldest_items import (
     first_bytes,
     first_items,
 )
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 
 REPORTED_SLICES_MAX = 64
@@ -61,9 +61,7 @@ class Holdings(HeldItems):
             self._split_block(self._blocks.add_late(run.first_seq, run.times, run.lengths))
         self._count_in(len(run), payload_bytes, low)
         self._count_newest(len(run), payload_bytes, high)
-        if isinstance(run, OneRun):
-            self._meet(high, run.duration)
-        elif run.durations is None:
+        if run.durations is None:
             self._meet(high, ABSENT)
         else:
             for time, duration in zip(run.times, run.durations, strict=True):
@@ -195,6 +193,8 @@ class Holdings(HeldItems):
 
     def oldest_by_count(self, count: int) -> OldestItems:
         """The oldest `count` items."""
+        if count == 1 and (oldest := self.index.oldest_item(self.floor)) is not None:
+            return oldest
         whole = self._blocks.whole_within(items=count)
         return self.oldest_items(first_items(count - whole.items), whole)
 

@@ -25,6 +25,7 @@ from stampede_rt_channel_host.core.channel.index_entries import (
     is_below,
 )
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.oldest_items import OldestItems
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
 _time_of, _seq_of = attrgetter("first_time"), attrgetter("first_seq")
@@ -224,6 +225,14 @@ class ChannelIndex:
         at = bisect_right(times, time, entry.lo, entry.hi) - 1
         is_single = at == entry.lo or times[at - 1] < times[at]
         return Slice(entry.run, at, at + 1) if is_single else None
+
+    def oldest_item(self, floor: ItemKey) -> OldestItems | None:
+        """The first item, if it is a run of its own at or above `floor`; else None."""
+        first, following = self._by_time.first, self._by_time.nth(1)
+        if not isinstance(first, OneRun) or (first.first_time, first.first_seq) < floor:
+            return None
+        rest = None if following is None else Slice(following.run, following.lo, following.hi)
+        return OldestItems(1, first.length, Slice(first, 0, 1), rest)
 
     @property
     def last_item(self) -> Slice | None:

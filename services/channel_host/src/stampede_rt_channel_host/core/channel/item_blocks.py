@@ -102,8 +102,9 @@ class ItemBlocks:
             payload_bytes -= self._payload_bytes[gone]
             self._count(gone, -self._items[gone], -self._payload_bytes[gone])
             gone += 1
-        for column in (self._ends, self._items, self._payload_bytes):
-            del column[:gone]
+        if gone:
+            for column in (self._ends, self._items, self._payload_bytes):
+                del column[:gone]
         if not self._ends:
             self.end = FIRST_KEY
         elif items:
