@@ -51,7 +51,10 @@ class CopyFeed:
         self._target = target
         self._bytes_per_second = bytes_per_second
         self._owner_facts = owner_facts
+        self._period_s = REPLICA_REQUEST_SECONDS if owner_facts else REQUEST_SECONDS
         self._granted = WINDOW_BYTES
+        self._sent_nanos = 0  # the copy's clock in the last request
+        self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
         self._is_opened = False  # the source has accepted the copy's place
 
@@ -96,23 +99,32 @@ class CopyFeed:
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
         held, granted = self._held(), self._granted if grants else 0
         self._granted -= granted
+        self._reported_seq = held.channel.next_seq if self._is_opened and held is not None else 0
         return pb.FeedRequest(
             open=opening,
             credit_bytes=granted,
-            sent_nanos=self._state.steady_nanos(),
+            sent_nanos=self._clock_nanos(is_new=granted >= GRANT_BYTES),
             subscriptions=0 if held is None else len(held.subscriptions),
             ready=self._state.is_ready,
-            held_next_seq=held.channel.next_seq if self._is_opened and held is not None else 0,
+            held_next_seq=self._reported_seq,
         )
 
+    def _clock_nanos(self, *, is_new: bool) -> int:
+        """The copy's clock for a request. The source answers each new reading, so reports of progress repeat the last
+        one for half a period.
+        """
+        now = self._state.steady_nanos()
+        if is_new or now - self._sent_nanos >= self._period_s * 1e9 / 2:
+            self._sent_nanos = now
+        return self._sent_nanos
+
     async def _write_all(self, write: Callable[[pb.FeedRequest], Any]) -> None:
-        period_s = REPLICA_REQUEST_SECONDS if self._owner_facts else REQUEST_SECONDS
         loop = asyncio.get_running_loop()
         may_grant_s = loop.time()  # the time at which the copy may grant more, because of `bytes_per_second`
         while True:  # until `run` cancels this task, or an error ends it
             with suppress(TimeoutError):
                 wait_s = may_grant_s - loop.time()
-                async with asyncio.timeout(min(period_s, wait_s) if wait_s > 0 else period_s):
+                async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
                     await self._news.wait()
             self._news.clear()
             grants = loop.time() >= may_grant_s
@@ -190,7 +202,7 @@ class CopyFeed:
             copy.caught_up = True
             self._news.set()  # the source may send readers now
         copy.note_progress()
-        if self._owner_facts:
+        if self._owner_facts and held is not None and held.channel.next_seq != self._reported_seq:
             self._news.set()  # puts wait until the replica reports this part
         self._granted += charge_bytes
         if self._granted >= GRANT_BYTES:

@@ -110,6 +110,7 @@ class QueueFeedStream:
         return replication.journal.steps_from(place.next_step, 1) is not None
 
     async def _send_steps(self, call: Any) -> None:
+        owes_sign = True  # the replica must hear of the owner at least this often
         while True:  # until an error ends the stream, or the caller cancels it
             self._news.clear()
             steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
@@ -121,16 +122,20 @@ class QueueFeedStream:
             if sum(part.ByteSize() for part in parts) > 2 * PART_BYTES:  # a large step, in many parts
                 for part in parts:
                     await self._write(call, self._request(parts=[part]))
-            else:
+            elif parts or owes_sign or self._hosted.record.message != self._sent_record:
                 await self._write(call, self._request(parts=parts))
             if steps:
                 self.next_step = steps[-1].number + 1
-                continue
-            try:
-                async with asyncio.timeout(REQUEST_SECONDS):
-                    await self._news.wait()
-            except TimeoutError:
-                pass
+            owes_sign = not steps and await self._is_silent()
+
+    async def _is_silent(self) -> bool:
+        """Wait for a new step, for REQUEST_SECONDS at most. Returns whether none came."""
+        try:
+            async with asyncio.timeout(REQUEST_SECONDS):
+                await self._news.wait()
+        except TimeoutError:
+            return True
+        return False
 
     async def _write(self, call: Any, request: pb.FeedQueueRequest) -> None:
         async with asyncio.timeout(WRITE_SECONDS_MAX):

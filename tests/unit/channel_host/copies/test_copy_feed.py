@@ -1,0 +1,56 @@
+"""The requests of a copy to its source: a replica reports progress at once, and a silent feed costs few messages."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.copies.copy_feed import GRANT_BYTES, CopyFeed
+from tests.support.clock import ManualClock
+
+MS = 10**6
+
+
+class Rig:
+    """The feed of a replica that holds all items before `held.channel.next_seq`."""
+
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.held: Any = SimpleNamespace(channel=SimpleNamespace(next_seq=5), subscriptions=[])
+        store: Any = SimpleNamespace(copies=SimpleNamespace(of=lambda channel_id: self.held), now=lambda: 0)
+        record: Any = SimpleNamespace(channel_id=b"c" * 16)
+        state = CopyState(steady_nanos=lambda: self.clock.boot_nanos)
+        self.feed = CopyFeed(store, record, state, b"h" * 16, "localhost:1", owner_facts=True)
+        self.feed._is_opened = True
+        self.feed._request()
+
+    def hears(self, charge_bytes: int = 0) -> bool:
+        """Take a message of the source. Returns whether the copy sends a request now."""
+        self.feed._news.clear()
+        self.feed._note(pb.FeedState(source_next_seq=self.held.channel.next_seq), charge_bytes)
+        return self.feed._news.is_set()
+
+
+def test_a_replica_reports_new_items_at_once_and_a_sign_of_life_needs_no_report() -> None:
+    rig = Rig()
+    rig.hears()  # it has caught up
+    assert not rig.hears()
+    rig.held.channel.next_seq = 6
+    assert rig.hears(charge_bytes=64)
+    assert rig.feed._request().held_next_seq == 6
+    assert not rig.hears()
+
+
+def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer() -> None:
+    rig = Rig()
+    first = rig.feed._request().sent_nanos
+    rig.clock.boot_nanos += 50 * MS
+    assert rig.feed._request().sent_nanos == first
+    rig.clock.boot_nanos += 50 * MS
+    second = rig.feed._request().sent_nanos
+    assert second == first + 100 * MS
+    rig.clock.boot_nanos += MS
+    assert rig.hears(charge_bytes=GRANT_BYTES)
+    assert rig.feed._request().sent_nanos == second + MS
