@@ -26,7 +26,7 @@ def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Itera
 
 @contextmanager
 def secret_found(cluster: LocalCluster) -> Iterator[None]:
-    """This process and its children find the secret of the cluster by themselves, up to the end of the context."""
+    """Let this process and its children find the secret of the cluster by themselves until the end of the context."""
     before = os.environ.get(SECRET_VARIABLE)
     os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
     try:

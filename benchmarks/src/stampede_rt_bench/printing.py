@@ -9,12 +9,12 @@ from stampede_rt_bench.tables import Table
 
 
 def say(text: str) -> None:
-    """Tell of the progress on standard error."""
+    """Report the progress on standard error."""
     print(f"stampede bench: {text}", file=sys.stderr, flush=True)
 
 
 def announce(title: str, form: str) -> None:
-    """Tell that a measurement begins: in the form "table" as the head of its table, otherwise on standard error."""
+    """Report the start of a measurement: in the form "table" as the head of its table, otherwise on standard error."""
     if form == "table":
         print(f"\n{title}", flush=True)
     else:

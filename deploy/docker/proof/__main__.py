@@ -178,7 +178,7 @@ def check_refusal(folder: Path) -> None:
     wrong.write_text("not the secret of this cluster\n")
     wrong.chmod(0o600)
     done = client([str(PROGRAM)], {"STAMPEDE_SECRET_FILE": str(wrong)})
-    require(done.returncode != 0 and "PermissionDenied" in done.stderr, f"a stranger was let in:\n{done.stderr}")
+    require(done.returncode != 0 and "PermissionDenied" in done.stderr, f"another secret was accepted:\n{done.stderr}")
     say("a program that brings another secret is refused with PermissionDenied")
 
 

@@ -36,7 +36,7 @@ class NameServer(asyncio.DatagramProtocol):
 
 
 def answer(query: bytes, addresses: Mapping[str, str]) -> bytes | None:
-    """Return the response to a query with one question; None if it is no such query. Pure."""
+    """Return the response to a query with one question; None for any other message. Pure."""
     try:
         number, flags, questions, *_ = _HEADER.unpack_from(query)
         name, end = _read_name(query, _HEADER.size)

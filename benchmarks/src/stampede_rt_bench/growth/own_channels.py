@@ -51,7 +51,7 @@ class OwnChannels:
 
 
 def put(channel: HostedChannel, encoded: bytes) -> None:
-    """Put one encoded run, as a host does that has received it."""
+    """Put one encoded run, as a host does after it has received the run."""
     channel.puts.put(IncomingRun(encoded, producer_id=0, first_number=0, wait_nanos=None), time.time_ns())
 
 

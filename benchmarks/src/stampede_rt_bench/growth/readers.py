@@ -52,7 +52,7 @@ class _Stream:
 
     async def read(self) -> bytes:
         await asyncio.Event().wait()
-        raise AssertionError("nobody ends the wait")
+        raise AssertionError("a reader sends nothing, so this wait has no end")
 
     async def write(self, message: bytes) -> None:
         if self._stalls and self._is_open:
@@ -72,7 +72,7 @@ class _Store:
         return time.time_ns()
 
     def find_readable(self, channel_id: bytes, epoch: int, demand: object) -> None:
-        """The channel never leaves."""
+        """Do nothing: the channel stays at this host."""
 
 
 def measure_readers(counts: Sequence[int], operations: int, runs: int) -> dict[int, dict[str, Spread]]:

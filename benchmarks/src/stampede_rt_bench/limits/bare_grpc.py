@@ -94,7 +94,7 @@ class GrpcClient:
         next(messages)
         receiver.ready()
         for message in messages:
-            if not message:  # the server says ten times a second that it lives
+            if not message:  # the server sends a sign of life ten times a second
                 if receiver.ended():
                     break
                 continue

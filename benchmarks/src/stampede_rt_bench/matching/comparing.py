@@ -7,7 +7,10 @@ from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, record
 from stampede_rt_bench.matching.sets import Judgement, judge
 from stampede_rt_bench.tables import Cell, Table, number
 
-COLUMNS = ("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", "told of", "delay p50 ms", "p99", "max")
+COLUMNS = (
+    *("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", "reported"),
+    *("delay p50 ms", "p99", "max"),
+)
 
 
 def compare(seconds: int, seed: int) -> Table:
@@ -25,9 +28,9 @@ def compare(seconds: int, seed: int) -> Table:
     table.notes = [
         "filters: ROS message_filters, the Python ApproximateTimeSynchronizer and the C++ ApproximateTime policy.",
         f"{seconds} s, seed {seed}; lidar 10 Hz (the reference), camera 30 Hz, radar 20 Hz; tolerance 20 ms.",
-        "possible: sets that a complete view has, each of the nearest items; right: of the given ones, those;",
-        "wrong: other ones. unmatched: lidar items without a set; told of: how many of them the user hears of",
-        "('-': the program cannot tell). delay: from the arrival of a set's last item until it is given out.",
+        "possible: the sets of nearest items in the whole recording. right: returned sets that are among these.",
+        "wrong: other returned sets. unmatched: lidar items without a returned set. reported: those that the program",
+        "reports ('-': it cannot report them). delay: from the arrival of a set's last item until its return.",
     ]
     table.notes += [
         f"{name}: not here; Debian has it as {peer.PACKAGE}."

@@ -50,4 +50,4 @@ def _put(channel: ChannelCore, arrival: Arrival) -> None:
 
     outcome = channel.put(Offer(times=[arrival.time], durations=None, lengths=[1]), arrival.arrived, seal)
     if outcome.run is None:
-        raise AssertionError(f"{arrival} was not taken: {outcome.rejections}")
+        raise AssertionError(f"the channel did not accept {arrival}: {outcome.rejections}")

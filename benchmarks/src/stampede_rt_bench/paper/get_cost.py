@@ -107,6 +107,6 @@ def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
         "early, middle, late: the host's core alone, as in the paper; over gRPC: from a client to a host process.",
         f"From {JUDGED_FROM:,} items to the largest channel the cost grows {growth:.2f} times at the most (goal: 3);",
         f"no position costs more than {between:.2f} times another (goal: 2). Medians (least to most) of the runs.",
-        "The paper's own (2.2 GHz dual-core Opteron, 5 runs of 10,000,000 gets) are in a graph that our copy lacks.",
+        "Those of the paper (2.2 GHz dual-core Opteron, 5 runs of 10,000,000 gets) are in a graph that our copy lacks.",
     ]
     return table

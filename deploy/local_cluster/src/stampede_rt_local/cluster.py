@@ -207,7 +207,7 @@ class LocalCluster:
         namespace = self._host_namespaces[number - 1] if number <= len(self._host_namespaces) else None
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
-        arguments += ["--drain-seconds", "0"]  # all hosts end together, so there is nowhere to go
+        arguments += ["--drain-seconds", "0"]  # all hosts end together, so none can take over channels
         if self._data_ports:
             arguments += ["--data-port", "0"]
         if isinstance(self._archive, Path):

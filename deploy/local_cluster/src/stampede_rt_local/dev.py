@@ -110,7 +110,7 @@ def _page(
 
 
 def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess]) -> str:
-    """Wait until the cluster cannot serve any more, and return why. Meanwhile tells of parts that end."""
+    """Wait until the cluster cannot serve any more, and return why. Meanwhile, report parts that end."""
     while True:  # ends with Ctrl-C, or with too many parts
         process = ended.get()
         if not _goes_on_without(process, cluster):
