@@ -49,6 +49,45 @@ class WriterStats:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class MulticastStats:
+    """How a subscription with `via="multicast"` gets its items. The counts begin with the subscription.
+
+    `following`: the items come from datagrams now; False: the host sends them to this reader alone. `group`: the
+    multicast group and port, "ADDRESS:PORT"; empty before the host has named it. `datagrams`: the opened datagrams.
+    `items`: the items that came in them. `repairs`: the requests for items that no datagram brought. `repeated`: the
+    datagrams and messages that brought nothing new. The others were dropped: `forged` ones, which nobody with the key
+    or not the host has made; `foreign` ones, of other channels and programs; `other_key`, sealed with a key that the
+    reader does not have.
+    """
+
+    following: bool = False
+    group: str = ""
+    datagrams: int = 0
+    items: int = 0
+    repairs: int = 0
+    repeated: int = 0
+    forged: int = 0
+    foreign: int = 0
+    other_key: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelMulticastStats:
+    """How a host multicasts a channel at the moment. The counts begin with the first reader.
+
+    `group`: the multicast group and port, "ADDRESS:PORT". `readers`: the open subscriptions with `via="multicast"`.
+    `datagrams` and `bytes` count what the host has sent, without the heads of UDP and IP. `repairs`: the requests of
+    readers for items that no datagram brought them.
+    """
+
+    group: str
+    readers: int
+    datagrams: int
+    bytes: int
+    repairs: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStats:
     """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
@@ -68,6 +107,7 @@ class ChannelStats:
     - `inherited_next_seq`: the owner was lost, and this incarnation began with the items of a replica: those with a
       smaller seq. Later items of the former incarnation are lost. None: this incarnation began without items.
     - `dropped`: the items that the open subscriptions did not get, because their readers were too slow.
+    - `multicast`: how the host multicasts the channel; None if no reader subscribes with `via="multicast"`.
     - `readers`: at most 64 open subscriptions at the channel's host, the slowest first. `writers`: the latest writers,
       at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
     """
@@ -97,5 +137,6 @@ class ChannelStats:
     not_replicated: int = 0
     inherited_next_seq: int | None = None
     dropped: int = 0
+    multicast: ChannelMulticastStats | None = None
     readers: Sequence[ReaderStats] | None = None
     writers: Sequence[WriterStats] | None = None

@@ -1,0 +1,53 @@
+"""Puts the parts of messages together, in bounded memory. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
+
+PART_OVERHEAD_BYTES = 160
+"""The approximate memory of a kept part besides its data."""
+
+_Key = tuple[MessageKind, int, int, int]
+
+
+class Assembler:
+    """The messages of which some parts have come. Beyond `bytes_max` it gives up the one that it has known longest.
+
+    `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages given up.
+    """
+
+    def __init__(self, bytes_max: int) -> None:
+        self._bytes_max = bytes_max
+        self._parts: dict[_Key, dict[int, bytes]] = {}
+        self.kept_bytes = self.repeated = self.given_up = 0
+
+    def add(self, part: Part) -> MulticastMessage | None:
+        """Keep a part. Returns the message if this was its last missing part."""
+        key = part.kind, part.first_seq, part.end_seq, part.count
+        if part.count == 1:
+            return MulticastMessage(*key[:3], part.data)
+        parts = self._parts.setdefault(key, {})
+        if part.index in parts:
+            self.repeated += 1
+            return None
+        parts[part.index] = part.data
+        self.kept_bytes += len(part.data) + PART_OVERHEAD_BYTES
+        if len(parts) == part.count:
+            self._forget(key)
+            return MulticastMessage(*key[:3], b"".join(parts[index] for index in range(part.count)))
+        self._keep_to_bound()
+        return None
+
+    def forget_before(self, next_seq: int) -> None:
+        """Give up the messages that only have seqs below `next_seq`: the reader has their items."""
+        for key in [key for key in self._parts if key[2] <= next_seq]:
+            self._forget(key)
+
+    def _keep_to_bound(self) -> None:
+        while self.kept_bytes > self._bytes_max:
+            self._forget(next(iter(self._parts)))
+            self.given_up += 1
+
+    def _forget(self, key: _Key) -> None:
+        parts = self._parts.pop(key)
+        self.kept_bytes -= sum(len(data) + PART_OVERHEAD_BYTES for data in parts.values())

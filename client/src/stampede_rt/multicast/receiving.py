@@ -1,0 +1,103 @@
+"""The hearing of one reader in a multicast group: from datagrams to items in order. Pure, but needs `cryptography`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from stampede_rt.multicast.assembling import Assembler
+from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
+from stampede_rt.multicast.merging import SeqMerge
+from stampede_rt.multicast.repairing import RepairPace
+from stampede_rt.multicast.sealing import DatagramOpener, Rejected, Verifier
+from stampede_rt.values.statistics import MulticastStats
+
+ASSEMBLED_BYTES_MAX = 4 * 2**20
+"""The most memory of the parts of messages that are not complete."""
+HELD_BYTES_MAX = 4 * 2**20
+"""The most bytes of messages that wait for earlier ones."""
+
+
+class Receiving:
+    """The datagrams of one stream, for one reader. Times are in seconds. `merge.pass_to` says where the reader begins.
+
+    `decode` makes the items of a message's body. `merge` has the items, `pace` says when to ask the host.
+    """
+
+    def __init__(
+        self,
+        opener: DatagramOpener,
+        verifier: Verifier,
+        now_s: float,
+        decode: Callable[[bytes], Sequence[Any]],
+    ) -> None:
+        self.opener = opener
+        self._verifier, self._decode = verifier, decode
+        self._assembler = Assembler(ASSEMBLED_BYTES_MAX)
+        self.merge: SeqMerge[Any] = SeqMerge(1, HELD_BYTES_MAX)
+        self.pace = RepairPace(now_s)
+        self.has_heard = False  # whether a message of the host has come
+        self._last_beat = 0
+        self._counts = Counter[str]()
+
+    def take(self, datagrams: Iterable[bytes], now_s: float) -> list[Any]:
+        """Take datagrams. Returns the items that come next, if any."""
+        self.hear(datagrams, now_s)
+        items = self.merge.take()
+        if items:
+            self._counts["items"] += len(items)
+            self.pace.got_items()
+            self._assembler.forget_before(self.merge.next_seq)
+        return items
+
+    def hear(self, datagrams: Iterable[bytes], now_s: float) -> None:
+        """Take datagrams, and keep their items."""
+        for datagram in datagrams:
+            opened = self.opener.open(datagram)
+            if isinstance(opened, Part):
+                self._take_part(opened, now_s)
+            else:
+                self._reject(opened, now_s)
+
+    def stats(self, group: str, *, following: bool) -> MulticastStats:
+        """The counts so far."""
+        counts = dict(self._counts)
+        counts["repeated"] = counts.get("repeated", 0) + self._assembler.repeated
+        return MulticastStats(group=group, following=following, repairs=self.pace.repairs, **counts)
+
+    def _reject(self, rejected: Rejected, now_s: float) -> None:
+        self._counts[rejected.value] += 1
+        if rejected is Rejected.OTHER_KEY:
+            self.pace.ask_for_key(now_s)
+
+    def _take_part(self, part: Part, now_s: float) -> None:
+        self._counts["datagrams"] += 1
+        if self.has_heard and part.kind is MessageKind.ITEMS and part.end_seq <= self.merge.next_seq:
+            self._counts["repeated"] += 1
+            return
+        message = self._assembler.add(part)
+        if message is None:
+            return
+        bare = self._verifier.verify(message)
+        if bare is None:
+            self._counts["forged"] += 1
+        elif self._take_message(bare):
+            self.has_heard = True
+            self.pace.heard(now_s)
+        else:
+            self._counts["repeated"] += 1
+
+    def _take_message(self, message: MulticastMessage) -> bool:
+        """Take a message of the host. Returns False if it is an old one."""
+        if message.kind is MessageKind.ITEMS:
+            is_new = self.merge.add(message.first_seq, message.end_seq, self._decode(message.body), len(message.body))
+            return is_new or not self.has_heard
+        beat = int.from_bytes(message.body, "big")
+        if beat <= self._last_beat:
+            return False
+        self._last_beat = beat
+        self.merge.announce(message.first_seq)
+        if message.kind is MessageKind.END:
+            self.pace.ask_soon()
+        return True

@@ -1,0 +1,71 @@
+"""Decides when a reader asks the host for missing items, and when it gives multicast up. Pure."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+REORDERED_S = 0.02  # datagrams that overtake each other: a reader waits this long for missing ones
+BEAT_S_MAX = 1.0  # a host that has no items says so at least this often
+SILENT_S = 3.5 * BEAT_S_MAX  # after this time without a message, datagrams do not reach the reader any more
+VAIN_REPAIRS_MAX = 64  # repairs in a row without any item by multicast: the network or the reader is too slow for it
+KEY_ASKED_S = 1.0  # how often a reader asks for a new key; anybody can send datagrams that name another one
+
+
+class Step(Enum):
+    """The next step of a reader that has no item to give."""
+
+    WAIT = "wait"
+    REPAIR = "repair"
+    LEAVE = "leave"
+
+
+class RepairPace:
+    """The pace of one reader. Its caller passes the time in seconds, of a clock that never goes back.
+
+    `repairs` counts the requests for missing items.
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.repairs = 0
+        self._heard_s = now_s
+        self._missing_since_s: float | None = None
+        self._vain = 0
+        self._key_asked_s = now_s - KEY_ASKED_S
+        self._must_ask = False
+
+    def heard(self, now_s: float) -> None:
+        """Note a message of the host."""
+        self._heard_s = now_s
+
+    def got_items(self) -> None:
+        """Note that items came by multicast, in time."""
+        self._vain = 0
+
+    def ask_soon(self) -> None:
+        """Note that the host has news that only its stream tells."""
+        self._must_ask = True
+
+    def ask_for_key(self, now_s: float) -> None:
+        """Note a datagram that names another key."""
+        if now_s - self._key_asked_s >= KEY_ASKED_S:
+            self._key_asked_s, self._must_ask = now_s, True
+
+    def asked(self) -> None:
+        """Note that the reader has asked the host, and has its answer."""
+        self.repairs += 1
+        self._vain += 1
+        self._missing_since_s, self._must_ask = None, False
+
+    def next_step(self, now_s: float, *, is_missing: bool) -> tuple[Step, float]:
+        """Return the next step, and for Step.WAIT the longest wait in seconds."""
+        if now_s - self._heard_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
+            return Step.LEAVE, 0.0
+        if self._must_ask:
+            return Step.REPAIR, 0.0
+        if not is_missing:
+            self._missing_since_s = None
+            return Step.WAIT, self._heard_s + SILENT_S - now_s + 0.01
+        if self._missing_since_s is None:
+            self._missing_since_s = now_s
+        left_s = self._missing_since_s + REORDERED_S - now_s
+        return (Step.WAIT, left_s) if left_s > 0 else (Step.REPAIR, 0.0)

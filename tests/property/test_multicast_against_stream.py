@@ -1,0 +1,207 @@
+"""A reader of datagrams has the items of an ordinary subscription, whatever the network and other readers do."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import pytest
+
+from stampede_rt.multicast.layout import (
+    DATA_BYTES_MAX,
+    DATAGRAM_BYTES_MAX,
+    KEY_BYTES,
+    SIGNATURE_BYTES,
+    MessageKind,
+    MulticastMessage,
+    parts_of,
+)
+from stampede_rt.multicast.receiving import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, Receiving
+from stampede_rt.multicast.repairing import REORDERED_S, Step
+from stampede_rt.multicast.sealing import DatagramOpener, Sealer, Signer, Verifier
+
+STEPS = 120
+STREAM = b"stream-1"
+HELD_ITEMS = 30  # the retention of the channel
+REPAIR_ITEMS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    seq: int
+    payload: bytes
+
+
+def encoded(items: Sequence[Numbered]) -> bytes:
+    return b"".join(one.seq.to_bytes(8, "big") + len(one.payload).to_bytes(4, "big") + one.payload for one in items)
+
+
+def decoded(body: bytes) -> list[Numbered]:
+    items, at = [], 0
+    while at < len(body):
+        seq, length = int.from_bytes(body[at : at + 8], "big"), int.from_bytes(body[at + 8 : at + 12], "big")
+        items.append(Numbered(seq, body[at + 12 : at + 12 + length]))
+        at += 12 + length
+    return items
+
+
+class Sending:
+    """The host: the items that it holds, and the datagrams that it makes of them."""
+
+    def __init__(self, rng: random.Random, key: bytes) -> None:
+        self.rng, self.items, self.beats = rng, list[Numbered](), 0
+        self.signer = Signer(STREAM, rng.randbytes(KEY_BYTES))
+        self.sealer = Sealer(STREAM, 1, key)
+
+    @property
+    def next_seq(self) -> int:
+        return self.items[-1].seq + 1 if self.items else 1
+
+    @property
+    def first_held(self) -> int:
+        return max(1, self.next_seq - HELD_ITEMS)
+
+    def put(self) -> Iterator[bytes]:
+        """Accept a few items, and send them as one message."""
+        first = self.next_seq
+        for seq in range(first, first + self.rng.randrange(1, 5)):
+            self.items.append(Numbered(seq, self.rng.randbytes(self.rng.choice((0, 9, 900, 3000)))))
+        yield from self.sealed(MessageKind.ITEMS, first, self.next_seq, encoded(self.items[first - 1 :]))
+
+    def beat(self) -> Iterator[bytes]:
+        self.beats += 1
+        yield from self.sealed(MessageKind.BEAT, self.next_seq, self.next_seq, self.beats.to_bytes(8, "big"))
+
+    def sealed(self, kind: MessageKind, first: int, end: int, body: bytes) -> Iterator[bytes]:
+        for part in parts_of(self.signer.sign(MulticastMessage(kind, first, end, body))):
+            yield self.sealer.seal(part)
+
+
+class Network:
+    """Loses, repeats, reorders and changes datagrams, and adds those of other senders and of other readers."""
+
+    def __init__(self, rng: random.Random, key: bytes) -> None:
+        self.rng, self.key = rng, key
+        self.under_way, self.seen = list[bytes](), list[bytes]()
+        self.loss = rng.choice((0.0, 0.05, 0.3))
+
+    def carry(self, datagrams: Iterator[bytes]) -> None:
+        for one in datagrams:
+            assert len(one) <= DATAGRAM_BYTES_MAX
+            self.seen.append(one)
+            if self.rng.random() >= self.loss:
+                self.under_way.append(one)
+
+    def attack(self, next_seq: int) -> None:
+        match self.rng.randrange(5):
+            case 0 if self.seen:
+                self.under_way.append(self.rng.choice(self.seen))  # an old one again
+            case 1 if self.seen:
+                changed = bytearray(self.rng.choice(self.seen))
+                changed[self.rng.randrange(len(changed))] ^= 1 << self.rng.randrange(8)
+                self.under_way.append(bytes(changed))
+            case 2:
+                self.under_way.append(self.rng.randbytes(self.rng.randrange(DATAGRAM_BYTES_MAX)))
+            case 3:
+                self.under_way += Sending(self.rng, self.rng.randbytes(KEY_BYTES)).put()  # somebody without the key
+            case _:
+                self.under_way += self.of_other_reader(next_seq)
+
+    def of_other_reader(self, next_seq: int) -> Iterator[bytes]:
+        """Items by a reader of the channel, who has the key, but cannot sign."""
+        sealer = Sealer(STREAM, 1, self.key)
+        sealer._number = self.rng.randrange(2**40, 2**41)
+        body = self.rng.randbytes(SIGNATURE_BYTES) + encoded([Numbered(next_seq, b"false")])
+        for part in parts_of(MulticastMessage(MessageKind.ITEMS, next_seq, next_seq + 1, body)):
+            yield sealer.seal(part)
+
+    def arriving(self) -> list[bytes]:
+        arrive = [one for one in self.under_way if self.rng.random() < 0.7]
+        self.under_way = [one for one in self.under_way if one not in arrive]
+        self.rng.shuffle(arrive)
+        return arrive
+
+
+class Hearing:
+    """The reader. It asks the host for missing items as a subscription does."""
+
+    def __init__(self, host: Sending, key: bytes) -> None:
+        self.host, self.now_s = host, 0.0
+        self.got, self.dropped = list[Numbered](), 0
+        verifier = Verifier(STREAM, host.signer.public_key)
+        self.receiving = Receiving(DatagramOpener(STREAM, 1, key), verifier, 0.0, decoded)
+
+    def step(self, datagrams: list[bytes]) -> None:
+        self.now_s += REORDERED_S / 3
+        items = self.receiving.take(datagrams, self.now_s)
+        self.got += items
+        if items:
+            return
+        step, _ = self.receiving.pace.next_step(self.now_s, is_missing=self.receiving.merge.is_missing)
+        if step is Step.REPAIR:
+            self.repair()
+
+    def repair(self) -> None:
+        merge = self.receiving.merge
+        first = merge.next_seq
+        if first < self.host.first_held:
+            held = merge.take_up_to(self.host.first_held)
+            self.dropped += self.host.first_held - first - len(held)
+            self.got += held
+            first = self.host.first_held
+        answer = self.host.items[first - 1 : first - 1 + REPAIR_ITEMS]
+        self.got += merge.fill(answer)
+        if answer:
+            merge.pass_to(answer[-1].seq + 1)
+        self.got += merge.take()
+        self.receiving.pace.asked()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_each_item_comes_once_in_order_and_unchanged_or_is_counted_as_dropped(seed: int) -> None:
+    rng = random.Random(seed)
+    key = rng.randbytes(KEY_BYTES)
+    host, network = Sending(rng, key), Network(rng, key)
+    reader = Hearing(host, key)
+    for _ in range(STEPS):
+        network.carry(host.put() if rng.random() < 0.5 else host.beat())
+        if rng.random() < 0.4:
+            network.attack(rng.randrange(1, host.next_seq + 3))
+        reader.step(network.arriving())
+    network.loss = 0.0
+    while reader.receiving.merge.next_seq < host.next_seq:
+        network.carry(host.beat())
+        reader.step(network.arriving())
+    seqs = [one.seq for one in reader.got]
+    assert seqs == sorted(set(seqs))
+    assert all(host.items[one.seq - 1] == one for one in reader.got)
+    assert len(seqs) + reader.dropped == host.next_seq - 1
+    assert reader.receiving.merge.held_bytes == 0
+    if network.loss == 0.0 and not reader.receiving.pace.repairs:
+        assert reader.dropped == 0
+
+
+def test_a_reader_that_gets_nothing_but_first_parts_keeps_a_bounded_amount() -> None:
+    rng = random.Random(1)
+    key = rng.randbytes(KEY_BYTES)
+    host = Sending(rng, key)
+    reader = Hearing(host, key).receiving
+    body = rng.randbytes(8 * DATA_BYTES_MAX)
+    for number in range(1, 2000):
+        first = 1 + number * 10
+        parts = [*host.sealed(MessageKind.ITEMS, first, first + 1, body)]
+        reader.hear(parts[:-1], 0.0)
+    assert reader._assembler.kept_bytes <= ASSEMBLED_BYTES_MAX
+    assert reader._assembler.given_up > 0
+
+
+def test_a_reader_that_lacks_one_item_keeps_a_bounded_amount_of_later_ones() -> None:
+    rng = random.Random(2)
+    key = rng.randbytes(KEY_BYTES)
+    host = Sending(rng, key)
+    reader = Hearing(host, key).receiving
+    for seq in range(2, 1200):
+        reader.hear(host.sealed(MessageKind.ITEMS, seq, seq + 1, encoded([Numbered(seq, bytes(8000))])), 0.0)
+    assert 0 < reader.merge.held_bytes <= HELD_BYTES_MAX
+    assert reader.merge.announced_seq == 1200

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from stampede_rt.multicast.repairing import KEY_ASKED_S, REORDERED_S, SILENT_S, VAIN_REPAIRS_MAX, RepairPace, Step
+
+
+def test_a_reader_waits_for_datagrams_that_overtake_each_other_before_it_asks() -> None:
+    pace = RepairPace(0.0)
+    step, wait_s = pace.next_step(0.0, is_missing=True)
+    assert (step, wait_s) == (Step.WAIT, REORDERED_S)
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.REPAIR
+    pace.asked()
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
+
+
+def test_an_item_that_comes_late_needs_no_question() -> None:
+    pace = RepairPace(0.0)
+    assert pace.next_step(0.0, is_missing=True)[0] is Step.WAIT
+    assert pace.next_step(REORDERED_S, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
+
+
+def test_a_reader_that_hears_nothing_leaves_and_one_message_keeps_it() -> None:
+    pace = RepairPace(0.0)
+    step, wait_s = pace.next_step(0.0, is_missing=False)
+    assert step is Step.WAIT
+    assert wait_s > SILENT_S
+    pace.heard(1.0)
+    assert pace.next_step(SILENT_S + 0.5, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(SILENT_S + 1.1, is_missing=False)[0] is Step.LEAVE
+
+
+def test_a_reader_whose_questions_bring_all_items_leaves() -> None:
+    pace = RepairPace(0.0)
+    for _ in range(VAIN_REPAIRS_MAX):
+        pace.asked()
+    assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
+    pace.asked()
+    assert pace.next_step(0.0, is_missing=False)[0] is Step.LEAVE
+    pace.got_items()
+    assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
+
+
+def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
+    pace = RepairPace(0.0)
+    pace.ask_for_key(0.0)
+    assert pace.next_step(0.0, is_missing=False)[0] is Step.REPAIR
+    pace.asked()
+    pace.ask_for_key(KEY_ASKED_S / 2)
+    assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is Step.WAIT
+    pace.ask_for_key(KEY_ASKED_S)
+    assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is Step.REPAIR
