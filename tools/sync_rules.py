@@ -22,6 +22,7 @@ WORDS = {
     "streams_async": "streams_sync",
     "ring_waiting_async": "ring_waiting_sync",
     "concurrency_async": "concurrency_sync",
+    "multicast_async": "multicast_sync",
 }
 
 

@@ -14,7 +14,7 @@ from tests.contract.memory import MemoryConnection
 from tests.contract.surfaces import Surface, connected
 from tests.support.cluster import cluster_fixture, find_secret_of
 
-cluster = cluster_fixture(hosts=1, supernodes=1, data_ports=True, scope="package")
+cluster = cluster_fixture(hosts=1, supernodes=1, data_ports=True, multicast="239.255.7.5:7585", scope="package")
 grouped_cluster = cluster_fixture(hosts=2, supernodes=1, data_ports=True, scope="package")
 
 

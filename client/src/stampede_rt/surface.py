@@ -92,7 +92,14 @@ from stampede_rt.values.proxying import CopyStats, DrainInfo, MoveInfo, ProxyInf
 from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
-from stampede_rt.values.statistics import ChannelStats, ConsumerStats, ReaderStats, WriterStats
+from stampede_rt.values.statistics import (
+    ChannelMulticastStats,
+    ChannelStats,
+    ConsumerStats,
+    MulticastStats,
+    ReaderStats,
+    WriterStats,
+)
 from stampede_rt.values.timeline import (
     NEWEST,
     NOW,
@@ -123,6 +130,7 @@ __all__ = [
     "ChannelExists",
     "ChannelFull",
     "ChannelInfo",
+    "ChannelMulticastStats",
     "ChannelNotFound",
     "ChannelStats",
     "ClockOffset",
@@ -171,6 +179,7 @@ __all__ = [
     "MemberStatus",
     "Message",
     "MoveInfo",
+    "MulticastStats",
     "NewestItems",
     "NotArchived",
     "NotReplicated",

@@ -66,7 +66,7 @@ class _Store:
 
     def __init__(self, own: OwnChannels) -> None:
         self.scheduler = own.scheduler
-        self.readers = Readers()
+        self.readers, self.multicasts = Readers(), None
 
     def now(self) -> int:
         return time.time_ns()

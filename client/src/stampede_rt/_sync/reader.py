@@ -14,6 +14,7 @@ from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.ring_reads import ASK_HOST, AskHost, read_interval, read_newest
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
+from stampede_rt._sync.subscription_kinds import kind_of_subscription
 from stampede_rt.cluster.tracing import span
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_sync import monotonic_s
@@ -259,6 +260,7 @@ class Reader(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
         stale_ok: bool = True,
+        via: Literal["multicast"] | None = None,
     ) -> Subscription:
         """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
@@ -273,9 +275,12 @@ class Reader(Reference):
 
         If the channel has proxies, the subscription may be at a proxy, and may move between the owner and the proxies,
         without a gap or a double. With `stale_ok` False the owner serves it.
+
+        With `via="multicast"` the items come from UDP multicast where the host sends it and this machine hears it;
+        otherwise, and what no datagram brings, as always (docs/proxies.md). Needs the extra `stampede-rt[multicast]`.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
-        return self._subscribe(start, mode, after, payloads, reconnecting, flag_of("stale_ok", stale_ok))
+        return self._subscribe(start, mode, after, payloads, reconnecting, flag_of("stale_ok", stale_ok), via)
 
     def _subscribe(
         self,
@@ -285,10 +290,11 @@ class Reader(Reference):
         payloads: bool,
         reconnecting: Reconnecting,
         stale_ok: bool = True,
+        via: object = None,
     ) -> Subscription:
         position = None if start is None else parse_bound(start, "start")
         group_id = self._view.group_id if self._view else None
-        return Subscription.begin(
+        return kind_of_subscription(via).begin(
             self._session,
             self._state,
             start=position,
@@ -309,6 +315,7 @@ class Reader(Reference):
         *,
         payloads: bool = True,
         reconnect: DurationLike | None = None,
+        via: Literal["multicast"] | None = None,
     ) -> Listener:
         """Call `fn` for each item, one call after the other, until `cancel` of the returned handle.
 
@@ -325,7 +332,7 @@ class Reader(Reference):
         def subscribe(anew: bool) -> Subscription:
             reconnecting = Reconnecting(self._session, f"on_item of {name}", reconnect, held=anew)
             if anew:
-                return self._subscribe(OLDEST, mode, None, payloads, reconnecting)
-            return self._subscribe(start, mode, after, payloads, reconnecting)
+                return self._subscribe(OLDEST, mode, None, payloads, reconnecting, via=via)
+            return self._subscribe(start, mode, after, payloads, reconnecting, via=via)
 
         return Listener(self._session, name, subscribe, fn)

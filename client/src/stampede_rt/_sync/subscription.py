@@ -18,7 +18,7 @@ from stampede_rt._sync.ring_reads import AskHost
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
-from stampede_rt.errors import IncarnationLost, InvalidArgument, StaleBinding, StampedeError, Unavailable
+from stampede_rt.errors import IncarnationLost, StaleBinding, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
 from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s
@@ -27,14 +27,14 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode
+from stampede_rt.values.statistics import MulticastStats
 from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.decoding import ItemDecoder
-from stampede_rt.wire.reads import bound_to_message, position_of
+from stampede_rt.wire.subscribing import beginning
 
 _log = logging.getLogger("stampede_rt")
 
 NO_RING_S = 1.0  # after a ring did not have the next items, the subscription stays with the host for this time
-_MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
 
 
 class Subscription(BoundToProcess):
@@ -77,6 +77,11 @@ class Subscription(BoundToProcess):
         self.dropped = 0
         self.losses = 0
 
+    @property
+    def multicast(self) -> MulticastStats | None:
+        """The counts of datagrams of a subscription with `via="multicast"`; None for another one."""
+        return None
+
     @classmethod
     def begin(
         cls,
@@ -92,22 +97,10 @@ class Subscription(BoundToProcess):
         stale_ok: bool = True,
     ) -> Subscription:
         """Check the arguments and make the subscription. The blocking client also opens it. Raises InvalidArgument."""
-        if mode not in _MODES:
-            raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
-        if start is not None and after is not None:
-            raise InvalidArgument(
-                "start and after exclude each other: start begins a subscription, and after resumes one; "
-                "give only one of them"
-            )
-        if after is not None and not isinstance(after, Item):
-            raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
-        begun = channel_pb.SubscribeOpen(
-            mode=_MODES[mode], without_payloads=not payloads, group_id=group_id, stale_ok=stale_ok
-        )
-        if start is not None:
-            begun.start.CopyFrom(bound_to_message(start))
-        if after is not None:
-            begun.after.CopyFrom(position_of(after))
+        begun = beginning(start, mode, after)
+        begun.without_payloads, begun.stale_ok = not payloads, stale_ok
+        if group_id is not None:
+            begun.group_id = group_id
         self = cls(session, state, begun, reconnecting)
         begin_if_blocking(self._open)
         return self
@@ -146,16 +139,20 @@ class Subscription(BoundToProcess):
             while not self._closed:
                 if self._ready:
                     return self._take_ready()
-                if self._follower is None:
-                    self._open()
-                    self._follow_ring()
-                if self._follower is not None:
-                    self._step_in_ring(self._follower)
-                    continue
-                self._grant()
-                if not self._ready:
-                    self._receive()
+                self._advance()
             raise StopIteration
+
+    def _advance(self) -> None:
+        """Take the next items, or wait for some."""
+        if self._follower is None:
+            self._open()
+            self._follow_ring()
+        if self._follower is not None:
+            self._step_in_ring(self._follower)
+            return
+        self._grant()
+        if not self._ready:
+            self._receive()
 
     def _take_ready(self) -> Item:
         item = self._ready.popleft()

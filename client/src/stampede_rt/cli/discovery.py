@@ -13,7 +13,7 @@ from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_r
 from stampede_rt.cli.replicas import replica_rows, replicas_text
 from stampede_rt.values.model import ChannelInfo
 from stampede_rt.values.proxying import ProxyInfo
-from stampede_rt.values.statistics import ChannelStats
+from stampede_rt.values.statistics import ChannelMulticastStats, ChannelStats
 from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
@@ -99,6 +99,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
         "transport": stats.transport,
         "replicas": _replicas_text(stats, replicas) if people else replicas,
+        "multicast": _multicast(stats.multicast, people),
         "proxies": _proxies(proxies) if people else [asdict(one) for one in proxies],
     }
     print_facts(facts, arguments.output)
@@ -126,6 +127,14 @@ def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
     before = stats.inherited_next_seq
     lost = f"; after the loss of a host a replica went on at seq {before}" if before else ""
     return replicas_text(stats.policy.replicas, replicas) + lacking + lost
+
+
+def _multicast(sent: ChannelMulticastStats | None, people: bool) -> Any:
+    if not people:
+        return {} if sent is None else asdict(sent)
+    if sent is None:
+        return "none"
+    return f"{sent.readers} readers at {sent.group} ({sent.datagrams} datagrams sent, {sent.repairs} repairs)"
 
 
 def _proxies(proxies: list[ProxyInfo]) -> str:

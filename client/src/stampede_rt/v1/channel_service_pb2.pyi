@@ -203,15 +203,17 @@ class PastSummary(_message.Message):
     def __init__(self, advance_unix_nano: _Optional[int] = ..., next_change_unix_nano: _Optional[int] = ..., next_seq: _Optional[int] = ..., next_start_unix_nano: _Optional[int] = ..., next_end_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("open", "credit_bytes")
+    __slots__ = ("open", "credit_bytes", "repair_next_seq")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
+    REPAIR_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     open: SubscribeOpen
     credit_bytes: int
-    def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ...) -> None: ...
+    repair_next_seq: int
+    def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., repair_next_seq: _Optional[int] = ...) -> None: ...
 
 class SubscribeOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok", "stay")
+    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok", "stay", "multicast")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -222,6 +224,7 @@ class SubscribeOpen(_message.Message):
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
     STAY_FIELD_NUMBER: _ClassVar[int]
+    MULTICAST_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     mode: SubscribeMode
@@ -232,7 +235,8 @@ class SubscribeOpen(_message.Message):
     group_id: bytes
     stale_ok: bool
     stay: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ..., stay: bool = ...) -> None: ...
+    multicast: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ..., stay: bool = ..., multicast: bool = ...) -> None: ...
 
 class SubscriptionCursor(_message.Message):
     __slots__ = ("incarnation", "next_seq", "from_unix_nano", "from_seq", "live_seq", "cut_unix_nano")
@@ -251,18 +255,36 @@ class SubscriptionCursor(_message.Message):
     def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., from_unix_nano: _Optional[int] = ..., from_seq: _Optional[int] = ..., live_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeResponse(_message.Message):
-    __slots__ = ("opened", "gap", "runs", "progress", "cursor")
+    __slots__ = ("opened", "gap", "runs", "progress", "cursor", "multicast", "repair_next_seq")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     GAP_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     PROGRESS_FIELD_NUMBER: _ClassVar[int]
     CURSOR_FIELD_NUMBER: _ClassVar[int]
+    MULTICAST_FIELD_NUMBER: _ClassVar[int]
+    REPAIR_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     opened: SubscriptionOpened
     gap: SubscriptionGap
     runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
     progress: SubscriptionProgress
     cursor: SubscriptionCursor
-    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ...) -> None: ...
+    multicast: MulticastOffer
+    repair_next_seq: int
+    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., multicast: _Optional[_Union[MulticastOffer, _Mapping]] = ..., repair_next_seq: _Optional[int] = ...) -> None: ...
+
+class MulticastOffer(_message.Message):
+    __slots__ = ("group", "stream_id", "key_number", "key", "public_key")
+    GROUP_FIELD_NUMBER: _ClassVar[int]
+    STREAM_ID_FIELD_NUMBER: _ClassVar[int]
+    KEY_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    KEY_FIELD_NUMBER: _ClassVar[int]
+    PUBLIC_KEY_FIELD_NUMBER: _ClassVar[int]
+    group: str
+    stream_id: bytes
+    key_number: int
+    key: bytes
+    public_key: bytes
+    def __init__(self, group: _Optional[str] = ..., stream_id: _Optional[bytes] = ..., key_number: _Optional[int] = ..., key: _Optional[bytes] = ..., public_key: _Optional[bytes] = ...) -> None: ...
 
 class SubscriptionOpened(_message.Message):
     __slots__ = ("incarnation", "next_seq")

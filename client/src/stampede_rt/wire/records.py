@@ -18,7 +18,7 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.proxying import CopyStats, ProxyInfo
-from stampede_rt.values.statistics import ChannelStats, ConsumerStats, ReaderStats, WriterStats
+from stampede_rt.values.statistics import ChannelMulticastStats, ChannelStats, ConsumerStats, ReaderStats, WriterStats
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
@@ -192,6 +192,13 @@ def channel_stats(
         not_replicated=status.counters.not_replicated,
         inherited_next_seq=status.inherited_next_seq if status.HasField("inherited_next_seq") else None,
         dropped=status.dropped,
+        multicast=_multicast_stats(status.multicast) if status.HasField("multicast") else None,
+    )
+
+
+def _multicast_stats(sent: channel_pb2.MulticastStatus) -> ChannelMulticastStats:
+    return ChannelMulticastStats(
+        group=sent.group, readers=sent.readers, datagrams=sent.datagrams, bytes=sent.bytes, repairs=sent.repairs
     )
 
 

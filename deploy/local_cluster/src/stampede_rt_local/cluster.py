@@ -34,7 +34,7 @@ class LocalCluster:
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each
     host has a folder for recorded channels, or the URL of an object store; then the folders are in `archive_folder`.
-    `data_ports`: whether the hosts also serve TCP sockets. `on_line` and `on_exit`: see ServiceProcess.
+    `data_ports`: whether hosts serve TCP sockets. `multicast`: their group. `on_line`, `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class LocalCluster:
         archive: Path | str | None = None,
         archive_folder: Path | None = None,
         data_ports: bool = False,
+        multicast: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
         _check_counts(hosts, supernodes, frontends)
-        if tls and host_namespaces:
-            raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")
+        _check_places(host_namespaces, tls=tls)
         # A cluster in memory with the user's own secret writes no files. So even after SIGKILL no folder is left.
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
@@ -70,7 +70,7 @@ class LocalCluster:
         self._listen, self._archive, self._data_ports = parse_address(listen), archive, data_ports
         self._archive_folder = archive_folder or default_folder()
         self._durable, self._host_namespaces = durable, tuple(host_namespaces)
-        self._on_line, self._on_exit = on_line, on_exit
+        self._on_line, self._on_exit, self._multicast = on_line, on_exit, multicast
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
         self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
         if secret_file is not None or not tls:
@@ -210,11 +210,18 @@ class LocalCluster:
         arguments += ["--drain-seconds", "0"]  # all hosts end together, so none can take over channels
         if self._data_ports:
             arguments += ["--data-port", "0"]
+        if self._multicast:
+            arguments += ["--multicast", self._multicast]
         if isinstance(self._archive, Path):
             arguments += ["--archive", str(self._archive / name)]
         elif self._archive is not None:
             arguments += ["--archive", self._archive, "--archive-folder", str(self._archive_folder / name)]
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)
+
+
+def _check_places(host_namespaces: Sequence[NetworkNamespace], *, tls: bool) -> None:
+    if tls and host_namespaces:
+        raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")
 
 
 def _check_counts(hosts: int, supernodes: int, frontends: int) -> None:

@@ -302,6 +302,8 @@ class ChannelHost:
         for part in (self.groups, self.replicas, self.copies, self.moves_here, self._queues_here, self.moves_away):
             await part.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
+        if self.store.multicasts is not None:
+            self.store.multicasts.close()
         await self.store.recordings.close(self.identity.boot_incarnation if self._tasks else 0)
         await self._supernodes.aclose()
 

@@ -16,6 +16,8 @@ from stampede_rt.transports.machine import this_machine
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError, check_store
+from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup, loopback_or_empty
+from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -81,9 +83,25 @@ class ServedHost:
             tls.require_address(self.advertise)
         await self.server.start()
         self.local = await self._listen_locally()
+        self._begin_multicast()
         if settings.data_port is not None:
             insecure = settings.allow_insecure_anywhere
             self.tcp = f"tcp:{self.server.bind_sockets(settings.data_port, allow_insecure_anywhere=insecure)}"
+
+    def _begin_multicast(self) -> None:
+        """Let readers take items from datagrams, if the settings name a group. Raises CannotListen."""
+        settings = self._settings
+        if not settings.multicast:
+            return
+        interface = settings.multicast_interface or loopback_or_empty(parse_address(self.address).host)
+        try:
+            group = MulticastGroup(settings.multicast, interface, settings.multicast_bytes_per_second)
+        except OSError as error:
+            raise CannotListen(
+                f"this machine cannot multicast from {interface or 'any interface'} ({error}); name with "
+                "--multicast-interface an IPv4 address of this machine"
+            ) from error
+        self.host.store.multicasts = Multicasts(group, self.host.store.now)
 
     async def _listen_locally(self) -> str:
         """Listen at a Unix socket, too. Returns its target; empty if the system does not let it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import re
 from dataclasses import dataclass, field
@@ -26,6 +27,27 @@ def parse_processes(text: str) -> int:
     if not (text.strip().isascii() and text.strip().isdigit()):
         raise ValueError(f'a number from 1 to {PROCESSES_MAX}, or "auto"')
     return int(text)
+
+
+def parse_group(text: str) -> str:
+    """An IPv4 multicast group with a port, "GROUP:PORT". Raises ValueError."""
+    group, _, port = text.strip().rpartition(":")
+    example = "an IPv4 multicast group and a port, such as 239.255.7.5:7585"
+    try:
+        is_group = ipaddress.IPv4Address(group).is_multicast
+    except ValueError:
+        raise ValueError(example) from None
+    if not (is_group and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError(example)
+    return f"{group}:{int(port)}"
+
+
+def parse_interface(text: str) -> str:
+    """An IPv4 address of this machine. Raises ValueError."""
+    try:
+        return str(ipaddress.IPv4Address(text.strip()))
+    except ValueError:
+        raise ValueError("an IPv4 address of this machine, such as 10.0.0.5") from None
 
 
 def _cores() -> int:
@@ -171,6 +193,35 @@ class HostSettings(ServiceSettings):
             minimum=0,
             help="the most bytes a second that each copy of a channel at this host takes from its source; default: no "
             "limit",
+        ),
+    )
+    multicast: str = field(
+        default="",
+        metadata=setting(
+            metavar="GROUP:PORT",
+            parse=parse_group,
+            help="an IPv4 multicast group and a port, such as 239.255.7.5:7585, to which the host sends each item once "
+            "for all readers of its network that subscribe with via=multicast; all hosts may share one; default: none, "
+            "it sends to each reader alone",
+        ),
+    )
+    multicast_interface: str = field(
+        default="",
+        metadata=setting(
+            metavar="ADDRESS",
+            parse=parse_interface,
+            help="with --multicast: the IPv4 address of this machine at whose interface the datagrams leave; default: "
+            "that of --listen; if the host listens at all addresses, the system chooses",
+        ),
+    )
+    multicast_bytes_per_second: int = field(
+        default=48 * 2**20,
+        metadata=setting(
+            metavar="SIZE",
+            parse=parse_size,
+            minimum=10_000,
+            help="with --multicast: the most bytes a second of datagrams; less than the slowest reader and its network "
+            "take",
         ),
     )
     drain_seconds: int = field(

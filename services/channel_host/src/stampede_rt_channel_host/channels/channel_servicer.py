@@ -111,7 +111,8 @@ class ChannelServicer:
             hosted = self._store.find_any_epoch(request.channel_id)
         check_known(AccessKind.CHANNEL, hosted.record.name)
         name, readers = hosted.record.name, self._store.readers
-        status = await self._store.scheduler.do(channel_status(hosted, self._store.now, readers.dropped(name)))
+        making = channel_status(hosted, self._store.now, readers.dropped(name), self._store.multicasts)
+        status = await self._store.scheduler.do(making)
         users = None
         if allowed_to(AccessVerb.READ, AccessKind.CHANNEL)(name):
             users = await self._store.scheduler.do(users_of(hosted, readers))

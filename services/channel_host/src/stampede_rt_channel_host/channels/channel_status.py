@@ -9,12 +9,16 @@ from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopy
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.multicast.channel_multicast import ChannelMulticast
+from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.core.channel import ConsumerStanding, Counters, Pieces
 from stampede_rt_channel_host.core.replication import ReplicaState
 
 
-def channel_status(hosted: HostedChannel, now: Callable[[], int], dropped: int) -> Pieces[channel_pb2.ChannelStatus]:
+def channel_status(
+    hosted: HostedChannel, now: Callable[[], int], dropped: int, multicasts: Multicasts | None
+) -> Pieces[channel_pb2.ChannelStatus]:
     """The status as of the last piece of work, made in pieces. `dropped`: the items that open subscriptions missed.
 
     Only the number of items that each consumer has still to consume may be a little older.
@@ -22,7 +26,20 @@ def channel_status(hosted: HostedChannel, now: Callable[[], int], dropped: int) 
     consumers = yield from hosted.core.counting_consumers(now())
     status = _status(hosted, consumers, now())
     status.dropped = dropped
+    multicast = None if multicasts is None else multicasts.find(hosted)
+    if multicast is not None:
+        status.multicast.CopyFrom(_multicast_status(multicast))
     return status
+
+
+def _multicast_status(multicast: ChannelMulticast) -> channel_pb2.MulticastStatus:
+    return channel_pb2.MulticastStatus(
+        group=multicast.offer.group,
+        readers=multicast.readers,
+        datagrams=multicast.datagrams,
+        bytes=multicast.bytes,
+        repairs=multicast.repairs,
+    )
 
 
 def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: int) -> channel_pb2.ChannelStatus:

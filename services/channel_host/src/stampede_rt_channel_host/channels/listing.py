@@ -35,7 +35,7 @@ def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, s
                 continue
             if len(shown) == size:
                 return Page(shown, has_more=True)
-            shown.append((yield from channel_status(hosted, store.now, store.readers.dropped(after))))
+            shown.append((yield from channel_status(hosted, store.now, store.readers.dropped(after), store.multicasts)))
             if len(shown) % STATUSES_PER_PIECE == 0:
                 yield
         yield

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere, inherits, is_given_away
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
@@ -84,6 +85,8 @@ class ChannelStore:
         self.departed = ChannelTotals()
         """The counters of the channels that this host served before."""
         self.rings = Rings(memory, self._clocks.read)
+        self.multicasts: Multicasts | None = None
+        """The channels that the host multicasts; None: it multicasts none."""
         self.on_replicated: Callable[[HostedChannel], None] = lambda hosted: None
         """Called with each channel that this host owns and that has replicas."""
 

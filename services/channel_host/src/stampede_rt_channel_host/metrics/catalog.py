@@ -45,6 +45,16 @@ ITEMS_DROPPED = counter(
     "Items that subscriptions did not get: collected before they took them, or skipped for a newer item.",
     "cause",
 )
+MULTICAST_CHANNELS = gauge("stampede_multicast_channels", "Channels that the host sends as multicast datagrams now.")
+MULTICAST_READERS = gauge(
+    "stampede_multicast_readers", "Open subscriptions whose readers may take the items from datagrams."
+)
+MULTICAST_DATAGRAMS = counter("stampede_multicast_datagrams_total", "Multicast datagrams sent.")
+MULTICAST_BYTES = counter("stampede_multicast_bytes_total", "Bytes of the sent datagrams, without heads of UDP and IP.")
+MULTICAST_UNSENT = counter("stampede_multicast_unsent_total", "Datagrams that the machine did not take.")
+MULTICAST_REPAIRS = counter(
+    "stampede_multicast_repairs_total", "Requests of readers for items that no datagram brought them."
+)
 ITEMS_UNARCHIVED = counter(
     "stampede_items_unarchived_total", "Items of recorded channels that max_bytes collected before they were archived."
 )

@@ -52,8 +52,21 @@ class HostMetrics:
         yield catalog.CHANNELS.of(self._store.count)
         yield catalog.QUEUES.of(self._queues.count)
         yield from self._of_archive()
+        yield from self._of_multicast()
         clock: ClockOffset | None = self._lease.clock()
         yield from of_clocks({} if clock is None else {LEADER: clock})
+
+    def _of_multicast(self) -> Iterator[Family]:
+        multicasts = self._store.multicasts
+        if multicasts is None:
+            return
+        group = multicasts.group
+        yield catalog.MULTICAST_CHANNELS.of(len(multicasts))
+        yield catalog.MULTICAST_READERS.of(multicasts.readers)
+        yield catalog.MULTICAST_DATAGRAMS.of(group.datagrams)
+        yield catalog.MULTICAST_BYTES.of(group.bytes)
+        yield catalog.MULTICAST_UNSENT.of(group.unsent)
+        yield catalog.MULTICAST_REPAIRS.of(multicasts.repairs)
 
     def _of_archive(self) -> Iterator[Family]:
         archive, counts = self._store.recordings.archive, self._store.recordings.counts()

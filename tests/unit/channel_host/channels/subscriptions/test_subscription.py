@@ -28,7 +28,7 @@ ENOUGH = 2**62
 class Store:
     def __init__(self) -> None:
         self.scheduler = PieceScheduler()
-        self.readers = Readers()
+        self.readers, self.multicasts = Readers(), None
 
     def now(self) -> int:
         return NOW

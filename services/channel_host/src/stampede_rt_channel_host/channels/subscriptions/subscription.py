@@ -7,7 +7,6 @@ no delay, and a busy stream sends large messages.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
@@ -18,27 +17,14 @@ from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
-from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.channels.requests import (
-    beginning_of,
-    is_newest,
-    parse,
-    saved_to,
-    wanted_next_seq,
-)
+from stampede_rt_channel_host.channels.requests import parse, saved_to, wanted_next_seq
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
+from stampede_rt_channel_host.channels.subscriptions.cursors import open_cursor
+from stampede_rt_channel_host.channels.subscriptions.multicast_reader import MulticastReader, wants_multicast
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
-from stampede_rt_channel_host.core.channel import (
-    AllCursor,
-    ChannelCore,
-    Gap,
-    NewestCursor,
-    Pieces,
-    SavedCursor,
-    SubscriptionBatch,
-)
+from stampede_rt_channel_host.core.channel import Gap, SavedCursor, SubscriptionBatch
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context
 
@@ -47,59 +33,6 @@ PROGRESS_SECONDS = 4.0
 CURSORS_KEPT = 64  # encoded cursors, each of about 100 bytes
 STAY_SECONDS = 10.0  # a reader that could not reach a copy stays at least this long
 WRITE_SECONDS_MAX = 30.0  # if the reader takes nothing for this time during a write, the subscription ends
-
-
-class _All:
-    """The cursor of a subscription in SUBSCRIBE_MODE_ALL."""
-
-    skipped = 0
-
-    def __init__(self, channel: ChannelCore, cursor: AllCursor) -> None:
-        self._channel = channel
-        self._cursor = cursor
-
-    @property
-    def saved(self) -> SavedCursor:
-        return self._cursor.saved(self._channel.incarnation)
-
-    async def from_archive(
-        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
-    ) -> SubscriptionBatch | None:
-        return await recording.since(self._cursor, limit_bytes, now)
-
-    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
-        return self._channel.since(self._cursor, now, limit_bytes)
-
-    def progress(self, now: int) -> pb.SubscriptionProgress:
-        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, dropped=self._cursor.dropped)
-
-
-class _Newest:
-    """The cursor of a subscription in SUBSCRIBE_MODE_NEWEST."""
-
-    def __init__(self, channel: ChannelCore, cursor: NewestCursor) -> None:
-        self._channel = channel
-        self._cursor = cursor
-
-    @property
-    def saved(self) -> SavedCursor:
-        return self._cursor.saved(self._channel.incarnation)
-
-    @property
-    def skipped(self) -> int:
-        return self._cursor.skipped
-
-    async def from_archive(
-        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
-    ) -> SubscriptionBatch | None:
-        return None
-
-    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
-        latest = self._channel.latest(self._cursor, now)
-        return SubscriptionBatch(slices=(latest,) if latest else (), gap=self._cursor.take_loss())
-
-    def progress(self, now: int) -> pb.SubscriptionProgress:
-        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
 
 
 class Subscription(ChangeObserver):
@@ -124,6 +57,7 @@ class Subscription(ChangeObserver):
         self._work = current_work()
         self._owes_cursor = False  # whether the reader must get the next cursor as soon as there is one
         self._credit = Credit(self._look)
+        self._multicast = MulticastReader()
         self._drops = ReaderDrops(hosted.record.name, "")  # `_serve` enters it in the host's table
         self._movable_at_s: float | None = None  # loop time from which the reader may move to a copy; None: it may not
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
@@ -170,14 +104,15 @@ class Subscription(ChangeObserver):
                 self._store.find_readable(
                     opening.channel_id, opening.epoch, Freshness()
                 )  # the channel may have left the host meanwhile
-                await self._serve(cursor, opening)
+                with self._multicast.joined(self._store.multicasts, self._hosted, opening):
+                    await self._serve(cursor, opening)
         finally:
             reading.cancel()
 
     def _check_place(self, opening: pb.SubscribeOpen) -> None:
         """Note whether the reader may move to a copy. Raises StaleBinding (MOVED) if it is to begin at another host."""
         hosted = self._hosted
-        if not opening.stale_ok:
+        if not opening.stale_ok or wants_multicast(opening, self._store.multicasts):
             return
         self._movable_at_s = asyncio.get_running_loop().time() + (STAY_SECONDS if opening.stay else 0)
         if hosted.fed is not None and not opening.stay:
@@ -197,7 +132,11 @@ class Subscription(ChangeObserver):
             request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
-            self._credit.grant(request.credit_bytes)
+            if request.HasField("repair_next_seq"):
+                self._multicast.ask(request)
+                self._look()
+            else:
+                self._credit.grant(request.credit_bytes)
         self._credit.end()
 
     async def _serve(self, cursor: Cursor, opening: pb.SubscribeOpen) -> None:
@@ -209,9 +148,19 @@ class Subscription(ChangeObserver):
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._cursor_bytes(cursor))
             with self._store.readers.reading(self._hosted.record.name) as self._drops:
                 while not self._credit.is_over:
+                    cursor = await self._asked_place(cursor)
                     await self._step(cursor, without_payloads=opening.without_payloads)
         finally:
             self._hosted.subscriptions.discard(self)
+
+    async def _asked_place(self, cursor: Cursor) -> Cursor:
+        """The place from which a reader of datagrams wants items, if it has asked for some; else `cursor`."""
+        asked = self._multicast.take_asked(self._hosted.channel.incarnation)
+        if asked is None:
+            return cursor
+        self._owes_progress = True  # answers if there is no item
+        self._credit.left = self._multicast.asked_bytes
+        return await self._store.scheduler.do(open_cursor(self._hosted, asked, self._store.now()))
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
         """Send the new items, or wait for them. Send the progress after an advance and after a long silence.
@@ -275,12 +224,16 @@ class Subscription(ChangeObserver):
 
     def _cursor_bytes(self, cursor: Cursor) -> bytes:
         """The cursor as an encoded response, if it has changed since the reader last got the cursor; else no bytes."""
-        saved = cursor.saved
+        saved, news = cursor.saved, b""
+        if self._multicast.is_joined:
+            if self._multicast.is_owed:
+                self._credit.left = 0  # this response is all that the reader wants
+            news = self._multicast.news()
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._sent_cursor:
-            return b""
+            return news
         self._sent_cursor = saved
-        return _encoded_cursor(saved)
+        return news + _encoded_cursor(saved)
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
@@ -316,19 +269,6 @@ class Subscription(ChangeObserver):
                 "subscription is ended; read faster, or subscribe to the newest item only, and subscribe again"
             ) from None
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
-
-
-def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
-    """A cursor at the place that `opening` states, as of `now`, made in pieces.
-
-    Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
-    """
-    where, channel = beginning_of(opening), hosted.channel
-    if is_newest(opening):
-        return _Newest(channel, channel.subscribe_newest(now, **where))
-    if hosted.recording is not None:
-        where = hosted.recording.beginning(where, now)
-    return _All(channel, (yield from channel.subscribing_all(now, **where)))
 
 
 @lru_cache(maxsize=CURSORS_KEPT)

@@ -1,0 +1,217 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Subscriptions whose items come from UDP multicast (paper, section 4.1: multicast by a callback action).
+
+The stream to the host stays open. It brings the items until the reader hears the datagrams, those that no datagram
+brings, and all news besides items: gaps, losses, moves, the end of the channel.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.reconnecting import Reconnecting
+from stampede_rt._sync.session import Session
+from stampede_rt._sync.subscription import Subscription
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
+from stampede_rt.multicast.receiving import Receiving
+from stampede_rt.multicast.repairing import Step
+from stampede_rt.multicast.sealing import DatagramOpener, Verifier
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
+from stampede_rt.transports.concurrency_sync import in_thread, monotonic_s
+from stampede_rt.transports.multicast_joining import join_group
+from stampede_rt.transports.multicast_sync import GroupSocket
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Item
+from stampede_rt.values.statistics import MulticastStats
+
+_log = logging.getLogger("stampede_rt")
+
+AGAIN_S = 60.0  # after datagrams did not reach this reader, its next streams do without them for this time
+REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, beside the last item
+COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
+
+
+class MulticastSubscription(Subscription):
+    """A subscription with `via="multicast"`. Its steps give the items of an ordinary one, in the same order."""
+
+    def __init__(
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+    ) -> None:
+        if begun.mode != channel_pb.SUBSCRIBE_MODE_ALL or begun.without_payloads or begun.HasField("group_id"):
+            raise InvalidArgument(
+                'via="multicast" brings all items with their payloads, and without a group; leave `mode` and '
+                "`payloads` out, or leave `via` out"
+            )
+        super().__init__(session, state, begun, reconnecting)
+        self._offer = channel_pb.MulticastOffer()
+        self._socket: GroupSocket | None = None
+        self._receiving: Receiving | None = None
+        self._is_following = False  # whether the items come from datagrams
+        self._asked_seq = 0  # of the repair that the host has still to answer; 0: none
+        self._not_before_s = 0.0
+        self._item_bytes = 1.0  # about the bytes of one item
+        self._before = MulticastStats()  # the counts of earlier streams
+
+    @property
+    def multicast(self) -> MulticastStats:
+        """How the items come, and the counts of datagrams so far."""
+        receiving = self._receiving
+        if receiving is None:
+            return self._before
+        now = receiving.stats(self._offer.group, following=self._is_following)
+        return replace(now, **{name: getattr(now, name) + getattr(self._before, name) for name in COUNTS})
+
+    def _advance(self) -> None:
+        self._open()
+        receiving, socket = self._receiving, self._socket
+        if receiving is not None and socket is not None and self._is_following:
+            self._follow(receiving, socket)
+            return
+        self._grant()
+        if not self._ready:
+            self._receive()
+        if receiving is not None and socket is not None and self._receiving is receiving:
+            self._listen_in(receiving, socket)
+
+    def _open_stream(self, binding: Binding) -> None:
+        self._begun.multicast = monotonic_s() >= self._not_before_s
+        self._offer = channel_pb.MulticastOffer()
+        super()._open_stream(binding)
+        if self._offer.stream_id:
+            self._join(binding.target)
+
+    def _join(self, target: str) -> None:
+        """Join the group. If this machine cannot, continue without multicast."""
+        offer = self._offer
+        try:
+            opener = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
+            verifier = Verifier(offer.stream_id, offer.public_key)
+            joined = in_thread(lambda: join_group(offer.group, target))
+        except (OSError, ValueError, StampedeError) as error:
+            _log.info("the subscription to channel %r does without multicast: %s", self._state.info.name, error)
+            self._leave()
+            return
+        self._socket = GroupSocket(joined)
+        self._receiving = Receiving(opener, verifier, monotonic_s(), self._decode)
+        if self._closed:  # somebody called `close` meanwhile
+            self._socket.close()
+
+    def _decode(self, body: bytes) -> Sequence[Item]:
+        response = channel_pb.SubscribeResponse.FromString(body)
+        assert self._decoder is not None, "the stream is open"
+        return [*self._decoder.decode_each(response.runs)]
+
+    def _listen_in(self, receiving: Receiving, socket: GroupSocket) -> None:
+        """While the stream brings the items: look whether the datagrams bring the next ones, and then follow them."""
+        cursor = self._cursor
+        if cursor is None or cursor.HasField("from_unix_nano"):  # items that the host had before come first
+            return
+        receiving.merge.pass_to(cursor.next_seq)
+        now_s = monotonic_s()
+        receiving.hear(socket.poll(), now_s)
+        if receiving.has_heard and receiving.merge.is_level:
+            self._is_following = True
+            self._repair(receiving)  # so that the host stops to send
+        elif receiving.pace.next_step(now_s, is_missing=False)[0] is Step.LEAVE:
+            self._leave()
+
+    def _follow(self, receiving: Receiving, socket: GroupSocket) -> None:
+        """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
+        now_s = monotonic_s()
+        if items := receiving.take(socket.poll(), now_s):
+            self._add(items, receiving)
+            return
+        step, wait_s = receiving.pace.next_step(now_s, is_missing=receiving.merge.is_missing)
+        if step is Step.LEAVE:
+            _log.info("the datagrams of channel %r do not come any more", self._state.info.name)
+            self._leave()
+        elif step is Step.REPAIR:
+            self._repair(receiving)
+        else:
+            socket.wait(wait_s)
+
+    def _repair(self, receiving: Receiving) -> None:
+        """Ask the host for the first missing items, and wait for its answer."""
+        stream, self._asked_seq = self._stream, receiving.merge.next_seq
+        wanted = min(receiving.merge.missing_items * self._item_bytes, REPAIR_BYTES_MAX)
+        request = channel_pb.SubscribeRequest(repair_next_seq=self._asked_seq, credit_bytes=max(1, int(wanted)))
+        if stream is not None:
+            with suppress(Unavailable):  # the next response raises the reason of a broken stream
+                stream.send(request)
+        while self._asked_seq and self._receiving is receiving and not self._closed:
+            self._receive()
+        receiving.pace.asked()
+
+    def _add(self, items: Sequence[Item], receiving: Receiving) -> None:
+        """Give the items to the reader next, and note the place after them."""
+        self._ready.extend(items)
+        if items:
+            self._item_bytes += (items[-1].payload_length_bytes + ITEM_OVERHEAD_BYTES - self._item_bytes) / 8
+        if self._cursor is not None:
+            incarnation, next_seq = self._cursor.incarnation, receiving.merge.next_seq
+            self._cursor = channel_pb.SubscriptionCursor(incarnation=incarnation, next_seq=next_seq)
+
+    def _take(self, response: channel_pb.SubscribeResponse) -> None:
+        if response.HasField("multicast"):
+            self._take_offer(response.multicast)
+        receiving = self._receiving
+        if receiving is None or not self._is_following:
+            super()._take(response)
+            return
+        if response.gap.items:
+            held = receiving.merge.take_up_to(response.gap.last_seq + 1)
+            response.gap.items -= min(
+                len(held), response.gap.items
+            )  # datagrams brought these before they were collected
+            self._ready.extend(held)
+        super()._take(response)
+        if response.HasField("cursor"):
+            receiving.merge.pass_to(response.cursor.next_seq)
+        self._add(receiving.merge.take(), receiving)
+        if response.repair_next_seq == self._asked_seq:
+            self._asked_seq = 0
+
+    def _take_offer(self, offer: channel_pb.MulticastOffer) -> None:
+        self._offer = offer
+        if self._receiving is not None:
+            self._receiving.opener = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
+
+    def _unseen(self, items: list[Item]) -> Iterator[Item]:
+        if self._receiving is None or not self._is_following:
+            yield from super()._unseen(items)
+        else:
+            yield from self._receiving.merge.fill(items)
+
+    def _take_ready(self) -> Item:
+        return self._ready.popleft() if self._is_following else super()._take_ready()
+
+    def _resume(self) -> None:
+        self._stop_receiving()
+        super()._resume()
+
+    def _leave(self) -> None:
+        """Continue on another stream, without multicast."""
+        self._not_before_s = monotonic_s() + AGAIN_S
+        if self._stream is not None:
+            self._stream.cancel()
+        self._resume()
+
+    def _stop_receiving(self) -> None:
+        self._before = replace(self.multicast, following=False)
+        socket, self._socket, self._receiving = self._socket, None, None
+        self._is_following, self._asked_seq = False, 0
+        if socket is not None:
+            socket.close()
+
+    def close(self) -> None:
+        """See `Subscription.close`."""
+        super().close()
+        socket: Any = self._socket
+        if socket is not None:
+            socket.close()

@@ -1,0 +1,57 @@
+"""UDP sockets that have joined a multicast group."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from contextlib import suppress
+
+from stampede_rt.multicast.layout import DATAGRAM_BYTES_MAX
+
+DATAGRAMS_PER_POLL = 128
+RECEIVED_BYTES_MAX = 8 * 2**20  # the kernel allows less, unless net.core.rmem_max is raised
+
+
+def join_group(group: str, target: str) -> socket.socket:
+    """Return a socket that receives the datagrams of the group "ADDRESS:PORT". It does not block.
+
+    It joins at the interface over which this machine reaches `target`, "HOST:PORT". May block for a moment, to resolve
+    a name. Raises OSError, and ValueError for an address that is not an IPv4 multicast group.
+    """
+    address, _, port = group.rpartition(":")
+    if not ipaddress.IPv4Address(address).is_multicast:
+        raise ValueError(f"{address} is not a multicast group")
+    interface = _address_towards(target)
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        made.setblocking(False)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # other programs receive the same datagrams
+        with suppress(OSError):
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED_BYTES_MAX)
+        made.bind((address, int(port)))
+        membership = socket.inet_aton(address) + socket.inet_aton(interface)
+        made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+def received(joined: socket.socket) -> list[bytes]:
+    """Return the datagrams that have come, at most DATAGRAMS_PER_POLL. Does not block."""
+    datagrams = list[bytes]()
+    try:
+        while len(datagrams) < DATAGRAMS_PER_POLL:
+            datagrams.append(joined.recv(DATAGRAM_BYTES_MAX + 1))
+    except OSError:  # none is left, or the interface is down: the silence tells the reader
+        pass
+    return datagrams
+
+
+def _address_towards(target: str) -> str:
+    """The IPv4 address of this machine from which it reaches `target`."""
+    host, _, port = target.rpartition(":")
+    address = socket.getaddrinfo(host.strip("[]"), int(port), socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(address)
+        return str(probe.getsockname()[0])

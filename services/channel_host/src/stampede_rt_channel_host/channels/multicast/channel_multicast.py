@@ -1,0 +1,143 @@
+"""Sends the items of one channel to the multicast group: an observer of the channel, as all push is.
+
+It keeps a cursor into the channel, and no queue. If the rate is too low, or retention is faster than the rate, readers
+miss datagrams and ask the host for the items.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.multicast.layout import (
+    KEY_BYTES,
+    MESSAGE_BYTES_MAX,
+    STREAM_ID_BYTES,
+    MessageKind,
+    MulticastMessage,
+    parts_of,
+)
+from stampede_rt.multicast.repairing import BEAT_S_MAX
+from stampede_rt.multicast.sealing import Sealer, Signer
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup
+from stampede_rt_channel_host.core.channel import AllCursor, SubscriptionBatch
+
+ITEMS_BYTES = 8192
+"""About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
+BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last one. Grows up to BEAT_S_MAX
+KEY_SECONDS_MIN = 10.0  # a reader that has left can open datagrams at most this long
+KEY_NUMBERS_MAX = 2**16 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class OfferedStream:
+    """The facts with which a reader hears the datagrams."""
+
+    group: str
+    stream_id: bytes
+    key_number: int
+    key: bytes
+    public_key: bytes
+
+
+class ChannelMulticast:
+    """Order of use, on one event loop: make it, `run` as a task, `join` and `leave` for each reader, `stop`.
+
+    `readers`: the subscriptions whose readers may hear the datagrams. `repairs`: their requests for missing items.
+    """
+
+    def __init__(self, hosted: HostedChannel, group: MulticastGroup, now: Callable[[], int]) -> None:
+        self._hosted, self._group, self._now = hosted, group, now
+        self._stream_id = secrets.token_bytes(STREAM_ID_BYTES)
+        self._signer = Signer(self._stream_id, secrets.token_bytes(KEY_BYTES))
+        self._key_number = self._beats = self.readers = self.repairs = self.datagrams = self.bytes = 0
+        self._news = asyncio.Event()
+        self._has_ended = self._owes_key = False
+        self._beat_s = BEAT_S_MIN
+        self._renew_key()
+
+    @property
+    def offer(self) -> OfferedStream:
+        """The present facts. `key_number` changes with the key."""
+        return OfferedStream(self._group.address, self._stream_id, self._key_number, self._key, self._signer.public_key)
+
+    def wake(self) -> None:
+        """See `ChannelObserver`."""
+        self._news.set()
+
+    def end(self, error: StampedeError) -> None:
+        """See `ChannelObserver`. Readers hear that there is news on their streams."""
+        self._has_ended = True
+        self._news.set()
+
+    def join(self) -> None:
+        """Note one more reader."""
+        self.readers += 1
+
+    def leave(self) -> None:
+        """Note that a reader has left. It must not open later datagrams, so the key changes soon."""
+        self.readers -= 1
+        self._owes_key = True
+
+    async def run(self) -> None:
+        """Send the items that the channel accepts from now on, until `end`, or until somebody cancels the task."""
+        cursor = AllCursor(iter(()), self._hosted.channel.next_seq)
+        self._hosted.group_observers[self] = None
+        try:
+            while not self._has_ended:
+                await self._step(cursor)
+            await self._send(MessageKind.END, cursor.next_seq, cursor.next_seq, self._next_beat())
+        finally:
+            self._hosted.group_observers.pop(self, None)
+
+    async def _step(self, cursor: AllCursor) -> None:
+        """Send the next items, or wait for some. Sends a beat after a silence."""
+        self._news.clear()
+        if self._owes_key and asyncio.get_running_loop().time() - self._key_at_s >= KEY_SECONDS_MIN:
+            self._renew_key()
+        part = self._hosted.channel.since(cursor, self._now(), ITEMS_BYTES)
+        if part.slices:
+            self._beat_s = BEAT_S_MIN
+            await self._send_items(part)
+        elif part.is_empty and not part.more:
+            await self._wait(cursor)
+        else:  # the items left before they were sent: readers ask the host, which tells them
+            await asyncio.sleep(0)
+
+    async def _send_items(self, part: SubscriptionBatch) -> None:
+        first_seq, end_seq = part.slices[0].slice.first_seq, part.slices[-1].slice.end_seq
+        delivery = self._hosted.deliveries.encode(part.slices, b"", without_payloads=False, readers=1)
+        self._hosted.count_delivered(end_seq - first_seq, delivery.payload_bytes)
+        if len(delivery.encoded) <= MESSAGE_BYTES_MAX:
+            await self._send(MessageKind.ITEMS, first_seq, end_seq, delivery.encoded)
+        await asyncio.sleep(0)
+
+    async def _wait(self, cursor: AllCursor) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(self._beat_s):
+                await self._news.wait()
+                return
+        self._beat_s = min(2 * self._beat_s, BEAT_S_MAX)
+        await self._send(MessageKind.BEAT, cursor.next_seq, cursor.next_seq, self._next_beat())
+
+    async def _send(self, kind: MessageKind, first_seq: int, end_seq: int, body: bytes) -> None:
+        message = self._signer.sign(MulticastMessage(kind, first_seq, end_seq, body))
+        datagrams = [self._sealer.seal(part) for part in parts_of(message)]
+        self.datagrams += len(datagrams)
+        self.bytes += sum(map(len, datagrams))
+        await self._group.send(datagrams)
+
+    def _next_beat(self) -> bytes:
+        self._beats += 1
+        return self._beats.to_bytes(8, "big")
+
+    def _renew_key(self) -> None:
+        self._key_number = self._key_number % KEY_NUMBERS_MAX + 1
+        self._key, self._owes_key = secrets.token_bytes(KEY_BYTES), False
+        self._key_at_s = asyncio.get_running_loop().time()
+        self._sealer = Sealer(self._stream_id, self._key_number, self._key)

@@ -1,0 +1,85 @@
+"""The cursors of subscriptions without a group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.group_access import Cursor
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.recording import Recording
+from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
+from stampede_rt_channel_host.core.channel import (
+    AllCursor,
+    ChannelCore,
+    NewestCursor,
+    Pieces,
+    SavedCursor,
+    SubscriptionBatch,
+)
+
+
+class _All:
+    """The cursor of a subscription in SUBSCRIBE_MODE_ALL."""
+
+    skipped = 0
+
+    def __init__(self, channel: ChannelCore, cursor: AllCursor) -> None:
+        self._channel = channel
+        self._cursor = cursor
+
+    @property
+    def saved(self) -> SavedCursor:
+        return self._cursor.saved(self._channel.incarnation)
+
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        return await recording.since(self._cursor, limit_bytes, now)
+
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
+        return self._channel.since(self._cursor, now, limit_bytes)
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, dropped=self._cursor.dropped)
+
+
+class _Newest:
+    """The cursor of a subscription in SUBSCRIBE_MODE_NEWEST."""
+
+    def __init__(self, channel: ChannelCore, cursor: NewestCursor) -> None:
+        self._channel = channel
+        self._cursor = cursor
+
+    @property
+    def saved(self) -> SavedCursor:
+        return self._cursor.saved(self._channel.incarnation)
+
+    @property
+    def skipped(self) -> int:
+        return self._cursor.skipped
+
+    async def from_archive(
+        self, recording: Recording, limit_bytes: int, now: Callable[[], int]
+    ) -> SubscriptionBatch | None:
+        return None
+
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
+        latest = self._channel.latest(self._cursor, now)
+        return SubscriptionBatch(slices=(latest,) if latest else (), gap=self._cursor.take_loss())
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
+
+
+def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
+    """A cursor at the place that `opening` states, as of `now`, made in pieces.
+
+    Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
+    """
+    where, channel = beginning_of(opening), hosted.channel
+    if is_newest(opening):
+        return _Newest(channel, channel.subscribe_newest(now, **where))
+    if hosted.recording is not None:
+        where = hosted.recording.beginning(where, now)
+    return _All(channel, (yield from channel.subscribing_all(now, **where)))

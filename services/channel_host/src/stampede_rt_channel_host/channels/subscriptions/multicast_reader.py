@@ -1,0 +1,84 @@
+"""The reader of a subscription that may take its items from datagrams: its offer, and its repairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.multicast.channel_multicast import ChannelMulticast
+from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
+from stampede_rt_channel_host.channels.requests import is_newest
+
+
+def wants_multicast(opening: pb.SubscribeOpen, multicasts: Multicasts | None) -> bool:
+    """Whether the host offers multicast to the reader of this subscription."""
+    asks = opening.multicast and not (opening.without_payloads or opening.HasField("group_id") or is_newest(opening))
+    return asks and multicasts is not None
+
+
+class MulticastReader:
+    """Most readers have no part in multicast: then nothing here happens."""
+
+    def __init__(self) -> None:
+        self._multicasts: Multicasts | None = None
+        self._channel: ChannelMulticast | None = None
+        self._told_key = 0
+        self.asked_bytes = 0  # of the last repair
+        self._asked_seq: int | None = None  # the repair whose place the cursor does not have yet
+        self._owed_seq: int | None = None  # the repair whose answer the reader has not got yet
+
+    @contextmanager
+    def joined(self, multicasts: Multicasts | None, hosted: HostedChannel, opening: pb.SubscribeOpen) -> Iterator[None]:
+        """Multicast the channel during the block, if the reader wants it."""
+        if multicasts is None or not wants_multicast(opening, multicasts):
+            yield
+            return
+        with multicasts.reading(hosted) as self._channel:
+            self._multicasts = multicasts
+            yield
+
+    def ask(self, request: pb.SubscribeRequest) -> None:
+        """Note that the reader wants the items from a seq on. Raises InvalidArgument without an offer."""
+        if self._channel is None or self._multicasts is None:
+            raise InvalidArgument("repair_next_seq is set, and the host has offered no multicast; leave it out")
+        self._channel.repairs += 1
+        self._multicasts.repairs += 1
+        self._asked_seq, self.asked_bytes = max(1, request.repair_next_seq), max(1, request.credit_bytes)
+
+    def take_asked(self, incarnation: int) -> pb.SubscribeOpen | None:
+        """The place from which the reader wants items now; None: it has not asked anew."""
+        if self._asked_seq is None:
+            return None
+        self._owed_seq, self._asked_seq = self._asked_seq, None
+        cursor = pb.SubscriptionCursor(incarnation=incarnation, next_seq=self._owed_seq)
+        return pb.SubscribeOpen(mode=pb.SUBSCRIBE_MODE_ALL, cursor=cursor)
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether the reader has an offer."""
+        return self._channel is not None
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether the next response answers a repair. Then the host sends nothing after it."""
+        return self._owed_seq is not None
+
+    def news(self) -> bytes:
+        """The encoded fields of the next response: the answer to a repair, and the offer if the key is a new one."""
+        if self._channel is None:
+            return b""
+        response = pb.SubscribeResponse(repair_next_seq=self._owed_seq)
+        self._owed_seq = None
+        offer = self._channel.offer
+        if offer.key_number != self._told_key:
+            self._told_key = offer.key_number
+            response.multicast.CopyFrom(
+                pb.MulticastOffer(
+                    group=offer.group, stream_id=offer.stream_id, key_number=offer.key_number, key=offer.key,
+                    public_key=offer.public_key,
+                )
+            )  # fmt: skip
+        return response.SerializeToString()

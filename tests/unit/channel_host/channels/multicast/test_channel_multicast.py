@@ -1,0 +1,135 @@
+"""The multicast of one channel, without a network: the test takes the datagrams from the group."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import pytest
+
+from stampede_rt.errors import ChannelNotFound
+from stampede_rt.multicast.layout import MessageKind, Part
+from stampede_rt.multicast.sealing import DatagramOpener, Rejected
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.multicast import channel_multicast
+from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.cluster.records import recorded_channel
+
+NOW = 1_700_000_000_000_000_000
+
+
+class Group:
+    address = "239.1.2.3:7000"
+
+    def __init__(self) -> None:
+        self.sent = list[bytes]()
+        self.has_news = asyncio.Event()
+
+    async def send(self, datagrams: Sequence[bytes]) -> None:
+        self.sent += datagrams
+        self.has_news.set()
+
+    def close(self) -> None:
+        pass
+
+    async def parts(self, opener: DatagramOpener, count: int) -> list[Part]:
+        async with asyncio.timeout(30):
+            while True:
+                found = [opened for one in self.sent if isinstance(opened := opener.open(one), Part)]
+                if len(found) >= count:
+                    return found
+                self.has_news.clear()
+                await self.has_news.wait()
+
+
+class Rig:
+    def __init__(self) -> None:
+        record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(Policy(max_items=4)))
+        scheduler = PieceScheduler()
+        self.hosted = HostedChannel(recorded_channel(record), MemoryBudget(2**30), lambda: NOW, begin=scheduler.begin)
+        self.group = Group()
+        self.multicasts = Multicasts(cast(Any, self.group), lambda: NOW)
+
+    def put(self, payload: bytes) -> None:
+        run = IncomingRun(encode_run([payload], times=None), producer_id=0, first_number=0, wait_nanos=None)
+        self.hosted.puts.put(run, NOW)
+
+    @asynccontextmanager
+    async def reader(self) -> AsyncIterator[DatagramOpener]:
+        with self.multicasts.reading(self.hosted) as one:
+            await asyncio.sleep(0)  # the task of a first reader begins
+            offer = one.offer
+            yield DatagramOpener(offer.stream_id, offer.key_number, offer.key)
+
+
+async def test_items_are_sent_once_for_all_readers_and_a_beat_follows_them() -> None:
+    rig = Rig()
+    async with rig.reader() as opener, rig.reader():
+        rig.put(b"one")
+        part, beat = (await rig.group.parts(opener, 2))[:2]
+        assert (part.kind, part.first_seq, part.end_seq) == (MessageKind.ITEMS, 1, 2)
+        assert (beat.kind, beat.first_seq) == (MessageKind.BEAT, 2)
+        assert rig.multicasts.readers == 2
+
+
+async def test_nothing_is_sent_before_the_first_reader_and_after_the_last_one() -> None:
+    rig = Rig()
+    rig.put(b"before")
+    async with rig.reader() as opener:
+        rig.put(b"meanwhile")
+        assert (await rig.group.parts(opener, 1))[0].first_seq == 2
+    sent = len(rig.group.sent)
+    rig.put(b"after")
+    await asyncio.sleep(0)
+    assert (len(rig.group.sent), len(rig.multicasts), rig.hosted.group_observers) == (sent, 0, {})
+
+
+async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(channel_multicast, "KEY_SECONDS_MIN", 0.0)
+    rig = Rig()
+    async with rig.reader() as staying:
+        async with rig.reader() as left:
+            pass
+        rig.put(b"secret")
+        one = rig.multicasts.find(rig.hosted)
+        assert one is not None
+        async with asyncio.timeout(30):
+            while one.offer.key_number == left.key_number:
+                rig.put(b"secret")
+                await asyncio.sleep(0)
+        offer = one.offer
+        new = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
+        rig.put(b"more secret")
+        await rig.group.parts(new, 1)
+        later = [datagram for datagram in rig.group.sent if isinstance(new.open(datagram), Part)]
+        assert {left.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
+        assert {staying.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
+
+
+async def test_readers_hear_that_the_host_serves_the_channel_no_more() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        rig.put(b"one")
+        await rig.group.parts(opener, 1)
+        for _ in rig.hosted.ending(ChannelNotFound("deleted")):
+            pass
+        found = await rig.group.parts(opener, 1)
+        while found[-1].kind is not MessageKind.END:
+            found = await rig.group.parts(opener, len(found) + 1)
+
+
+async def test_an_item_that_is_too_large_is_only_announced() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        rig.put(bytes(2**20 + 1))
+        part = (await rig.group.parts(opener, 1))[0]
+        assert (part.kind, part.first_seq) == (MessageKind.BEAT, 2)
