@@ -13,7 +13,7 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = DOCS / "benchmarks.md"
 BEGIN, END = "<!-- {}: filled by `make bench-docs` -->\n", "<!-- /{} -->"
-PAPER_CHARTS = ("get", "interval", "contention", "visibility", "skew", "memory")
+PAPER_CHARTS = ("get", "interval", "contention", "proxies", "proxies-cpu", "visibility", "skew", "memory")
 
 
 def filled(page: str, name: str, report: str, charts: list[str]) -> str:

@@ -19,7 +19,7 @@ from stampede_rt_bench.growth.command import measure_growth
 from stampede_rt_bench.growth.dimensions import DIMENSIONS
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
-from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, skew, visibility
+from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, proxies, skew, visibility
 from stampede_rt_bench.printing import announce, finish, show
 from stampede_rt_bench.tables import Table
 from stampede_rt_bench.works.catalogue import READERS, works
@@ -41,6 +41,7 @@ FIGURES: dict[str, tuple[str, Figure]] = {
     "get": ("cost of a get by time as a channel grows, in the core and over gRPC (Figure 4)", get_cost.measure),
     "interval": ("cost of an interval get as it returns more (section 6)", interval_cost.measure),
     "contention": ("frames dropped by consumers of one channel (Figure 5)", contention.measure),
+    "proxies": ("frames that readers of one channel lose, without proxies and with them (Figure 6)", proxies.measure),
     "visibility": ("what a group of text and audio shows (Figure 3)", visibility.measure),
     "skew": ("skew between consumers with a group and without (Figure 7)", skew.measure),
     "memory": ("memory of held items of 64 B", memory_cost.measure),

@@ -20,7 +20,7 @@ def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Itera
     The cluster is on this machine's loopback. With a `network` the hosts are in its first namespaces, and all other
     services are in that of this process. This process and its children find the secret by themselves.
     """
-    with _cluster(hosts, network) as cluster, secret_found(cluster):
+    with cluster_of(hosts, network) as cluster, secret_found(cluster):
         yield cluster.address
 
 
@@ -38,7 +38,8 @@ def secret_found(cluster: LocalCluster) -> Iterator[None]:
             os.environ[SECRET_VARIABLE] = before
 
 
-def _cluster(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
+def cluster_of(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
+    """Return a cluster as in `running`, which has not started yet."""
     if network is None:
         return LocalCluster(hosts=hosts, supernodes=1, durable=False)
     return LocalCluster(

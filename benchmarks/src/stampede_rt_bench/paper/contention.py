@@ -125,5 +125,5 @@ def _notes(effort: Effort) -> list[str]:
     return [
         f"{effort.runs} runs of {effort.frames:,} frames; dropped by all: mean; median (least to most) of the runs.",
         f"Paper: 5 runs of {PAPER_FRAMES:,} frames, Gigabit Ethernet, dual 3.06 GHz Xeons with up to 4 consumers each;",
-        "its text gives these figures, our copy lacks its graphs. Figure 6 needs proxies, which do not exist yet.",
+        "its text gives these figures, our copy lacks its graphs.",
     ]

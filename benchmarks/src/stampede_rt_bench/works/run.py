@@ -36,7 +36,8 @@ class Measured:
 
     `p50_us`, `p99_us` and `p999_us` are percentiles of the time of an operation, or of the time from put to reader.
     They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get. `cpu_us_per_item` is
-    the CPU time of all processes, `server_cpu_us_per_item` that of the server alone.
+    the CPU time of all processes, `server_cpu_us_per_item` that of the server alone. `server_cores`: the share of a
+    core that each process of the server used.
     """
 
     seconds: float
@@ -47,6 +48,7 @@ class Measured:
     p50_us: float = 0
     p99_us: float = 0
     p999_us: float = 0
+    server_cores: tuple[float, ...] = ()
 
 
 def share(ordered: array[int] | list[int], part: float) -> float:
@@ -97,9 +99,9 @@ def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
     team.wait(lambda: progress.received_by_each() > 0, START_SECONDS, "nothing arrives")
     time.sleep(max(WARM_SECONDS_MIN, WARM_SHARE * seconds))
     progress.measure(True)
-    begun = _reading(team, assignment)
+    begun, begun_cpu_s = _reading(team, assignment), _cpu_by_server(assignment)
     time.sleep(seconds)
-    ended = _reading(team, assignment)
+    ended, ended_cpu_s = _reading(team, assignment), _cpu_by_server(assignment)
     progress.measure(False)
     lasted, served, worked, received = (after - before for before, after in zip(begun, ended, strict=True))
     if not received:
@@ -111,6 +113,7 @@ def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
         items_per_second=items / lasted,
         cpu_us_per_item=(served + worked) / items * US_PER_SECOND,
         server_cpu_us_per_item=served / items * US_PER_SECOND,
+        server_cores=tuple((after - before) / lasted for before, after in zip(begun_cpu_s, ended_cpu_s, strict=True)),
     )
     return _with_times(rates, work, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
 
@@ -119,6 +122,10 @@ def _reading(team: _Team, assignment: Assignment) -> tuple[float, float, float, 
     """The time, the CPU seconds of the server and of the clients, and the received items."""
     cpu_s = cpu_seconds(assignment.served.pids), cpu_seconds(team.pids)
     return time.monotonic(), *cpu_s, assignment.progress.received_by_all()
+
+
+def _cpu_by_server(assignment: Assignment) -> list[float]:
+    return [cpu_seconds([pid]) for pid in assignment.served.pids]
 
 
 def _with_times(measured: Measured, work: Work, by_process: list[array[int]], progress: RunCounters) -> Measured:

@@ -759,7 +759,7 @@ complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -
 complete -c stampede -n '_shtab_stampede_using bench' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using bench; and test $_shtab_stampede_npos -eq 0' -a paper -d 'The figures of the paper, measured on this machine:'
 complete -c stampede -n '_shtab_stampede_using bench paper' -s h -l help -d 'show this help message and exit'
-complete -c stampede -n '_shtab_stampede_using bench paper' -l figure -xka "get interval contention visibility skew memory" -d 'only this figure; may be repeated'
+complete -c stampede -n '_shtab_stampede_using bench paper' -l figure -xka "get interval contention proxies visibility skew memory" -d 'only this figure; may be repeated'
 complete -c stampede -n '_shtab_stampede_using bench paper' -l items-max -x -d 'the largest channel (default: 10,000,000, which takes 4 GiB and some minutes)'
 complete -c stampede -n '_shtab_stampede_using bench paper' -l runs -x -d 'the runs for each figure (default: 5)'
 complete -c stampede -n '_shtab_stampede_using bench paper' -l frames -x -d 'the frames of each run of contention (default: 2312, as in the paper: 77 s)'

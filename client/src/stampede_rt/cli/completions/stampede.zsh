@@ -326,7 +326,7 @@ _shtab_stampede_bench_matching_defaults_added=0
 
 _shtab_stampede_bench_paper_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "*--figure[only this figure\; may be repeated]:NAME:(get interval contention visibility skew memory)"
+  "*--figure[only this figure\; may be repeated]:NAME:(get interval contention proxies visibility skew memory)"
   "--items-max[the largest channel (default\: 10,000,000, which takes 4 GiB and some minutes)]:N:"
   "--runs[the runs for each figure (default\: 5)]:N:"
   "--frames[the frames of each run of contention (default\: 2312, as in the paper\: 77 s)]:N:"

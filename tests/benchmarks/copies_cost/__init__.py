@@ -1,0 +1,1 @@
+"""The costs of copies and moves: `python -m tests.benchmarks.copies_cost`."""

@@ -1,0 +1,69 @@
+"""The time to drain a host with 1,000 channels and 1 GB, beside the copy of 1 GB over a bare stream of gRPC."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from stampede_rt_bench.measuring import Spread
+from stampede_rt_bench.tables import Table, spread
+from tests.benchmarks.bare_server import REQUEST
+from tests.benchmarks.copies_cost.figures import ratio
+from tests.support.cluster import running_cluster
+from tests.support.processes import started
+
+CHANNELS, ITEMS, ITEM_BYTES = 1000, 16, 62_500
+TOTAL_BYTES = CHANNELS * ITEMS * ITEM_BYTES
+GOAL = 2.0
+TIMEOUT_S = 60
+
+
+def measure(rounds: int) -> Table:
+    """Make the table. The channels go from one host to the other and back, and the bare copy takes turns with that."""
+    drains_s, copies_s = list[float](), list[float]()
+    with running_cluster(hosts=2, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
+        _fill(rt)
+        for at in range(rounds):
+            drains_s.append(_drain_s(rt, ("h1", "h2")[at % 2]))
+            copies_s.append(_copy_s())
+    table = Table(["drain, s", "bare copy, s", "ratio", "goal"])
+    both = [spread(Spread.of(one), 2) for one in (drains_s, copies_s)]
+    table.rows.append([*both, ratio(drains_s, copies_s), f"at most {GOAL:g}"])
+    table.notes = [f"{CHANNELS:,} channels, each with {ITEMS} items of {ITEM_BYTES:,} B; the bare messages have 1 MB."]
+    return table
+
+
+def _fill(rt: Any) -> None:
+    for number in range(CHANNELS):
+        channel = rt.channel(f"drained/{number}", host="h1", max_items=ITEMS)
+        with channel.producer() as producer:
+            for _ in range(ITEMS):
+                producer.put(bytes(ITEM_BYTES))
+
+
+def _drain_s(rt: Any, host: str) -> float:
+    begun = time.perf_counter()
+    drained = rt.drain(host, timeout=f"{TIMEOUT_S}s")
+    took = time.perf_counter() - begun
+    assert (drained.moved, drained.left) == (CHANNELS, {}), f"{drained.moved} moved, {len(drained.left)} are left"
+    return took
+
+
+def _copy_s() -> float:
+    """Fetch as many bytes as the channels have from a bare server, in messages of the bytes of one channel."""
+    with started([sys.executable, "-m", "tests.benchmarks.bare_server"]) as server:
+        assert server.stdout is not None
+        target = f"127.0.0.1:{server.stdout.readline().strip()}"
+        with grpc.insecure_channel(target, options=CHANNEL_OPTIONS) as channel:
+            call: Any = channel.stream_stream("/Bare/Fetch")
+            list(call(iter([REQUEST.pack(1, 1, 1)])))  # the connection is there
+            begun = time.perf_counter()
+            received = sum(len(one) for one in call(iter([REQUEST.pack(CHANNELS, ITEMS, ITEM_BYTES)])))
+            took = time.perf_counter() - begun
+    assert received == TOTAL_BYTES
+    return took
