@@ -62,7 +62,7 @@ class Callers:
 
 @contextmanager
 def callers() -> Iterator[Callers]:
-    """Callers of which all have quotas, or none."""
+    """Callers that all have quotas, or callers without quotas."""
     found, subject_of = Callers(), control.subject_of
     control.subject_of = found.subject_of
     try:
@@ -88,7 +88,7 @@ def counted_steps() -> Iterator[list[int]]:
 
 
 def calls_of(channel: Opened, target: str, method: str, number: int) -> Callable[[], None]:
-    """A function that makes that many calls on a new stream, one after the other."""
+    """A function that makes the given number of calls on a new stream, one after the other."""
     known = {"channel_id": channel.channel_id, "epoch": channel.epoch}
     put = pb.PutRequest(**known, puts=[run_of(PAYLOAD)]).SerializeToString()
 

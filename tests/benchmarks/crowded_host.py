@@ -172,7 +172,7 @@ def sweeps_of_idle_channels(others: int) -> list[float]:
 
 
 def refusals_for_memory(others: int) -> list[float]:
-    """A claim beyond the bound, for which all that is due is freed before."""
+    """A claim beyond the bound. Before the refusal, the host frees all due items."""
     host, _ = with_idle_channels(others)
 
     def claim(_: int) -> None:

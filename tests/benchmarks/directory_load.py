@@ -51,7 +51,7 @@ def percentile(seconds: list[float], share: float) -> str:
 
 
 async def rate_of(work: Callable[[int], Awaitable[Any]], *, workers: int, seconds: float) -> tuple[float, list[float]]:
-    """How often a second so many workers get `work` done, and how long each took."""
+    """How often a second the workers together do `work`, and how long each took."""
     took: list[float] = []
     until = time.monotonic() + seconds
 
@@ -193,7 +193,7 @@ def cpu_seconds(cluster: Cluster) -> float:
 
 
 def come(addresses: list[str], clients: int, at: float) -> tuple[list[float], float]:
-    """How long after `at` (this machine's monotonic clock) each of so many clients had its answer, and their CPU."""
+    """The time from `at` (this machine's monotonic clock) to the answer of each of `count` clients, and their CPU."""
 
     async def one(channel: grpc.aio.Channel) -> float:
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)

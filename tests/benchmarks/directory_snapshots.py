@@ -37,7 +37,7 @@ from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
 BATCH = 250
 WRITES_PER_TICK = 16
-CHANGED = 5000  # so many entries lie between two snapshots of a busy supernode
+CHANGED = 5000  # the number of entries between two snapshots of a busy supernode
 STEPS_MAX = 100_000
 
 Row = tuple[str, str]

@@ -26,7 +26,7 @@ from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.host import ChannelHost
 
 STEPS_PER_PERIOD = 10  # channels put at phases of their own, so that nothing is coalesced by coming together
-LAG_STEPS = 50  # so many steps from one look at the cut to the next
+LAG_STEPS = 50  # the number of steps from one look at the cut to the next
 PAYLOAD = b"x" * 64
 NO_GROUP = "-"
 
@@ -46,7 +46,7 @@ class Fed:
 
 
 class FedHost(ChannelHost):
-    """Heeds stdin once it has entered the cluster; ends as any host does."""
+    """Obeys standard input once it has entered the cluster; ends as any host does."""
 
     async def enter(
         self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "", tcp_target: str = ""
@@ -112,7 +112,7 @@ def _put(host: ChannelHost, channels: Sequence[HostedChannel]) -> int:
 
 
 def _lags_ms(host: ChannelHost, group_id: bytes) -> list[float]:
-    """How far the group's cut is behind now, if it has one here."""
+    """The lag of the group's cut now, if the group has a cut at this host."""
     group = host.groups.known(group_id)
     return [] if group is None or group.cut.cut is None else [(host.store.now() - group.cut.cut) / 1e6]
 

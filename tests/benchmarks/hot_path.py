@@ -30,7 +30,7 @@ SIZES = (64, 18_000, 300_000)
 INTERVAL_ITEMS = {64: 1000, 18_000: 200, 300_000: 20}
 RUN_ITEMS = {64: 256, 18_000: 3, 300_000: 1}
 RUNS = 8  # on their way from a producer to a subscriber, before the first of them is read
-# more items than are ever under way: a reader would wait in vain for an item collected before it was read
+# more items than are ever under way: a reader would wait for ever for an item that was collected before the read
 CHANNEL_ITEMS = 4096
 
 

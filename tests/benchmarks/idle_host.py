@@ -1,9 +1,9 @@
 """The cost of idle channels for a host: `python -m tests.benchmarks.idle_host [--channels 100000]`.
 
 A cluster of processes: one front-end, one supernode and one host. The host fills its own store, step by step, and puts
-one item into each channel, because clients would take an hour for so many. The rest of the host is as ever. After each
-step the benchmark reads the CPU time and the resident memory of the whole host process. So the figures include all that
-runs in an idle host: sweep, lease, watches, garbage collector and event loop.
+one item into each channel, because clients would take an hour for this number. The rest of the host is as usual. After
+each step the benchmark reads the CPU time and the resident memory of the whole host process. So the figures include all
+that runs in an idle host: sweep, lease, watches, garbage collector and event loop.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ AS_HOST = "--as-host"
 
 
 class FilledHost(ChannelHost):
-    """Heeds stdin once it has entered the cluster; ends as any host does."""
+    """Obeys standard input once it has entered the cluster; ends as any host does."""
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """See ChannelHost."""

@@ -1,8 +1,8 @@
 """Whether a follower behind a slow link catches up under load: `python -m tests.benchmarks.lagging_follower`.
 
-Three real supernodes on this machine; one is reached through a relay that lets so much through and no more. It is
-killed and started again while many channels are there and writes go on. Prints how many entries it lacks, before, at
-its restart, and every few seconds after. Exit code 1 if it has not caught up in the end.
+Three real supernodes on this machine; one is reached through a relay with a limited rate. It is killed and started
+again while many channels are there and writes go on. Prints how many entries it lacks, before, at its restart, and
+every few seconds after. Exit code 1 if it has not caught up in the end.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ async def narrow_cluster(folder: Path, bytes_per_second: float) -> AsyncIterator
 
 
 async def leader_of(supernodes: list[Supernode]) -> Supernode:
-    """The one of these that leads."""
+    """The leader among these."""
     async for _ in processes.attempts():
         for one in supernodes:
             with contextlib.suppress(grpc.aio.AioRpcError):

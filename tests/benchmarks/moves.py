@@ -195,7 +195,7 @@ def timed(held: list[float], move: Callable[[], Any]) -> Span:
 
 
 def pauses(those: Iterable[Seen], spans: list[Span]) -> list[float]:
-    """The pause of each of those at each move."""
+    """The pause of each reader or producer at each move."""
     return [one.pause_s(span) for one in those for span in spans]
 
 

@@ -31,7 +31,7 @@ COLUMNS = ("hosts", "pairs", "items/s", "CPU us/item, alone", "a group adds", "m
 
 
 class FedHosts:
-    """The hosts, named h1, h2, ..., all told the same at once."""
+    """The hosts, named h1, h2, ..., which all get the same commands at once."""
 
     def __init__(self, processes: Sequence[subprocess.Popen[str]]) -> None:
         self._processes = processes
@@ -47,7 +47,7 @@ class FedHosts:
 
 @contextmanager
 def fed_hosts(count: int, *flags: str) -> Iterator[FedHosts]:
-    """`count` hosts that are ready, and gone afterwards."""
+    """Yield `count` hosts that are ready. They have ended after the block."""
     with ExitStack() as ends:
         processes = []
         for number in range(1, count + 1):

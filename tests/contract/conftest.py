@@ -64,7 +64,9 @@ def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep one of the tests of the core in memory, which has no transport, and some over the public streams."""
+    """Keep each test of the core in memory once, because the core has no transport, and some tests over the public
+    streams.
+    """
     items[:] = [item for item in items if _is_wanted(item)]
 
 

@@ -107,7 +107,7 @@ async def test_a_subscription_that_meets_another_incarnation_as_it_is_resumed_ra
         await channel.put(b"before")
         await take(items, 1)
         made: channel_service_pb2.SubscriptionCursor = items._cursor if items._stream else items._follower.cursor
-        made.incarnation += 1  # as if it had begun before the host was lost
+        made.incarnation += 1  # as though it had begun before the loss of the host
         cut_off(items)
         await channel.put(b"of the new incarnation")
         with pytest.raises(st.IncarnationLost, match=f"{channel.name}.*may be missing"):

@@ -57,7 +57,7 @@ class OracleMember:
 
 @dataclass
 class OracleHeard:
-    """All that one host was told of a channel by its owners. `known_until` None: this host is the owner."""
+    """Everything that the owners of a channel have told one host. `known_until` None: this host is the owner."""
 
     said: Told
     silent_since: int
@@ -92,7 +92,7 @@ def all_in_all(told: list[Told]) -> Told:
 
 
 class OracleBoard:
-    """All that one host was told of all channels."""
+    """Everything that owners have told one host about all channels."""
 
     def __init__(self) -> None:
         self.heard: dict[bytes, OracleHeard] = {}

@@ -102,7 +102,7 @@ def step(command: list[str], folder: Path, environment: dict[str, str]) -> None:
 
 
 def once(stamp: Path, key: str) -> bool:
-    """Whether the files of `key` have yet to be fetched.
+    """Whether the files of `key` still must be fetched.
 
     A caller that gets True writes `key` into the stamp afterwards.
     """

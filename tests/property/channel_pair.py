@@ -208,7 +208,7 @@ class ChannelPair:
         """Export the consumer places as values, and restore them, as for a move to another host."""
         self.oracle.age(self.clock)
         places, held = self.core.consumer_places(self.clock), len(self.oracle.held)
-        assert all(len(one.consumed) <= held for one in places), "what is told of a consumer is bounded by what is held"
+        assert all(len(one.consumed) <= held for one in places), "reports are bounded by the held items"
         self.core.restore_consumers(places, self.clock)
         if self.oracle.consumers is not None:
             self.oracle.consumers.carry(self.clock)

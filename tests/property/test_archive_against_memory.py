@@ -1,4 +1,4 @@
-"""Reads over an archive and a small memory answer as a channel does that has everything in memory."""
+"""Reads over an archive and a small memory give the answers of a channel that has all items in memory."""
 
 from __future__ import annotations
 

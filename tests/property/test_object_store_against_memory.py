@@ -1,4 +1,4 @@
-"""Reads over an archive in an object store, with a cache that is too small, answer as a channel in memory does."""
+"""Reads over an archive in an object store, with a cache that is too small, give the answers of a channel in memory."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class ReplicatedPair(QueuePair):
         return self.journal.next_step - len(self.journal._steps)
 
     def hand_over(self) -> None:
-        """A copy with all steps becomes the owner, without another word of the former owner."""
+        """Make a copy with all steps the owner. The former owner sends it nothing more."""
         while self.takers:
             self.leave(0, drain=False)
         while self.waiting:

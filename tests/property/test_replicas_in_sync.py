@@ -1,4 +1,4 @@
-"""A replica with the flag in the log holds all replicated items, over replicas and a log that do anything."""
+"""A replica that the log calls in sync holds all replicated items, whatever the replicas and the log do."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Model:
         self.owner.know(listed, self.clock)
 
     def apply(self, change: ReplicaChange) -> bool:
-        """The log takes the change, unless it comes too late. Returns whether the owner hears that the log has it."""
+        """Apply the change to the log, unless it comes too late. Returns whether the owner hears of it."""
         host = self.hosts[change.host_id]
         if not host.is_listed or host.boot != change.boot_incarnation or change.number < host.last_change:
             return False
@@ -99,7 +99,7 @@ class Model:
             assert len(flagged) >= self.min_replicas
 
     def settle(self) -> None:
-        """All replicas are there and hold everything, and nothing is lost any more."""
+        """Let all replicas run and hold everything, lose no message, and check that all are in sync."""
         for _ in range(3):
             for host_id, host in self.hosts.items():
                 host.is_listed, host.holds = True, self.next_seq
@@ -168,7 +168,7 @@ def test_with_replicas_that_may_lag_no_acknowledged_item_older_than_the_lag_is_l
 def test_a_put_waits_for_a_lagging_replica_only_until_the_log_has_cleared_its_flag() -> None:
     owner = ReplicasInSync(1, 1, may_lag=True)
     owner.know([KnownReplica(b"a", 1, in_sync=False)], 0)
-    assert owner.within_lag(0)  # nobody may become the owner, so nobody is waited for
+    assert owner.within_lag(0)  # no replica may become the owner, so the puts wait for none
     assert owner.changes(0) == []  # it has not said yet what it holds
     owner.report(b"a", 1, 0)
     for change in owner.changes(0):

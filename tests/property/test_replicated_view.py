@@ -30,7 +30,7 @@ class Story:
         self.view: ReplicatedView | None = None
 
     def begin(self) -> None:
-        """Perhaps the channel has items already, as the one of a replica that becomes the owner."""
+        """Perhaps put items first: a replica that becomes the owner has some, too."""
         self.view = ReplicatedView(self.pair.core, self.pair.clock, lambda body, lo, hi: body)
         run_to_end(self.view.filling(self.pair.clock))
         self.shown = facts(held_by(self.pair.core, self.pair.clock))

@@ -109,7 +109,7 @@ class Story:
         self.readers.append(Reader(cursor.saved(self.core.incarnation), []))
 
     def take_over(self) -> None:
-        """The owner is lost. The items that the copy lacks go with it."""
+        """Lose the owner, and with it the items that the copy lacks."""
         former, there = self.core.incarnation, self.copy.next_seq
         self.clock += STEP
         self.core, self.window = self.copy.as_owner(self.clock, next_incarnation(former))
@@ -120,7 +120,9 @@ class Story:
         self._begin_copy()
 
     def _expect_loss(self, reader: Reader, there: int) -> None:
-        """The reader keeps what it has seen, gets no more of the lost items, and hears of the loss after the others."""
+        """The reader keeps the items that it has. It gets none of the lost items, and hears of their loss after all
+        other items.
+        """
         known = len(reader.seen)
         rest = [one for one in reader.expected[known:] if one[1] < 0 or one[0] < there]
         ends = [at for at, one in enumerate(rest) if one[1] < 0 and one[0] >= there]  # earlier losses at the same place

@@ -17,9 +17,10 @@ from typing import NamedTuple
 PERIOD_SECONDS = 0.25
 LOOKS = 8  # in each window
 STARVED_SHARE = 0.6
-"""A service whose thread waits for so much of 2 s may lose a lease of 2 s. On two processors that only the services and
-their callers use, a thread waits for less."""
-REACH_SECONDS = 4.0  # a lease that has ended now may have missed its renewals so long ago
+"""A service whose thread waits for this share of 2 s may lose a lease of 2 s. On two processors that only the services
+and their callers use, a thread waits for less.
+"""
+REACH_SECONDS = 4.0  # a lease that has ended now may have missed its renewals in this time before
 WINDOWS_KEPT = 100_000
 
 

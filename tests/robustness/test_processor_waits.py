@@ -10,7 +10,7 @@ S = 10**9
 
 
 def looked(shares: list[float]) -> ProcessorWaits:
-    """Looks at one thread, which waits for so much of the time between two looks; a second thread never waits."""
+    """Looks at one thread, which waits for a share of the time between two looks. A second thread never waits."""
     waits, waited, now_s = ProcessorWaits(list), 0.0, 0.0
     waits.look(now_s, {"a": 0, "b": 0})
     for share in shares:

@@ -70,8 +70,8 @@ class Operator:
 def operating(cluster: LocalCluster) -> Iterator[Operator]:
     """Yield an operator, and remove its rules at the end.
 
-    A cluster without certificates knows the operator by its secret. In one with certificates the environment names the
-    operator's.
+    A cluster without certificates knows the operator by its secret. In a cluster with certificates, the environment
+    names the operator's certificate.
     """
     secret = cluster.secret.text if cluster.certificates is None else None
     with reached(cluster.address, None, secret=secret) as supernodes:

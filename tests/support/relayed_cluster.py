@@ -46,7 +46,7 @@ class RelayedCluster:
 
 @contextmanager
 def running_relayed_cluster() -> Iterator[RelayedCluster]:
-    """The cluster and its relay, and nothing of them afterwards."""
+    """Yield the cluster and its relay. Both have ended after the block."""
     with running_cluster(hosts=0, supernodes=1) as cluster:
         port, inner_port = free_ports(2)
         arguments = ("--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", HOST_NAME)

@@ -120,7 +120,7 @@ async def until(condition: Callable[[], object]) -> None:
 
 
 async def paused(one: Port) -> StreamSocket:
-    """The only connection, once its messages stay with the caller."""
+    """Wait until the only connection reads no more messages, and return it."""
     await until(lambda: [made for made in one.server.sockets._streams if made._is_paused])
     [made] = one.server.sockets._streams
     return made

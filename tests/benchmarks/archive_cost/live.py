@@ -26,7 +26,7 @@ def read_on(address: str, name: str) -> None:
 
 @contextmanager
 def long_reads(address: str, name: str) -> Iterator[None]:
-    """Another process reads the channel during the context. Empty name: none does."""
+    """Another process reads the channel during the context. With an empty name no process reads."""
     reader = multiprocessing.get_context("spawn").Process(target=read_on, args=(address, name), daemon=True)
     if name:
         reader.start()
@@ -59,7 +59,7 @@ def times_of(channel: st.Channel) -> list[float]:
 
 
 def living(rt: st.Connection, address: str, rounds: int) -> None:
-    """Print the times of all settings. Each is compared with the one named in its row."""
+    """Print the times of all settings. Each is compared with the setting named in its row."""
     filled(rt, "cost/long/archive", LONG_ITEMS, archive="forever", max_items=1000)
     filled(rt, "cost/long/memory", LONG_ITEMS, max_items=10**6, max_bytes=2**30)
     settings = {

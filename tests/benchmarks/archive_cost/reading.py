@@ -41,7 +41,7 @@ def reading(rt: st.Connection, largest: int) -> None:
 
 
 def read_figures(channel: st.Channel, began: int, size: int) -> tuple[str, str, str]:
-    """The times of reads by time, and the speed of reads of an interval, whose items are all looked at."""
+    """The times of reads by time, and the speed of reads of an interval. The reads look at each item."""
     draw, taken = random.Random(1), []
     for _ in range(AT_TIMES):
         at = began + draw.randrange(size - 2000) * US

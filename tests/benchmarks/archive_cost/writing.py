@@ -31,7 +31,7 @@ RUN_ITEMS = 100
 
 
 class Work(NamedTuple):
-    """So many items of one payload."""
+    """A number of items with one payload."""
 
     name: str
     payload: bytes
@@ -44,7 +44,7 @@ Writer = Callable[[Work], float | None]
 
 
 def plain(folder: Path, work: Work, per_write: int = 1) -> float:
-    """Append the items to a file of this folder, so many in each write."""
+    """Append the items to a file of this folder, `per_write` in each write."""
 
     def write() -> None:
         waiting, many = 0, work.payload * per_write

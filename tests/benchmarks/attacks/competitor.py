@@ -19,7 +19,7 @@ SLOT_SECONDS = 0.05
 
 
 def take(slots: list[float]) -> None:
-    """Take that much processor time in each slot, without end."""
+    """Take this processor time in each slot, without end."""
     begins_s = time.monotonic()
     for busy_s in cycle(slots):
         until_s = time.thread_time() + busy_s
@@ -30,7 +30,7 @@ def take(slots: list[float]) -> None:
 
 
 def main() -> None:
-    """Be as many processes as the attacker kept processors busy."""
+    """Run one process for each processor that the attacker kept busy."""
     slots: list[float] = json.loads(sys.stdin.readline())
     count = max(1, -(-int(1000 * max(slots)) // int(1000 * SLOT_SECONDS)))
     share = [busy_s / count for busy_s in slots]

@@ -73,7 +73,7 @@ async def _read_all(call: Any) -> None:
 
 
 async def new_channels(ground: Ground, under_way: Callable[[], None]) -> None:
-    """Channels are made as fast as 16 callers can."""
+    """16 callers make channels as fast as they can."""
     under_way()
     numbers = itertools.count()
     await all_of(*(_create(ground, numbers) for _ in range(CREATORS)))

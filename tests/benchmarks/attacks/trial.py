@@ -81,7 +81,7 @@ class Found:
 
     @property
     def p99_ratio(self) -> float:
-        """How many times as long a put takes beside the attack, at the 99th percentile."""
+        """The time of a put beside the attack divided by that without it, at the 99th percentile."""
         return self.longer(self.beside)
 
     def longer(self, beside: Good) -> float:

@@ -35,7 +35,7 @@ def in_order(hosted: HostedChannel, rig: Rig, items: int) -> None:
 
 
 def interleaved(hosted: HostedChannel, rig: Rig, items: int) -> None:
-    """Two producers put runs, each of whose items lies between two of the other's."""
+    """Two producers put runs. Each item of one producer lies between two items of the other."""
     now = rig.now()
     for first in range(0, items, 2 * RUN_ITEMS):
         for odd in (0, 1):

@@ -33,7 +33,7 @@ async def late_items(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
-    """As subscriptions to cuts wait for a group, which moves, and then goes."""
+    """Subscriptions to cuts wait for a group, which moves, and is then deleted."""
     hosted = group_of(rig)
     heard = 0
 

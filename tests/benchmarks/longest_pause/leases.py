@@ -39,7 +39,7 @@ async def registration(rig: Rig, channels: int) -> tuple[str, Work]:
 
 
 async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
-    """The log is written, but to nowhere."""
+    """The answer to the registration leaves out all channels and queues."""
     adopt(rig, channels)
 
     async def work() -> None:
@@ -53,7 +53,7 @@ async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
 
 
 async def touched(rig: Rig, channels: int) -> tuple[str, Work]:
-    """As after a put into each of them within half a second."""
+    """The state after a put into each of them within half a second."""
     adopt(rig, channels)
     store = rig.host.store
     for hosted in store.all():

@@ -87,7 +87,7 @@ async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
-    """The items that leave first came last. Every second item is consumed, too."""
+    """The items that came last leave first. Every second item is consumed, too."""
     channel, hosted = await opened(rig, consumers=10)
     now = rig.now()
     for at in range(items):

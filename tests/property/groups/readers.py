@@ -184,7 +184,7 @@ class Readers:
         made = self.subscribe(one.group, one.channel_id, None, False, position)
         assert made is not None
         held = {item.seq for item in pair.oracle.held}
-        assert one.oracle.owed & held <= made.oracle.meant, "whatever it has not been given is still meant for it"
+        assert one.oracle.owed & held <= made.oracle.meant, "each missing item is meant for the reader"
         made.last_given = last
 
     def go_on(self, which: int) -> None:

@@ -1,4 +1,6 @@
-"""Subscriptions of recorded channels through a group bring what those of a channel do that has everything in memory."""
+"""Subscriptions of recorded channels through a group bring the same items as those of a channel with all items in
+memory.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads of recorded channels through a group answer as those of a channel do that has everything in memory."""
+"""Reads of recorded channels through a group give the answers of a channel that has all items in memory."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class PathPuts(PathReads):
     def contends(self, producer_id: int, numbers: range) -> bool:
         """Whether a waiting run has some of these numbers, but not exactly these.
 
-        The host refuses one of the two runs. Until the first run has its answer, nobody knows which.
+        The host refuses one of the two runs. Until the first run has its answer, it is unknown which one.
         """
         in_line = (one.run for one in self.line if one.run.producer_id == producer_id)
         return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)

@@ -67,7 +67,7 @@ class UpgradedMember(DirectoryMember):
         self.run(keep)
 
     def refuse_release(self, by: str, why: str) -> None:
-        """Note that another member has refused it as too old. It ends once that is confirmed."""
+        """Note that another member has refused it as too old. It ends once the refusal is confirmed."""
         assert self.replica is not None
         others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
         if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
@@ -92,7 +92,7 @@ class UpgradedMember(DirectoryMember):
             self._judge_rise(self.replica)
 
     def _judge_rise(self, replica: RaftReplica) -> None:
-        """At the first member that applies the new level, check which members the level is meant for."""
+        """At the first member that applies the new level, check for which members the level is meant."""
         members = [self.world.members[one.member_id] for one in _applied_members(replica)]
         if unknown := [one.member.member_id for one in members if not one.was_newer]:
             raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever reported to know")

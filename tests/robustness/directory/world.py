@@ -223,7 +223,7 @@ class DirectoryMember(SimMember):
         self.services = (
             DirectoryServicer(self._directory, submission, leases, None, None, self.clock, None, None),  # type: ignore[arg-type]
             QueueDirectoryServicer(calls),
-            PeerServicer(calls, leases, None),  # type: ignore[arg-type]  # nobody watches here
+            PeerServicer(calls, leases, None),  # type: ignore[arg-type]  # this world has no watchers
         )
         self.run(lambda: self._tick(leases))
 

@@ -136,7 +136,7 @@ async def _attacked(
 
 
 async def _memory_back(watched: PlacedProcess, calm: int, name: str) -> int:
-    """Wait until the memory is at most so much above the memory before the first attack. Raises TimeoutError."""
+    """Wait until the memory is near that before the first attack. Raises TimeoutError."""
     until_s = time.monotonic() + BACK_SECONDS
     while (now := watched.memory_bytes()) > calm + MEMORY_GROWTH_MIB_MAX * MIB:
         if time.monotonic() > until_s:
@@ -233,7 +233,7 @@ def _refusals(earlier: list[PartUse], told: list[PartUse], quota: Quota) -> str:
         refused = use.refused - before.get(part, 0)
         if refused or (quota is Quota.CPU_PERCENT and use.used):
             return f"{part}: {use.used} of {use.limit} used, {refused} refused"
-    raise FaultHadNoEffect(f"nobody was refused anything by the quota {quota}")
+    raise FaultHadNoEffect(f"the quota {quota} has refused no call")
 
 
 def _uses(told: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:

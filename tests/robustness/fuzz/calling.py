@@ -60,7 +60,7 @@ class Calling:
         return await self.ended(what, task, own_s)
 
     async def interrupt(self, task: asyncio.Future[Any]) -> None:
-        """Cancel at one of the first steps, or some time later."""
+        """Cancel at one of the first steps of the event loop, or some time later."""
         if self.rng.random() < 0.5:
             for _ in range(self.rng.randrange(40)):
                 await asyncio.sleep(0)

@@ -30,7 +30,7 @@ async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: a
 
 
 async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
-    """Puts without waiting for acks, and flushes now and then; in the end everything handed over is there."""
+    """Put without waiting for acks, and flush now and then. In the end all items that the producer took are there."""
     producer = channel.producer()
     handed: set[bytes] = set()
     number = 0

@@ -206,7 +206,7 @@ def damaged(source: ByteSource, raw: bytes) -> bytes:
 
 
 def varint(value: int) -> bytes:
-    """As on the wire."""
+    """Encode a number as a varint."""
     out = bytearray()
     while value > 127:
         out.append(value & 127 | 128)
@@ -256,7 +256,7 @@ def _some_record(source: ByteSource, raw: bytes) -> tuple[list[bytes], int]:
 
 
 def _repeated(source: ByteSource, raw: bytes) -> bytes:
-    """A field again, though it may be a singular one; the last one counts."""
+    """Repeat a field, perhaps a singular one, of which the last value counts."""
     records, place = _some_record(source, raw)
     times = min(source.choice((1, 2, 50, 1000)), REPEATED_BYTES_MAX // max(1, len(records[place])))
     return b"".join([*records, *[records[place]] * times])

@@ -64,7 +64,7 @@ class Takers:
 
 
 async def settled(calling: Calling, settle: Any) -> bool:
-    """Whether it was, before its lease ended."""
+    """Whether the message was settled before its lease ended."""
     try:
         await calling.plain(settle)
     except st.LeaseExpired:
@@ -81,7 +81,7 @@ async def reads_groups(calling: Calling, group: Any, over: asyncio.Event) -> Non
 
 
 async def matches(calling: Calling, group: Any, per: Any, over: asyncio.Event) -> None:
-    """Matches, each item's at most once."""
+    """Matches, at most one for each item."""
     made = await opened(calling, group.match, per, "1s", partial=True)
     seen = await stepped(calling, made, over)
     seqs = [(match[per].incarnation, match[per].seq) for match in seen]
@@ -104,7 +104,7 @@ async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
 
 
 async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> Any:
-    """Made by an undisturbed call of the blocking client, which opens it; by the aio one at once."""
+    """Open a stream by an undisturbed call, in which only the blocking client already waits for the opening."""
     while True:
         made = await calling.any_way("subscribe to a group", calling.plain(make, *arguments, **named))
         if made not in (FAILED, INTERRUPTED):

@@ -135,7 +135,7 @@ class Scenario:
         ledger.judge(seen)
 
     async def _comes_and_goes(self, calling: Calling) -> None:
-        """Connections of one's own, closed in the midst of things."""
+        """Open separate connections, and close each in the middle of its calls."""
         while not self._over.is_set():
             rt = await calling.any_way("connect", self._connect(calling), 5)
             if not hasattr(rt, "channel"):
@@ -183,7 +183,7 @@ class Scenario:
 
 
 def channel_end() -> int:
-    """Later than everything that is put."""
+    """An instant later than every item of the scenario."""
     return st.now() + 10**9
 
 

@@ -159,7 +159,7 @@ def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS
     """The items that were known long before the last one of an incarnation, and that a replica has lost as the owner.
 
     The next incarnation has the items of a replica if its number follows. Only those count of which a reader has read
-    all items: without such a read nobody knows what is lost.
+    all items: without such a read it is unknown which items are lost.
     """
     found: list[str] = []
     for name, history in by_key(operations).items():

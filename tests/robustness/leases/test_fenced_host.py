@@ -37,7 +37,7 @@ def owner(cluster: LocalCluster, channel: st.Channel) -> ServiceProcess:
 
 
 def stale_put(stub: ChannelServiceStub, cluster: LocalCluster, info: st.ChannelInfo) -> list[pb.PutAck]:
-    """A put under the epoch of `info`, by a caller that does not look again. Raises StampedeError."""
+    """Put under the epoch of `info`, as a caller that does not ask the directory again. Raises StampedeError."""
     request = pb.PutRequest(channel_id=info.channel_id, epoch=info.epoch, puts=[run_of(b"too late", number=1)])
     metadata = call_metadata(cluster.secret.text)
     try:
@@ -48,7 +48,7 @@ def stale_put(stub: ChannelServiceStub, cluster: LocalCluster, info: st.ChannelI
 
 
 def refused(answer: Future[list[pb.PutAck]]) -> bool:
-    """Whether nothing of a put was taken."""
+    """Whether the host accepted no item of a put."""
     try:
         acks = answer.result(PATIENCE_SECONDS)
     except StampedeError:

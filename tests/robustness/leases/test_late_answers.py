@@ -32,7 +32,7 @@ def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> RecordedChann
 
 
 class SlowDirectory:
-    """Each question waits for its answer to be given; `asked` is signalled for each."""
+    """Each question waits until the test gives the answer; `asked` is signalled for each."""
 
     def __init__(self) -> None:
         self.questions: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
@@ -50,7 +50,7 @@ def store_over(directory: SlowDirectory) -> ChannelStore:
     identity = HostIdentity(host_id=ME, name="me", boot_incarnation=1)
     return ChannelStore(
         identity,
-        directory,  # type: ignore[arg-type]  # what is asked of it here
+        directory,  # type: ignore[arg-type]  # the store calls only these methods
         SystemClock(),
         lease_held=lambda: True,
         memory=MemoryBudget(2**20),

@@ -48,7 +48,7 @@ SOURCE_STEPS = {
 
 
 def reach(plan: Path, name: str) -> None:
-    """Do what the plan says about this step."""
+    """Send the signal that the plan names for this step, if any."""
     try:
         step, pid, number = plan.read_text().split("|")
     except FileNotFoundError:

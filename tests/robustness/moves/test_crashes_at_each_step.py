@@ -33,7 +33,7 @@ AFTER_THE_REMOVAL = STEPS.index("removed")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waits of milliseconds, because every step is waited for in turn."""
+    """Set waits of milliseconds, because the test waits for each step in turn."""
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "HEIR_SECONDS", 0.005)
@@ -55,7 +55,7 @@ class Story:
         self.next = 1
 
     def put(self) -> None:
-        """Put the next item at whichever host serves the channel, if any does and few puts wait."""
+        """Put the next item at the host that serves the channel, if there is one and few puts wait."""
         self.note_acks()
         if len(self.waiting) >= WAITING_MAX:
             return
@@ -70,7 +70,7 @@ class Story:
     def note_acks(self) -> None:
         for each in [*self.waiting]:
             number, run, host = each
-            if run.ack is not None or not host.alive:  # the caller of a dead host hears of that
+            if run.ack is not None or not host.alive:  # the caller of a dead host gets an error
                 self.waiting.remove(each)
             if run.ack is not None and not run.ack.HasField("error"):
                 self.acknowledged.append(number)
@@ -92,7 +92,7 @@ class Story:
         return failure
 
     async def settle(self) -> list[int]:
-        """Wait until nobody waits, and return the items at the owner."""
+        """Wait until no put waits, and return the items at the owner."""
         async with asyncio.timeout(30):
             while True:
                 owner = self.world.owner
@@ -106,7 +106,7 @@ class Story:
                 await asyncio.sleep(0.001)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait for what the hosts do in the background."""
+        """Wait for the background work of the hosts."""
         async with asyncio.timeout(30):
             while True:
                 if condition():
@@ -114,7 +114,7 @@ class Story:
                 await asyncio.sleep(0.001)
 
     def check(self, items: list[int]) -> None:
-        """Nothing that was acknowledged is lost, nothing is there twice, and one host serves the channel."""
+        """No acknowledged item is lost, no item is there twice, and one host serves the channel."""
         assert set(self.acknowledged) <= set(items)
         assert len(set(items)) == len(items)
         assert self.world.record.incarnation == self.world.incarnation
@@ -142,7 +142,7 @@ async def test_the_destination_dies(step: str) -> None:
     story = Story(step, lambda world: world.kill(DESTINATION))
     await story.move()
     story.world.expire(DESTINATION)
-    if STEPS.index(step) >= AFTER_THE_REMOVAL:  # it has the items alone from then on, as any owner
+    if STEPS.index(step) >= AFTER_THE_REMOVAL:  # from then on only this host has the items, as any owner
         assert story.world.owner is story.destination
         return
     assert story.world.owner is story.source
@@ -216,7 +216,7 @@ async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_th
     step: str,
 ) -> None:
     def stop(world: World) -> None:
-        """It goes on afterwards, without a lease, and says that it has all it needs."""
+        """Afterwards the host goes on without a lease, and says that it has everything that it needs."""
         world.expire(DESTINATION)
         world.hosts[DESTINATION].has_lease = False
         world.hosts[DESTINATION].store.fence()
@@ -281,7 +281,7 @@ def accepted_by(host: Host) -> float:
 
 
 async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_proxy_anew() -> None:
-    """For ever behind the proxy, it would otherwise send the proxy away for ever."""
+    """Otherwise the owner would always be behind the proxy, and refuse its feed each time."""
     story = Story()
     await story.source.store.bind(story.world.channel_id, 1)
     story.put()

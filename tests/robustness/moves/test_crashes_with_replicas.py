@@ -1,6 +1,6 @@
 """Crashes at each step of a move of a channel with a replica: no crash loses an acknowledged or seen item.
 
-The channel moves to the host of its replica, or to one that holds nothing. The code of moves, replicas and feeds is
+The channel moves to the host of its replica, or to a host without a copy. The code of moves, replicas and feeds is
 real, and so is the state machine of the directory.
 """
 
@@ -33,7 +33,7 @@ PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waits of milliseconds, because every step is waited for in turn."""
+    """Set waits of milliseconds, because the test waits for each step in turn."""
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
@@ -68,7 +68,7 @@ class ReplicatedStory(Story):
             self.at[number] = hosted.replication, hosted.replication.period
 
     def look(self) -> None:
-        """Note what readers see now."""
+        """Note the items that readers see now."""
         for host in self.world.hosts.values():
             try:
                 hosted = host.store.find(self.world.channel_id, self.world.record.epoch)

@@ -1,4 +1,4 @@
-"""A host with a valid certificate of its own takes no channel that nobody has given it, at no step of a move."""
+"""A host with its own valid certificate cannot take a channel that it was not given, at any step of a move."""
 
 from __future__ import annotations
 

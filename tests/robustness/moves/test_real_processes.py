@@ -64,14 +64,14 @@ class Hosts:
             one.wait_ready(READY_S)
 
     def plan(self, step: str, victim: ServiceProcess, number: signal.Signals, source: str, destination: str) -> Path:
-        """Have the victim get the signal when the move is at the step. Returns the file, which is gone then."""
+        """Plan the signal to the victim at this step of the move. Returns the file, which is removed at that step."""
         plan = self.folder / (source if step in SOURCE_STEPS else destination)
         plan.write_text(f"{step}|{victim.pid}|{int(number)}")
         return plan
 
 
 def again(process: ServiceProcess) -> None:
-    """Start a process that was killed from elsewhere."""
+    """Start a process again that another process has killed."""
     process.kill()  # closes what the former run has left
     process.start()
 
@@ -108,7 +108,7 @@ class Producer:
             try:
                 item = self._channel.put(b"%d" % number, timeout=2)
             except st.StampedeError:
-                continue  # nobody knows whether it was accepted
+                continue  # it is unknown whether it was accepted
             self.acknowledged.append((number, item.incarnation))
 
     def _read(self) -> None:
@@ -124,7 +124,7 @@ class Producer:
         assert not self._threads[0].is_alive(), "a put is stuck"
 
     def end_of_reader(self) -> None:
-        """Nobody is stuck: the reader has everything, or heard of the loss."""
+        """No reader is stuck: each has everything, or heard of the loss."""
         last = self.acknowledged[-1][0]
         wait_until(lambda: self.reader_error is not None or last in self.seen[-1:], "the reader has everything")
         self._subscription.close()
@@ -140,7 +140,7 @@ def victim_of(rt: Any, hosts: Hosts, victim: str, source: str, destination: str)
 
 
 def may_lose(victim: str, step: str) -> bool:
-    """Whether the victim has the items alone at that step, as any owner has."""
+    """Whether only the victim has the items at that step, as any owner."""
     if victim == "source":
         return step in (*STEPS[:3], *SOURCE_STEPS)  # the commit races with what the source hears
     return victim == "destination" and step in (*LATE, "destination: tells the source", "source: hears of the commit")
@@ -187,7 +187,7 @@ def moved(rt: Any, channel: Any, destination: str) -> st.StampedeError | None:
 
 
 def check(channel: Any, producer: Producer, *, may_lose: bool) -> None:
-    """The owner has every acknowledged item once; after a loss those of the new incarnation, and not of two."""
+    """The owner has every acknowledged item once. After a loss, it has those of the new incarnation only."""
     incarnations = {incarnation for _, incarnation in producer.acknowledged}
     assert len(incarnations) == 1 or (may_lose and len(incarnations) == 2), incarnations
     last = producer.acknowledged[-1][1]

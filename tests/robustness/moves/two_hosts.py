@@ -84,7 +84,7 @@ class World:
         return recorded_channel(channel_record(self.log.directory.tables.channels[self.channel_id]))
 
     def at(self, step: str) -> None:
-        """The protocol is at this step."""
+        """Note that the protocol has reached this step."""
         if step not in self.reached:
             self.reached.append(step)
             if step == self.crash_at:
@@ -192,7 +192,7 @@ class SimulatedDirectory:
 
     def __init__(self, host: Host) -> None:
         self.host, self.world = host, host.world
-        self.permits: list[bytes] = []  # those that this host has got
+        self.permits: list[bytes] = []  # the permits that this host has got
 
     async def _reach(self) -> None:
         await asyncio.sleep(0)

@@ -119,7 +119,7 @@ class PlacedProcess:
     async def freeze(self) -> None:
         """Stop the process with SIGSTOP, and wait until the kernel shows it as stopped.
 
-        Raises FaultHadNoEffect if it never does.
+        Raises FaultHadNoEffect if the kernel never shows that.
         """
         self.signal(signal.SIGSTOP)
         deadline = time.monotonic() + SEEN_SECONDS
@@ -156,7 +156,7 @@ class PlacedProcess:
         return len(list(Path(f"/proc/{self.pid}/fd").iterdir()))
 
     def step_wall_clock(self, seconds: float) -> None:
-        """Let its wall clock be off by `seconds` from now on (see `service_process`)."""
+        """Set its wall clock wrong by `seconds` from now on (see `service_process`)."""
         self.clock_file.write_text(f"{int(seconds * 1e9)}".ljust(31))
 
     def memory_bytes(self) -> int:

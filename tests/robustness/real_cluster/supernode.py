@@ -107,7 +107,7 @@ class Supernode(PlacedProcess):
         return (leaders[0] if leaders else None), listed.applied_index
 
     async def wall_clock_nanos(self) -> int:
-        """The time that it tells."""
+        """The time that it reports."""
         return int((await self.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).time_unix_nano)
 
     def mount_small_disk(self) -> None:

@@ -46,7 +46,7 @@ class Wire:
 
 
 class LateResult(Generic[T]):
-    """Work of another thread: done after it was asked for a certain number of times."""
+    """Work of another thread, which ends after a certain number of questions about it."""
 
     def __init__(self, work: Callable[[], T], times: int) -> None:
         self._work = work
@@ -139,13 +139,13 @@ class SimMember:
         self.said, self.rolled_back = Said(self.member.member_id), True
 
     def hang(self, seconds: float) -> None:
-        """Let its disk not answer for `seconds`: the log stands still, and the rest of the process goes on."""
+        """Stop its disk for `seconds`: the log stands still, and the rest of the process goes on."""
         self._hangs_since = self.world.now
         self._busy_until = max(self._busy_until, self.world.now + seconds)
 
     @property
     def stuck_seconds(self) -> float:
-        """How long it has waited for a disk that does not answer."""
+        """The time for which it has waited for a disk that does not answer."""
         return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
 
     def refuse_release(self, by: str, why: str) -> None:

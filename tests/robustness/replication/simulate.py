@@ -122,7 +122,7 @@ class Trial:
         world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
     def _isolate(self) -> None:
-        """Cut the leader off from all others. For a while it goes on to take commands, which nobody commits."""
+        """Cut the leader off from all others. For a while it goes on to take commands, which are never committed."""
         world = self._world
         names = [name for name, one in world.members.items() if one.replica and one.replica.status().is_leader]
         pairs = [ends for ends in world.wires if set(ends) & set(names)]

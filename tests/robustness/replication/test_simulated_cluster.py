@@ -228,7 +228,7 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
 
 
 class KeepsItsDistance(PreVoteElections):
-    """A member that takes nothing from a leader that no other member has named to it."""
+    """A member that refuses a leader until another member has named that leader."""
 
     def on_introduced(self, member: Member) -> None:
         pass
@@ -279,7 +279,7 @@ def leading(world: World) -> SimMember:
 
 
 def with_snapshot(rules: type) -> World:
-    """Three members that have just written snapshots, and will write no further ones for long."""
+    """Three members that have just written snapshots, and write no more of them for a long time."""
     world = World(1, size=3, fault_rates=FaultRates(), rules=rules, snapshot_every=PRODUCTION)
     for member in world.members.values():
         member.start()
@@ -368,7 +368,7 @@ class VotesTwice(PreVoteElections):
 
 
 class HearsMembersOnly(PreVoteElections):
-    """A member that takes nothing from a leader that its own log does not know yet."""
+    """A member that refuses a leader that is not yet in its own log."""
 
     def receive(self, node: object, message: Message) -> None:
         if node in self.other_voters:

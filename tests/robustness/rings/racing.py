@@ -33,7 +33,7 @@ _HEAD_BYTES = 20
 
 
 def body_of(seq: int, filling: bytes) -> bytes:
-    """An encoded run of one item, which proves itself."""
+    """An encoded run of one item, with a checksum over itself."""
     head = seq.to_bytes(8, "little") + (seq * STEP_NANOS).to_bytes(8, "little")
     return head + zlib.crc32(filling, zlib.crc32(head)).to_bytes(4, "little") + filling
 

@@ -104,7 +104,7 @@ def _kill(process: ServiceProcess) -> None:
 
 
 async def soak(minutes: float, picture: Path | None) -> int:
-    """Run the soak. Returns the exit status. `picture`: where the last look of the tab goes."""
+    """Run the soak. Returns the exit status. `picture`: the file for a picture of the tab at the end."""
     with LocalCluster(hosts=2, supernodes=3, log_level="error") as cluster:
         os.environ["STAMPEDE_SECRET_FILE"] = str(cluster.secret_file)
         listen = f"localhost:{free_ports(1)[0]}"

@@ -38,13 +38,13 @@ class LoopbackHost:
         """The host's reading of CLOCK_BOOTTIME."""
 
     def tick(self, nanos: int, *, wall_step: int = 0) -> int:
-        """Let `nanos` pass, and set the wall clock on or back by `wall_step`; the host's time after it."""
+        """Let `nanos` pass, and set the wall clock on or back by `wall_step`. Returns the host's time afterwards."""
         time = self._ask(f"tick {nanos} {wall_step}")
         self.boot_nanos += nanos
         return time
 
     def settle_wall_clock(self) -> int:
-        """Put the wall clock where the host's time is, so that nothing is left to slew; that time."""
+        """Set the wall clock to the host's time, so that the host has no difference to make up. Returns this time."""
         return self._ask("settle")
 
     def _ask(self, line: str) -> int:
@@ -76,7 +76,7 @@ def loopback_host() -> Iterator[LoopbackHost]:
 
 
 class Directory(FakeDirectory):
-    """Opens channels, too: each at the one host there is."""
+    """A directory that also opens channels, each at the only host."""
 
     async def Ping(self, request: Any, context: Any) -> pb.DirectoryServicePingResponse:  # noqa: N802
         return pb.DirectoryServicePingResponse(supernode_id=self.target, ready=True, cluster_id="c")

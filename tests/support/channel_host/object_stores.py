@@ -63,7 +63,7 @@ def moving_files(
 
 
 def opened_files(host: Path, store: SegmentStore, epoch: int, cut: CutRun = slice_run) -> MovingFiles:
-    """The files of CHANNEL at a host whose epoch it is, opened as a host opens them."""
+    """The files of CHANNEL, opened as the host that owns the channel opens them."""
     files = moving_files(host, store, cut)
     files.open(epoch, stored=files.stored.adopt(files.stored.find(epoch)))
     return files

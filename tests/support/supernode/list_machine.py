@@ -51,7 +51,7 @@ class History:
             raise PromiseBroken(f"term {term} has two leaders: {self._leader_of_term[term]} and {member_id}")
 
     def check_end(self, survivors: list[ListMachine]) -> None:
-        """After everything healed: all replicas agree, nothing acknowledged is lost, nothing refused is there."""
+        """After all faults have ended: all replicas agree, have every acknowledged command, and no refused one."""
         first = survivors[0].entries
         for other in survivors[1:]:
             if other.entries != first:
@@ -95,7 +95,7 @@ class ListMachine:
         return (self.entries[-1][0] if self.entries else 0), self._digest
 
     def adopt_digest(self, digest: bytes) -> None:
-        """The leader's."""
+        """Take over the leader's digest."""
         self._digest = digest
 
     def snapshot(self) -> bytes:

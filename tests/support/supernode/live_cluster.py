@@ -53,7 +53,7 @@ class LiveMember:
         self.port = self.server.add_insecure_port("127.0.0.1:0")
         self.member = Member(member_id=member_id, address=f"127.0.0.1:{self.port}")
         self.log: ReplicatedLog | None = None
-        # Whom it was told when it volunteered; None for a founder.
+        # The members that it learned of when it volunteered; None for a founder.
         self.told: list[Member] | None = None
 
     async def start(

@@ -68,7 +68,7 @@ def register(
     incarnation: int = 900,
     move_key: bytes = b"",
 ) -> RegisterHost:
-    """`epoch` None: that of a process which has heard of those with lower boots."""
+    """`epoch` None: the epoch of a process that knows all processes with lower boots."""
     return RegisterHost(
         host_id=id_of(number),
         name=name or f"host-{number}",
@@ -191,7 +191,7 @@ def register_peer(
     incarnation: int = 55,
     **fields: Any,
 ) -> RegisterPeer:
-    """`proof` 0: none. `epoch` None: that of a process which has heard of those with lower boots."""
+    """`proof` 0: none. `epoch` None: the epoch of a process that knows all processes with lower boots."""
     return RegisterPeer(
         peer_id=id_of(number),
         name=name,

@@ -23,7 +23,7 @@ class Commit(NamedTuple):
 
 @dataclass
 class Disk:
-    """Outlives its replica. Between the beginning of a commit and its end it may be there after a crash, or not."""
+    """Outlives its replica. A commit that has begun and not ended may survive a crash, or not."""
 
     # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
     forgets: int = 0
@@ -33,7 +33,7 @@ class Disk:
 
     @property
     def newest(self) -> StoredState:
-        """As the running process sees it."""
+        """The data that the running process reads."""
         return self.commits[-1].state
 
     def durable(self, now: float) -> StoredState:

@@ -38,11 +38,11 @@ def proof(source: ByteSource) -> None:
     """Check that no header without a secret admits its caller."""
     brought = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
     caller = identify(AcceptedProofs(secrets=("the secret of the cluster",)), brought, None)
-    raise AssertionError(f"{caller} was let in with {brought!r}")
+    raise AssertionError(f"{caller} was accepted with {brought!r}")
 
 
 def rule(source: ByteSource) -> None:
-    """Check that an accepted rule comes back the same, and judges every caller and name in short time."""
+    """Check that decoding an accepted rule gives the same rule, which judges every caller and name in short time."""
     drawn = [drawn_message(source, access_pb2.AccessRule.DESCRIPTOR, KNOWN) for _ in range(1 + source.below(4))]
     rules = [rule_from(one) for one in drawn]  # type: ignore[arg-type]
     for one in rules:

@@ -56,7 +56,7 @@ def raft_snapshot(source: ByteSource) -> None:
 def command(source: ByteSource) -> None:
     decoded = decode_command(drawn_request(source, command_pb.DirectoryCommand.DESCRIPTOR, KNOWN))
     again = decode_command(encode_command(decoded))
-    assert repr(again) == repr(decoded)  # numbers that are none differ from themselves
+    assert repr(again) == repr(decoded)  # NaN differs from itself
 
 
 def directory(source: ByteSource) -> None:

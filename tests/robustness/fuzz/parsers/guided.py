@@ -46,7 +46,7 @@ class GuidedRun(NamedTuple):
 
 
 def run_guided(name: str, *, inputs: int, seconds: int, seed: int) -> bool:
-    """Whether nothing was found. Prints a line, and after a finding all that libFuzzer says.
+    """Returns whether nothing was found. Prints a line, and after a finding all output of libFuzzer.
 
     Raises ImportError without atheris.
     """

@@ -22,7 +22,7 @@ from tests.support.files.recordings import INCARNATION, START, entries, gap, ite
 
 @cache
 def sound(compression: str) -> bytes:
-    """A recording with everything that a recording has."""
+    """A recording with each kind of part."""
     with tempfile.TemporaryDirectory() as folder:
         last = item_entry(topic(), item(13, b"{}", duration=3, k="v", content_type="application/json"))
         events = [*entries("cam", range(1, 11)), gap("cam", 11, 12), last, FileAdvance("cam", INCARNATION, START, 13)]
@@ -42,7 +42,7 @@ def recording(source: ByteSource) -> None:
 
 
 def facts(source: ByteSource) -> None:
-    """Facts whose checksum is right, and whose JSON is not."""
+    """Facts with a right checksum and wrong JSON."""
     run = {"topic": "cam", "incarnation": "1", "first_seq": 1, "count": 2, "content_type": "", "attributes": {}}
     good = {"version": 1, "runs": [run], "gaps": [gap("cam", 3, 4).to_json()], "advances": []}
     found = ReadFacts.decode([content(source, json.dumps(good).encode())])

@@ -31,7 +31,7 @@ SEQ = 7
 
 
 def item_run(source: ByteSource) -> None:
-    """A run that is taken is stored, cut and sent on: all readers must find the same items in it."""
+    """An accepted run is stored, cut and sent on: all readers must find the same items in it."""
     raw = drawn_request(source, item_pb2.ItemRun.DESCRIPTOR, KNOWN) if source.chance(80) else source.rest()
     columns = parse_run(raw)
     stamped = None if columns.times is not None else [5] * len(columns.lengths)
@@ -58,7 +58,7 @@ def _check_slices(sealed: bytes) -> None:
 
 
 def put_frames(source: ByteSource) -> None:
-    """The runs of a request as the host takes them out of it, which both forms of the message must show alike."""
+    """The runs that a host finds in a request. Both forms of the message must give the same runs."""
     raw = drawn_request(source, pb.PutRequest.DESCRIPTOR, KNOWN)
     request = put_requests.read_request(raw)
     known = requests.parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
@@ -83,7 +83,7 @@ def subscribe(source: ByteSource) -> None:
     begun = requests.beginning_of(opened)
     if "saved" in begun:
         again = requests.saved_of(requests.saved_to(begun["saved"]))
-        assert again == begun["saved"], "what a host gives a reader, it understands when it comes back"
+        assert again == begun["saved"], "a host understands the cursor that it gave to a reader"
 
 
 def enqueue(source: ByteSource) -> None:

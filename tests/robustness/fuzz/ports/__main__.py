@@ -11,7 +11,7 @@ from tests.robustness.fuzz.ports.run import run
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="call all RPCs of a port with what no client of ours would send")
+    parser = argparse.ArgumentParser(description="call all RPCs with messages that no client of the product sends")
     parser.add_argument("ports", nargs="*", help=f"of {', '.join(PORTS)}; left out: all")
     parser.add_argument("--inputs", type=int, default=1_000_000, help="requests for each port")
     parser.add_argument("--seconds", type=float, default=36_000.0, help="for each port, at most")

@@ -17,7 +17,7 @@ COMMAND_SECONDS = 60.0
 
 
 async def check_commands(credentials: Mapping[str, str], outcome: Outcome) -> None:
-    """Each ends by itself, without a defect, and prints nothing but text."""
+    """Check that each command ends by itself, without a defect, and prints only text."""
     environment = {**os.environ, **credentials}
     for command in COMMANDS:
         process = await asyncio.create_subprocess_exec(

@@ -41,7 +41,7 @@ async def run(
     commands: bool = True,
     told: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Until so many inputs were sent, or for so long at most. `told` hears of each 10,000 inputs.
+    """Send `inputs` inputs, for `seconds` at most. Calls `told` after each 10,000 inputs.
 
     With `tls` the connections bring certificates of all roles instead of the secret. `commands`: the command line is
     looked at afterwards, which takes half a minute.
@@ -130,14 +130,14 @@ async def _check_serves(cluster: FuzzedCluster) -> None:
     """Check that a new client can still use the real host. Hostile callers with the secret may register hosts, too.
 
     It tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer than
-    `connect` waits. Before, it removes all quotas: hostile operators may have left nothing to anybody.
+    `connect` waits. First it removes all quotas, because those of hostile operators may refuse each call.
     """
     await asyncio.to_thread(_remove_quotas, cluster)
     until_s = time.monotonic() + GOOD_CALL_SECONDS
     while (error := await _failure_to_serve(cluster)) is not None and time.monotonic() < until_s:  # noqa: ASYNC110
         await asyncio.sleep(1.0)
     if error is not None:
-        cluster.outcome.add(Finding(what=f"nobody new is served: {error!r}", method="afterwards"))
+        cluster.outcome.add(Finding(what=f"a new client is not served: {error!r}", method="afterwards"))
 
 
 def _remove_quotas(cluster: FuzzedCluster) -> None:
