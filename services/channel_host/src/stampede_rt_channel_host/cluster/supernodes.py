@@ -41,12 +41,14 @@ class _Call(NamedTuple):
     """A call that the host may repeat at several supernodes. `service` makes the stub that has the method.
 
     `since_s`: when the host made this call, or the first call with the same request id, by `age_clock_s`.
+    `final_reason`: an error with this reason ends the call, although it may pass.
     """
 
     method: str
     request: Any
     service: Service
     since_s: float
+    final_reason: str | None
 
 
 class Supernodes:
@@ -75,15 +77,16 @@ class Supernodes:
         *,
         service: Service = directory_service_pb2_grpc.DirectoryServiceStub,
         since_s: float | None = None,
+        final_reason: str | None = None,
     ) -> Any:
         """Make one call of `service`. Tries all known supernodes. If all fail, asks the front-ends, and tries again.
 
         Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
         from `since_s` by `age_clock_s`. Raises the error with which the directory answers, or the last failure once
-        `timeout_s` is over.
+        `timeout_s` is over. Does not wait until an error with the reason `final_reason` passes.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
-        call = _Call(method, request, service, age_clock_s() if since_s is None else since_s)
+        call = _Call(method, request, service, age_clock_s() if since_s is None else since_s, final_reason)
         rounds = DirectoryCall(backoff.deadline_s)
         while True:  # the backoff's deadline ends it
             try:
@@ -91,7 +94,7 @@ class Supernodes:
                     await self.bind(backoff.deadline_s)
                 return await self._call_each(call, rounds)
             except StampedeError as error:
-                if not may_pass(error):
+                if not may_pass(error) or error.reason == final_reason:
                     raise
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
@@ -202,6 +205,8 @@ class Supernodes:
             try:
                 answer = await self._call_one(attempt.target, call, attempt.timeout_s)
             except StampedeError as error:
+                if error.reason == call.final_reason:
+                    raise
                 rounds.failed(attempt.target, error)
                 continue
             self._prefer(attempt.target)

@@ -13,7 +13,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream, feed_until_gone
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
-from stampede_rt_channel_host.copies.replica_keeper import KeptReplicas
+from stampede_rt_channel_host.copies.replica_keeper import KeepingTasks, KeptReplicas
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -24,33 +24,25 @@ logger = logging.getLogger(__name__)
 UNHEARD_SECONDS = 5.0  # if its owner was silent for this time, a copy may be obsolete
 
 
-class QueueReplicaKeeper:
-    """Keeps the replicas of the queues of one host, with a task for each of these queues."""
+class QueueReplicaKeeper(KeepingTasks):
+    """Keeps the replicas of the queues of one host."""
 
     def __init__(
         self, identity: HostIdentity, queues: QueueStore, directory: ReplicaDirectory,
         dial: Callable[[str], grpc.aio.Channel],
     ) -> None:  # fmt: skip
         """`directory`: that of queues. `dial` opens connections to other hosts."""
+        super().__init__()
         self._identity = identity
         self._queues = queues
         self._directory = directory
         self._dial = dial
-        self._tasks: set[asyncio.Task[None]] = set()
         queues.on_replicated = self._begin
 
     def _begin(self, hosted: HostedQueue) -> None:
         assert hosted.replication is not None, "the store names only queues with replicas"
         kept = _KeptQueue(self._queues, self._directory, self._dial, hosted, hosted.replication, self._identity.host_id)
-        task = asyncio.create_task(kept.run(), name=f"replicas of queue {display_name(hosted.record)}")
-        self._tasks.add(task)
-        task.add_done_callback(self._check)
-
-    def _check(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (failure := task.exception()) is not None:
-            extra = {"event": "task_defect", "task": task.get_name()}
-            logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
+        self.keep(kept)
 
     async def drop_unneeded_forever(self) -> None:
         """Ask the directory about copies whose owners are silent. Drop the removed ones, and serve those whose owner is
@@ -70,13 +62,6 @@ class QueueReplicaKeeper:
                     if error.reason == "QUEUE_NOT_FOUND":
                         self._queues.copies.drop(queue_id)
 
-    async def aclose(self) -> None:
-        """End all tasks."""
-        tasks = [*self._tasks]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
 
 class _KeptQueue(KeptReplicas):
     """Keeps the replicas of one queue, and feeds them."""
@@ -89,7 +74,6 @@ class _KeptQueue(KeptReplicas):
         self._queues = queues
         self._dial = dial
         self._hosted = hosted
-        self._feeding: dict[bytes, asyncio.Task[None]] = {}
         self._targets: dict[bytes, str] = {}
         self._steps = replication
 
@@ -117,30 +101,22 @@ class _KeptQueue(KeptReplicas):
         self._hosted.check_stalled()
         return self._queues.may_serve()
 
-    async def run(self) -> None:
-        """Keep and feed the replicas until the host gives the queue up."""
-        try:
-            await super().run()
-        finally:
-            for task in self._feeding.values():
-                task.cancel()
-
     async def _list(self) -> ListedReplicas:
         listed = await super()._list()
         self._targets = {one.known.host_id: one.target for one in listed.replicas}
         for one in listed.replicas:
-            await self.start(one)  # at once: a new owner answers nothing before it has heard of the other replicas
+            self.start(one)  # at once: a new owner answers nothing before it has heard of the other replicas
         return listed
 
-    async def start(self, replica: ListedReplica) -> None:
+    def start(self, replica: ListedReplica) -> None:
         """Feed a replica, unless the host feeds it already."""
         host_id = replica.known.host_id
-        running = self._feeding.get(host_id)
-        if replica.target and (running is None or running.done()):
-            feeding = feed_until_gone(
-                partial(self._feed, host_id), lambda: self._dial(self._targets[host_id]), self.name
-            )
-            self._feeding[host_id] = asyncio.create_task(feeding, name=f"feed of {self.name}")
+        if replica.target:
+            dial = partial(self._dial_host, host_id)
+            self.work_for(host_id, partial(feed_until_gone, partial(self._feed, host_id), dial, self.name), "feed of")
+
+    def _dial_host(self, host_id: bytes) -> grpc.aio.Channel:
+        return self._dial(self._targets[host_id])
 
     def _feed(self, host_id: bytes) -> QueueFeedStream | None:
         target = self._targets.get(host_id, "")

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 
 CALL_SECONDS_MAX = 4.0
-ADD_SECONDS_MAX = 1.0  # how long the call tries if no host is free; the flags of other replicas wait meanwhile
+ADD_SECONDS_MAX = 1.0  # the flags of other replicas wait meanwhile
 
 
 class FeedSource(NamedTuple):
@@ -91,7 +91,7 @@ class ReplicaDirectory:
     async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         """Add a replica at a host that the directory chooses. `acknowledged`: puts wait for it.
 
-        Raises Unavailable (NO_HOST) if there is no host.
+        Raises Unavailable (NO_HOST) at once if there is no host.
         """
         request = pb.AddReplicaRequest(
             request_id=os.urandom(ID_BYTES),
@@ -100,7 +100,7 @@ class ReplicaDirectory:
             kind=replica_pb2.REPLICA_KIND_WARM,
             acknowledged=acknowledged,
         )
-        await self._call("AddReplica", request, ADD_SECONDS_MAX)
+        await self._call("AddReplica", request, ADD_SECONDS_MAX, final_reason="NO_HOST")
 
     async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
         """Remove the replica at a host."""
@@ -130,9 +130,11 @@ class ReplicaDirectory:
         response: pb.ReportReplicaLoadsResponse = await self._call("ReportReplicaLoads", request)
         return response.gone_channel_ids
 
-    async def _call(self, method: str, request: object, seconds_max: float = CALL_SECONDS_MAX) -> Any:
+    async def _call(
+        self, method: str, request: object, seconds_max: float = CALL_SECONDS_MAX, final_reason: str | None = None
+    ) -> Any:
         stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
-        return await self._supernodes.call(method, request, seconds_max, service=stub)
+        return await self._supernodes.call(method, request, seconds_max, service=stub, final_reason=final_reason)
 
 
 def _targets(response: pb.ListReplicasResponse) -> dict[bytes, str]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import grpc
@@ -38,44 +39,6 @@ PAUSE_SECONDS = 0.02
 BIND_SECONDS_MAX = 2.0
 
 
-class ReplicaKeeper:
-    """Keeps the replicas of the channels that one host owns, with a task for each of these channels."""
-
-    def __init__(
-        self, identity: HostIdentity, store: ChannelStore, directory: ReplicaDirectory,
-        dial: Callable[[str], grpc.aio.Channel],
-    ) -> None:  # fmt: skip
-        """`dial` opens connections to other hosts."""
-        self._identity = identity
-        self._store = store
-        self._directory = directory
-        self._dial = dial
-        self._tasks: set[asyncio.Task[None]] = set()
-        store.on_replicated = self._begin
-
-    def _begin(self, hosted: HostedChannel) -> None:
-        keeping = _KeptChannel(self._identity.host_id, self._store, self._directory, self._dial, hosted)
-        task = asyncio.create_task(keeping.run(), name=f"replicas of {hosted.record.name}")
-        self._tasks.add(task)
-        task.add_done_callback(self._check)
-
-    async def aclose(self) -> None:
-        """End all tasks."""
-        tasks = [*self._tasks]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-    def _check(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (failure := task.exception()) is not None:
-            logger.error(
-                "the keeper of replicas has ended with a defect",
-                exc_info=failure,
-                extra={"event": "task_defect", "task": task.get_name()},
-            )
-
-
 class KeptReplicas(ABC):
     """Keeps the replicas of one channel or queue.
 
@@ -94,6 +57,7 @@ class KeptReplicas(ABC):
         self._listed_s = -LIST_SECONDS
         self._lacks = True
         self._has_told = False
+        self._work: dict[bytes, asyncio.Task[None]] = {}  # by the host of a replica
 
     @property
     @abstractmethod
@@ -124,25 +88,47 @@ class KeptReplicas(ABC):
         """Whether this host has its lease."""
 
     @abstractmethod
-    async def start(self, replica: ListedReplica) -> None:
-        """Begin a replica that has no feed."""
+    def start(self, replica: ListedReplica) -> None:
+        """Begin a replica that has no feed, in the background."""
 
     async def run(self) -> None:
         """Keep the replicas until the host gives the channel or queue up."""
-        while self.is_served():  # paced by the wait for news
-            try:
-                if self.may_serve():
-                    await self._round()
-            except (ChannelNotFound, QueueNotFound):
-                return
-            except StampedeError as error:
-                self._listed_s = -LIST_SECONDS
-                self._tell(error)
-            with suppress(TimeoutError):
-                async with asyncio.timeout(ROUND_SECONDS):
-                    await self._replication.news.wait()
-            await asyncio.sleep(PAUSE_SECONDS)  # news come with each report of a replica that is out of sync
-            self._replication.news.clear()
+        try:
+            while self.is_served():  # paced by the wait for news
+                await self._look()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(ROUND_SECONDS):
+                        await self._replication.news.wait()
+                await asyncio.sleep(PAUSE_SECONDS)  # news come with each report of a replica that is out of sync
+                self._replication.news.clear()
+        except (ChannelNotFound, QueueNotFound):
+            return
+        finally:
+            for task in [*self._work.values()]:
+                task.cancel()
+
+    async def _look(self) -> None:
+        try:
+            if self.may_serve():
+                await self._round()
+        except (ChannelNotFound, QueueNotFound):
+            raise
+        except StampedeError as error:
+            self._listed_s = -LIST_SECONDS
+            self._tell(error)
+
+    def work_for(self, host_id: bytes, work: Callable[[], Coroutine[Any, Any, None]], what: str) -> None:
+        """Do `work` for the replica at a host in the background, unless earlier work for it goes on.
+
+        The flags of the other replicas do not wait for a host that may be frozen.
+        """
+        if host_id not in self._work:
+            task = self._work[host_id] = asyncio.create_task(work(), name=f"{what} {self.name}")
+            task.add_done_callback(partial(self._work_ended, host_id))
+
+    def _work_ended(self, host_id: bytes, task: asyncio.Task[None]) -> None:
+        self._work.pop(host_id, None)
+        _log_defect(task)
 
     async def _round(self) -> None:
         now_s = asyncio.get_running_loop().time()
@@ -185,8 +171,9 @@ class KeptReplicas(ABC):
                 failure = error
             replicas = (await self._list()).replicas
         await self._remove(sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)])
-        idle = [one for one in replicas if one.target and not self._replication.is_fed(one.known.host_id)]
-        await asyncio.gather(*(self.start(one) for one in idle))
+        for one in replicas:
+            if one.target and not self._replication.is_fed(one.known.host_id):
+                self.start(one)
         if failure is not None:
             self._tell(failure)
 
@@ -210,6 +197,49 @@ class KeptReplicas(ABC):
             logger.info("a replica is in sync", extra={"event": "replica_in_sync"} | facts)
         else:
             logger.info("a replica is out of sync", extra={"event": "replica_out_of_sync"} | facts)
+
+
+class KeepingTasks:
+    """A task for each channel or queue whose replicas this host keeps."""
+
+    def __init__(self) -> None:
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def keep(self, kept: KeptReplicas) -> None:
+        """Keep the replicas of one channel or queue from now on."""
+        task = asyncio.create_task(kept.run(), name=f"replicas of {kept.name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._check)
+
+    async def aclose(self) -> None:
+        """End all tasks."""
+        tasks = [*self._tasks]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _check(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        _log_defect(task)
+
+
+def _log_defect(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (failure := task.exception()) is not None:
+        extra = {"event": "task_defect", "task": task.get_name()}
+        logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
+
+
+class ReplicaKeeper(KeepingTasks):
+    """Keeps the replicas of the channels that one host owns."""
+
+    def __init__(
+        self, identity: HostIdentity, store: ChannelStore, directory: ReplicaDirectory,
+        dial: Callable[[str], grpc.aio.Channel],
+    ) -> None:  # fmt: skip
+        """`dial` opens connections to other hosts."""
+        super().__init__()
+        host_id = identity.host_id
+        store.on_replicated = lambda hosted: self.keep(_KeptChannel(host_id, store, directory, dial, hosted))
 
 
 class _KeptChannel(KeptReplicas):
@@ -253,8 +283,12 @@ class _KeptChannel(KeptReplicas):
         """Whether this host has its lease."""
         return self._store.lease_held()
 
-    async def start(self, replica: ListedReplica) -> None:
-        """Have the host of a replica begin it. It answers MOVED, because it serves no readers."""
+    def start(self, replica: ListedReplica) -> None:
+        """Have the host of a replica begin it."""
+        self.work_for(replica.known.host_id, partial(self._start, replica), "start of a replica of")
+
+    async def _start(self, replica: ListedReplica) -> None:
+        """Bind the channel at the host of a replica. It answers MOVED, because it serves no readers."""
         channel = self._dial(replica.target)
         stub = gatekeeper_service_pb2_grpc.GatekeeperServiceStub(channel)
         request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._thing_id, epoch=self._hosted.epoch)

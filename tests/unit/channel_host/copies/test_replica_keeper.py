@@ -1,0 +1,85 @@
+"""The keeper of replicas changes flags while the host of another replica, or its answer, is missing."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas
+from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
+from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
+from tests.support.clock import ManualClock
+
+OWNER, FROZEN, SILENT = b"o" * 16, b"f" * 16, b"s" * 16
+WAIT_SECONDS_MAX = 30.0
+
+
+class Store:
+    """A store with one channel, which this host owns."""
+
+    on_replicated: Any = None
+
+    def serves(self, hosted: HostedChannel) -> bool:
+        return True
+
+    def lease_held(self) -> bool:
+        return True
+
+
+class Directory:
+    """A directory with a replica at a frozen host, and one in sync that has said nothing yet."""
+
+    def __init__(self) -> None:
+        self.has_changed = asyncio.Event()
+        self.tries_to_add = 0
+
+    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
+        frozen, silent = KnownReplica(FROZEN, 1, False), KnownReplica(SILENT, 1, True)
+        return ListedReplicas(OWNER, 1, [ListedReplica(frozen, "frozen:1"), ListedReplica(silent, "silent:1")])
+
+    async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
+        self.tries_to_add += 1
+        raise Unavailable("every live host holds the channel", reason="NO_HOST")
+
+    async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
+        assert (change.host_id, change.in_sync) == (SILENT, False)
+        self.has_changed.set()
+
+
+class Frozen:
+    """A connection to a host that never answers."""
+
+    def unary_unary(self, method: str, **_: Any) -> Any:
+        return lambda request, timeout: asyncio.get_running_loop().create_future()
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_, **__: None
+
+    async def close(self, grace: float | None) -> None:
+        pass
+
+
+async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_frozen_and_a_third_one_missing() -> None:
+    clock = ManualClock()
+    policy = Policy(max_items=1, replicas=3)
+    record = channel_pb2.ChannelRecord(name="cam", epoch=1, incarnation=5, spec=policy_to_spec(policy))
+    hosted = HostedChannel(recorded_channel(record), MemoryBudget(2**30), clock.time_unix_nano, lambda _: None)
+    store: Any = Store()
+    directory: Any = Directory()
+    identity = HostIdentity(host_id=OWNER, name="h1", boot_incarnation=1)
+    keeper = ReplicaKeeper(identity, store, directory, lambda target: Frozen())  # type: ignore[arg-type,return-value]
+    store.on_replicated(hosted)
+    try:
+        async with asyncio.timeout(WAIT_SECONDS_MAX):
+            await directory.has_changed.wait()
+    finally:
+        await keeper.aclose()
+    assert directory.tries_to_add >= 1
