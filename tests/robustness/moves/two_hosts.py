@@ -35,14 +35,14 @@ from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 from stampede_rt_runtime.access.move_permits import KEY_BYTES
-from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
 from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import RemoveReplica, SetReplicaInSync
-from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register, remove_replica
+from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register
 
 STEPS = (
     "feeding", "held", "handed over", "commit is asked for", "committed", "source hears of the commit",
@@ -74,6 +74,8 @@ class World:
         self.channel_id = next(iter(self.log.directory.tables.channels))
         self.incarnation = self.record.incarnation
         self.is_cut_off = False  # no host reaches the directory
+        self.commits: dict[bytes, RecordedChannel] = {}  # by the id of the request, which may come again
+        self.clock: HostClock = SystemClock()
         self.links: list[Link] = []
         self.hosts = {number: Host(self, number) for number in numbers}
         if replica_at:
@@ -120,6 +122,18 @@ class World:
             link.cut()
         await asyncio.sleep(0)
 
+    def delay_s(self, link: Link) -> float:
+        """How long a message is on its way over a link."""
+        return 0.0
+
+    def reaches(self, link: Link) -> bool:
+        """Whether there is a way between the hosts of a link."""
+        return True
+
+    async def on_the_way(self, host: Host) -> None:
+        """A call of a host is on its way to the directory, or the answer on its way back."""
+        await asyncio.sleep(0)
+
     def expire(self, number: int) -> None:
         self.log.apply(expire(number, registered_index=number + 1))
 
@@ -137,18 +151,20 @@ class World:
 class Host:
     """One host: its store, its moves, and its calls to the directory."""
 
-    def __init__(self, world: World, number: int) -> None:
+    def __init__(self, world: World, number: int, boot: int = 1) -> None:
         self.world = world
         self.alive = True
         self.has_lease = True
+        self.running = asyncio.Event()  # cleared while its process is stopped
+        self.running.set()
         self.identity = HostIdentity(
-            host_id=id_of(number), name=f"host-{number}", boot_incarnation=1, move_key=key_of(number)
+            host_id=id_of(number), name=f"host-{number}", boot_incarnation=boot, move_key=key_of(number)
         )
         self.store = ChannelStore(
             self.identity,
             SimulatedDirectory(self),  # type: ignore[arg-type]  # `resolve` is all that the store needs here
-            SystemClock(),
-            lease_held=lambda: self.alive and self.has_lease,
+            world.clock,
+            lease_held=self.holds_lease,
             memory=MemoryBudget(2**26),
         )
         directory: Any = SimulatedDirectory(self)
@@ -160,6 +176,9 @@ class Host:
         self.incoming = IncomingMoves(self.identity, self.store, directory, self.copies, self.dial)
         callers: Any = _AnyCaller()
         self.servicer = ReplicaServicer(self.store, OpenStreams(), lambda channel_id: [], self.outgoing, callers)
+
+    def holds_lease(self) -> bool:
+        return self.alive and self.has_lease
 
     def tasks(self) -> list[asyncio.Task[Any]]:
         """All work in the background."""
@@ -195,7 +214,7 @@ class SimulatedDirectory:
         self.permits: list[bytes] = []  # the permits that this host has got
 
     async def _reach(self) -> None:
-        await asyncio.sleep(0)
+        await self.world.on_the_way(self.host)
         if self.world.is_cut_off or not self.host.alive:
             raise Unavailable("no supernode can be reached")
 
@@ -212,7 +231,8 @@ class SimulatedDirectory:
         return FeedSource(record.host_id, self._target(record.host_id), record.epoch)
 
     def _target(self, host_id: bytes) -> str:
-        return self.world.log.directory.tables.hosts[host_id].name
+        host = self.world.log.directory.tables.hosts[host_id]
+        return host.name if host.alive else ""
 
     async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
         await self._reach()
@@ -267,22 +287,25 @@ class SimulatedDirectory:
         if moves_here:
             self.world.at("commit is asked for")
         await self._reach()
+        if (before := self.world.commits.get(request_id)) is not None:
+            return before
         operation = CommitMove(
-            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id, to_boot_incarnation=1,
-            permit=permit,
+            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id,
+            to_boot_incarnation=self.host.identity.boot_incarnation, permit=permit,
         )  # fmt: skip
         done = self.world.apply(operation)
         assert isinstance(done, MoveCommitted)
+        record = self.world.commits[request_id] = recorded_channel(channel_record(done.channel))
         if moves_here:
             self.world.at("committed")
             await self._reach()  # the answer may be lost
-        return recorded_channel(channel_record(done.channel))
+        return record
 
     async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
         self.world.at("removal is asked for")
         await self._reach()
         if not (may_be_replica and self._kept_at(host_id) is Kept.REPLICA):
-            self.world.apply(remove_replica(channel_id, SOURCE))
+            self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id))
         self.world.at("removed")
         await self._reach()
 
@@ -306,6 +329,7 @@ class Link:
         """BindChannel, with which the owner has a replica begin."""
 
         async def bind(request: Any, timeout: float) -> None:  # as gRPC has it
+            await self.source.running.wait()
             with suppress(StampedeError):
                 await self.source.store.bind(request.channel_id, request.epoch)
 
@@ -321,12 +345,17 @@ class Link:
         """Break the stream: the source's call is cancelled, and the destination reads an error."""
         if self.serving is not None:
             self.serving.cancel()
-        self.to_destination.put_nowait(Unavailable("the link is cut"))
+        self.to_destination.put_nowait((0.0, Unavailable("the link is cut")))
+
+    def due_s(self) -> float:
+        """When a message that is sent now arrives."""
+        return asyncio.get_running_loop().time() + self.world.delay_s(self)
 
     # The destination's side.
 
     async def write(self, request: pb.FeedRequest) -> None:
         await self._unless_frozen()
+        self.check_open()
         if self.serving is None:
             self.serving = asyncio.create_task(self._serve())
         self.is_of_move |= bool(request.open.move_id)
@@ -334,15 +363,22 @@ class Link:
             self.world.at("source hears of the commit")
         if request.released:
             self.world.at("source hears of the release")
-        self.to_source.put_nowait(request.SerializeToString())
+        self.to_source.put_nowait((self.due_s(), request.SerializeToString()))
         await asyncio.sleep(0)
 
     async def _unless_frozen(self) -> None:
         if self.is_frozen:
             await asyncio.get_running_loop().create_future()
+        if self.caller is not None:
+            await self.caller.running.wait()
+
+    def check_open(self) -> None:
+        """Raises Unavailable if the source cannot be reached."""
+        if not self.source.alive or not self.world.reaches(self):
+            raise Unavailable("the host does not answer")
 
     async def read(self) -> Any:
-        found = await self.to_destination.get()
+        found = await arrived(self.to_destination)
         await self._unless_frozen()
         if isinstance(found, StampedeError):
             raise found
@@ -359,7 +395,15 @@ class Link:
         try:
             await self.source.servicer.feed(None, Context(self))  # type: ignore[arg-type]
         finally:
-            self.to_destination.put_nowait(EOF)
+            self.to_destination.put_nowait((0.0, EOF))
+
+
+async def arrived(queue: asyncio.Queue[Any]) -> Any:
+    """The next message of a queue, when it has arrived."""
+    due_s, message = await queue.get()
+    if (left_s := due_s - asyncio.get_running_loop().time()) > 0:
+        await asyncio.sleep(left_s)
+    return message
 
 
 class _AnyCaller:
@@ -376,15 +420,17 @@ class Context:
         self._link = link
 
     async def read(self) -> Any:
-        request = await self._link.to_source.get()
+        request = await arrived(self._link.to_source)
+        await self._link.source.running.wait()
         if pb.FeedRequest.FromString(request).hold:
             self._link.world.at("held")
         return request
 
     async def write(self, message: bytes) -> None:
-        self._link.to_destination.put_nowait(message)
+        await self._link.source.running.wait()
+        self._link.to_destination.put_nowait((self._link.due_s(), message))
         await asyncio.sleep(0)
 
     async def abort(self, code: Any, details: str, trailing: Any = ()) -> None:
-        self._link.to_destination.put_nowait(Unavailable(details))
+        self._link.to_destination.put_nowait((0.0, Unavailable(details)))
         raise asyncio.CancelledError

@@ -15,11 +15,13 @@ from tests.robustness.directory import simulate as directory
 from tests.robustness.directory import upgrading
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.robustness.replication import simulate as log
+from tests.robustness.takeovers import simulate as takeovers
 
 SIMULATORS: dict[str, Callable[[int], object]] = {
     "log": log.run,
     "directory": directory.run,
     "upgrading": upgrading.run,
+    "takeovers": takeovers.run,
 }
 # The errors of the checks, and the errors of the product that notices a fault itself and stops.
 BROKEN_PROMISES = (AssertionError, NotLinearizable, InvariantViolation)

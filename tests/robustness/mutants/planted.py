@@ -16,7 +16,7 @@ SEEDS_MAX = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """One fault. `noticed_by`: a simulator ("log", "directory" or "upgrading"), or a test that fails."""
+    """One fault. `noticed_by`: a simulator ("log", "directory", "upgrading" or "takeovers"), or a test that fails."""
 
     name: str
     file: str
@@ -228,5 +228,53 @@ MUTANTS = (
         file=f"{HOST}/copies/allowed_moves.py",
         edits=(("if until_s is None or until_s < self._clock_s():", "if until_s is not None and until_s < 0:"),),
         noticed_by="tests/robustness/moves/test_hostile_hosts.py",
+    ),
+    Mutant(
+        name="break_of_a_lease_is_for_good",
+        file=f"{HOST}/channels/owned_replicas.py",
+        edits=(("        self.period = ServingPeriod()\n        self.wake_waits()", "        self.wake_waits()"),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="lagging_replica_keeps_the_incarnation",
+        file=f"{SUPERNODE}/core/takeover.py",
+        edits=(("and (copy.kind is ReplicaKind.MOVE or copy.acknowledged)", ""),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="flags_survive_a_loss",
+        file=f"{SUPERNODE}/core/replicas/transitions.py",
+        edits=(("in_sync=one.in_sync and one.acknowledged and goes_on", "in_sync=one.in_sync"),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="lag_is_not_looked_at",
+        file=f"{HOST}/core/replication/in_sync.py",
+        edits=(("all(now - one.caught_up <= LAG_NANOS_MAX for", "all(one for"),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="flag_before_the_replica_has_everything",
+        file=f"{HOST}/core/replication/in_sync.py",
+        edits=(("and (self._may_lag or one.next_seq >= self._needed)", ""),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="replica_drops_its_items_with_its_flag",
+        file=f"{HOST}/channels/owned_replicas.py",
+        edits=(("        return has_dropped\n", "        return True\n"),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="no_wait_for_a_replica_that_joins",
+        file=f"{HOST}/core/replication/in_sync.py",
+        edits=(("return self.state is not ReplicaState.OUT", "return self.state is ReplicaState.IN"),),
+        noticed_by="takeovers",
+    ),
+    Mutant(
+        name="former_owners_items_are_kept",
+        file=f"{HOST}/copies/feed_stream.py",
+        edits=(("place.owner_epoch < since_epoch and (", "False and ("),),
+        noticed_by="takeovers",
     ),
 )

@@ -1,0 +1,306 @@
+"""Take-overs and moves of a channel with replicas under random faults: `python -m tests.robustness.takeovers.simulate`.
+
+Producers put numbered items one after the other, and put an item again until it is acknowledged. A reader reads all
+items. No acknowledged or seen item may be lost, with the exception of those that `ack="host"` allows; none may be there
+twice, two hosts never serve the channel, and nobody is stuck when the faults are over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import random
+import sys
+import traceback
+from contextlib import suppress
+from typing import NamedTuple
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.held_acks import AckOfReplicas
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.put_requests import Put
+from stampede_rt_channel_host.channels.puts.wanted_acks import held_ack
+from stampede_rt_channel_host.channels.replication import Replication
+from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
+from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
+from tests.robustness.takeovers.world import Cluster, LeasedHost, serving
+from tests.support.supernode.operations import id_of
+
+FAULTY_SECONDS, HEALED_SECONDS = 30.0, 60.0
+PRODUCERS, PAUSE_SECONDS, ACK_SECONDS = 2, 0.15, 2.0
+LAG_SECONDS_MAX, SLACK_SECONDS = 1.0, 0.1
+FACTOR = 16  # more than the producers
+WITH_CLOCKS = (CopyState.__init__, Replication.__init__, AllowedMoves.__init__)
+
+Item = tuple[int, int]
+"""A producer and the number of its item."""
+
+
+class Known(NamedTuple):
+    """An item was acknowledged or seen at this time, under this incarnation, with this seq."""
+
+    at_s: float
+    incarnation: int
+    seq: int
+
+
+class Found(NamedTuple):
+    """The figures of one run."""
+
+    acknowledged: int
+    takeovers: int
+    moves: int
+    lost: int
+
+
+class Trial:
+    """One run."""
+
+    def __init__(self, clock: VirtualClock, seed: int) -> None:
+        self.rng = random.Random(seed)
+        self.clock = clock
+        ack = self.rng.choice(("host", "replica"))
+        count, replicas = self.rng.choice(((3, 1), (3, 2), (4, 1), (4, 2)))
+        policy = Policy(replicas=replicas, ack=ack, min_replicas=self.rng.choice((0, 1)))
+        self.policy, self.cluster = policy, Cluster(clock, seed, count, policy)
+        self.acknowledged: dict[Item, Known] = {}
+        self.known: dict[int, dict[Item, float]] = {}  # by incarnation: when each item was first acknowledged or seen
+        self.moves = 0
+        self.is_faulty = True
+
+    # Callers.
+
+    def owner(self) -> LeasedHost | None:
+        """The owner, if callers reach it."""
+        host = self.cluster.hosts[self.owner_number()]
+        return host if host.alive and host.running.is_set() else None
+
+    def owner_number(self) -> int:
+        return int.from_bytes(self.cluster.channel.host_id, "big")
+
+    async def produce(self, producer: int) -> None:
+        """Put items one after the other."""
+        number = 1
+        while True:
+            with suppress(StampedeError, TimeoutError):
+                async with asyncio.timeout(ACK_SECONDS + 1):
+                    if await self._put(producer, number):
+                        number += 1
+            await asyncio.sleep(self.rng.uniform(0, 2 * PAUSE_SECONDS))
+
+    async def _put(self, producer: int, number: int) -> bool:
+        host = self.owner()
+        if host is None:
+            return False
+        hosted = await host.store.bind(self.cluster.channel_id, self.cluster.channel.epoch)
+        run = IncomingRun(
+            encode_run([b"an item"], times=[number * FACTOR + producer]), producer_id=producer, first_number=number,
+            wait_nanos=round(ACK_SECONDS * 1e9),
+        )  # fmt: skip
+        run.keep()
+        ack = hosted.puts.put(run, host.store.now())
+        if ack is None:
+            try:
+                ack = await run.wait(hosted.puts.give_up)
+            finally:
+                hosted.puts.withdraw(run)
+        held = held_ack(ack, hosted, Put(number, round(ACK_SECONDS * 1e9), b""), self.clock.monotonic())
+        if isinstance(held, AckOfReplicas):
+            ack = await held.due()
+        if not host.alive or ack.HasField("error") or not ack.HasField("first_seq"):
+            return False
+        self.acknowledged[producer, number] = Known(self.clock.now_s, ack.incarnation, ack.first_seq)
+        self._know(ack.incarnation, (producer, number))
+        return True
+
+    def _know(self, incarnation: int, item: Item) -> None:
+        self.known.setdefault(incarnation, {}).setdefault(item, self.clock.now_s)
+
+    async def read(self) -> None:
+        """Read the items at the owner again and again."""
+        while True:
+            await asyncio.sleep(self.rng.uniform(0.1, 0.5))
+            self.look()
+
+    def look(self) -> list[Item]:
+        """Note what readers see."""
+        at = serving(self.cluster)
+        assert len(at) <= 1, "two hosts serve the channel"
+        host = self.owner()
+        hosted = None if host is None else host.store.known(self.cluster.channel_id)
+        if hosted is None or not at or self.cluster.hosts[at[0]] is not host:
+            return []
+        items = items_of(hosted)
+        assert len(set(items)) == len(items), "an item is there twice"
+        for item in items:
+            self._know(hosted.channel.incarnation, item)
+        return items
+
+    # Faults.
+
+    async def disturb(self) -> None:
+        """One fault after the other, some of them at the same time."""
+        cluster, rng, running = self.cluster, self.rng, []
+        faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
+        ends_s = self.clock.now_s + FAULTY_SECONDS
+        while self.clock.now_s < ends_s:
+            await asyncio.sleep(rng.uniform(0.2, 5.0))
+            fault, number = rng.choice(faults), rng.choice([*cluster.hosts, self.owner_number()])
+            running.append(asyncio.create_task(fault(number)))
+        for task in running:
+            task.cancel()
+        results = await asyncio.gather(*running, return_exceptions=True)
+        for one in results:
+            if isinstance(one, Exception) and not isinstance(one, StampedeError):
+                raise one
+
+    def _lasts(self) -> float:
+        return self.rng.choice((0.3, 1.0, 2.0, 4.5, 8.0)) * self.rng.uniform(0.8, 1.2)
+
+    async def kill(self, number: int) -> None:
+        if self.cluster.hosts[number].alive:
+            self.cluster.kill(number)
+            await asyncio.sleep(self._lasts())
+            if not self.cluster.hosts[number].alive:
+                self.cluster.start(number)
+
+    async def stop(self, number: int) -> None:
+        host = self.cluster.hosts[number]
+        host.running.clear()
+        await asyncio.sleep(self._lasts())
+        host.running.set()
+
+    async def slow(self, number: int) -> None:
+        self.cluster.slow_s[number] = self.rng.choice((0.1, 0.3, 0.7, 1.5))
+        await asyncio.sleep(self._lasts())
+        self.cluster.slow_s.pop(number, None)
+
+    async def cut(self, number: int) -> None:
+        other = self.rng.choice([one for one in self.cluster.hosts if one != number])
+        self.cluster.cut(number, other)
+        await asyncio.sleep(self._lasts())
+        self.cluster.cut_pairs.discard(frozenset((number, other)))
+
+    async def cut_off(self, number: int) -> None:
+        self.cluster.cut_off.add(number)
+        await asyncio.sleep(self._lasts())
+        self.cluster.cut_off.discard(number)
+
+    async def change_leader(self, number: int) -> None:
+        self.cluster.is_cut_off = True
+        await asyncio.sleep(min(self._lasts(), 4.8))
+        self.cluster.another_leader()
+        self.cluster.is_cut_off = False
+
+    async def move(self, number: int) -> None:
+        record, host = self.cluster.record, self.cluster.hosts[number]
+        if host.alive and record.host_id != id_of(number):
+            self.cluster.allow(number)
+            await host.incoming.move_here(record)
+            self.moves += 1
+
+    # The judgement.
+
+    async def settle(self) -> None:
+        """Wait until puts go on and all replicas are in sync. Raises AssertionError."""
+        acknowledged = len(self.acknowledged)
+        ends_s = self.clock.now_s + HEALED_SECONDS
+        while len(self.acknowledged) < acknowledged + 2 * PRODUCERS or not self._is_complete():
+            assert self.clock.now_s < ends_s, self._stuck(len(self.acknowledged) - acknowledged)
+            await asyncio.sleep(0.1)
+
+    def _is_complete(self) -> bool:
+        return len([*self.cluster.heirs()]) == self.policy.replicas
+
+    def _stuck(self, puts: int) -> str:
+        host = self.owner()
+        hosted = None if host is None else host.store.known(self.cluster.channel_id)
+        states = None if hosted is None or hosted.replication is None else hosted.replication.states()
+        return f"stuck: {puts} puts since the faults were over; the owner has {states}, {self.policy}"
+
+    def judge(self, items: list[Item]) -> int:
+        """Check that nothing else is lost than what may be. Returns the number of lost items."""
+        there, order = set(items), [incarnation for _, incarnation in self.cluster.incarnations]
+        lost = 0
+        for at, incarnation in enumerate(order):
+            times = self.known.get(incarnation, {})
+            if not _goes_on(order, at):
+                continue  # no replica was in sync
+            missing = {item: since for item, since in times.items() if item not in there}
+            lost += len(missing)
+            last_s = max(times.values(), default=0.0)
+            ends_at = self.policy.ack == "host" and at + 1 < len(order)
+            early = [
+                item
+                for item, since in missing.items()
+                if not ends_at or since < last_s - LAG_SECONDS_MAX - SLACK_SECONDS
+            ]
+            assert not early, f"{len(early)} items of incarnation {at} are lost too early: {sorted(early)[:3]}"
+        return lost
+
+
+def _goes_on(order: list[int], at: int) -> bool:
+    """Whether all later incarnations have begun with the items of a replica."""
+    return all(after == (before + 1) % 2**64 for before, after in zip(order[at:], order[at + 1 :], strict=False))
+
+
+def items_of(hosted: HostedChannel) -> list[Item]:
+    """The items that readers see. The time of an item names it."""
+    times = [time for part in hosted.channel.accepted_from(1) for time in part.run.times[part.lo : part.hi]]
+    return [(time % FACTOR, time // FACTOR) for time in times]
+
+
+async def _main(clock: VirtualClock, seed: int) -> Found:
+    trial = Trial(clock, seed)
+    producers = [asyncio.create_task(trial.produce(one + 1)) for one in range(PRODUCERS)]
+    reader = asyncio.create_task(trial.read())
+    try:
+        await asyncio.sleep(3.0)
+        await trial.disturb()
+        trial.cluster.heal()
+        await trial.settle()
+        for task in producers:
+            task.cancel()
+        await asyncio.gather(*producers, return_exceptions=True)
+        if reader.done():
+            await reader
+        lost = trial.judge(trial.look())
+    finally:
+        for task in (reader, *producers):
+            task.cancel()
+        await trial.cluster.aclose()
+    return Found(len(trial.acknowledged), len(trial.cluster.incarnations) - 1, trial.moves, lost)
+
+
+def run(seed: int) -> Found:
+    """Play one seed. Raises AssertionError if a promise was broken."""
+    return run_virtually(lambda clock: _main(clock, seed), seed, *WITH_CLOCKS)
+
+
+def main() -> int:
+    """Run many seeds, and print those that fail."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    wanted = parser.parse_args()
+    logging.disable(logging.ERROR)
+    failed, found = [], []
+    for seed in range(wanted.first, wanted.first + wanted.seeds):
+        try:
+            found.append(run(seed))
+        except Exception:  # noqa: BLE001 - every failure is reported with its seed
+            failed.append(seed)
+            print(f"seed {seed} failed:", file=sys.stderr)
+            traceback.print_exc()
+    sums = Found(*(sum(column) for column in zip(*found, strict=True))) if found else None
+    print(f"{wanted.seeds} seeds, failed: {failed or 'none'}; {sums}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""Take-overs and moves of a channel with replicas under random faults, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.model import Policy
+from tests.robustness.moves.two_hosts import Link
+from tests.robustness.takeovers import simulate
+from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
+from tests.robustness.takeovers.world import Cluster
+
+SEEDS_IN_SUITE, BLOCKS = 12, 2
+REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, and answers
+IDLE_SECONDS = 10.0
+
+
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_nothing_is_lost_or_doubled_and_nobody_is_stuck_under_faults(block: int) -> None:
+    acknowledged = changes = 0
+    for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
+        try:
+            found = simulate.run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.takeovers.simulate --first {seed} --seeds 1")
+            raise
+        acknowledged += found.acknowledged
+        changes += found.takeovers + found.moves
+    # Virtual time is the same on every machine, so these numbers do not depend on the load.
+    assert acknowledged > 100 * SEEDS_IN_SUITE / BLOCKS, "there were too many faults: nothing was tested"
+    assert changes > 0, "there were too few faults: the owner never changed"
+
+
+@pytest.mark.parametrize("ack", ["host", "replica"])
+def test_an_idle_replica_and_its_owner_exchange_a_few_messages_a_second(
+    ack: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[float] = []
+    write = Link.write
+
+    async def counted(link: Link, request: object) -> None:
+        sent.append(asyncio.get_running_loop().time())
+        await write(link, request)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Link, "write", counted)
+
+    async def main(clock: VirtualClock) -> int:
+        cluster = Cluster(clock, 1, 2, Policy(replicas=1, ack=ack))
+        try:
+            while not [*cluster.heirs()]:
+                await asyncio.sleep(0.1)
+                try:
+                    await cluster.owner.store.bind(cluster.channel_id, cluster.channel.epoch)
+                except StampedeError:
+                    continue
+            sent.clear()
+            await asyncio.sleep(IDLE_SECONDS)
+            return len(sent)
+        finally:
+            await cluster.aclose()
+
+    assert 0 < run_virtually(main, 1, *simulate.WITH_CLOCKS) <= REPORTS_PER_SECOND_MAX * IDLE_SECONDS

@@ -1,0 +1,248 @@
+"""Hosts with leases around a directory, in virtual time: the real code of replicas, take-overs and moves.
+
+Hosts die, come back without items, stop and go on; links and the way to the directory break. The leader of the
+directory may change: then all leases begin anew there, while a host may find its own lease at an end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Iterator
+from typing import Any
+
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_supernode.codecs.record_codec import channel_record
+from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
+from stampede_rt_supernode.core.commands import Operation
+from stampede_rt_supernode.core.records import ChannelRecord
+from tests.robustness.moves.two_hosts import Host, Link, World, key_of
+from tests.robustness.takeovers.virtual_time import VirtualClock
+from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
+
+TTL_S, FENCE_S, RENEWAL_S, CHECK_S = 5.0, 4.0, 1.5, 0.5
+ANSWER_SECONDS_MAX = 0.03  # of the directory, one way
+WAY_SECONDS_MAX = 0.005  # between two hosts
+
+
+class LeasedHost(Host):
+    """A host that renews its lease. It serves nothing FENCE_S after it sent the last renewal."""
+
+    fence_s = 0.0
+    _was_held = False
+
+    def holds_lease(self) -> bool:
+        return self.alive and self.cluster.clock.now_s < self.fence_s
+
+    @property
+    def cluster(self) -> Cluster:
+        assert isinstance(self.world, Cluster)
+        return self.world
+
+    async def keep_lease(self) -> None:
+        """Renew the lease, or register again, until the host dies."""
+        while True:
+            sent_s = self.cluster.clock.now_s
+            try:
+                await self.cluster.pass_through(self)
+                if not self.cluster.renew(self):
+                    self.cluster.enroll(self)
+                    await self.store.scheduler.do(self.store.registering(self.cluster.owned_by(self), is_complete=True))
+                await self.cluster.pass_through(self)
+                self.fence_s = sent_s + FENCE_S
+            except Unavailable:
+                pass
+            await asyncio.sleep(RENEWAL_S)
+
+    async def keep_fence(self) -> None:
+        """End all waits when the lease has run out."""
+        while True:
+            await asyncio.sleep(0.05)
+            await self.running.wait()
+            is_held = self.holds_lease()
+            if self._was_held and not is_held:
+                self.store.fence()
+            self._was_held = is_held
+
+
+class Cluster(World):
+    """The directory, `count` hosts, and one channel with this policy."""
+
+    def __init__(self, clock: VirtualClock, seed: int, count: int, policy: Policy) -> None:
+        self.clock, self.rng = clock, random.Random(seed)
+        self.crash_at, self.happens, self.reached = "", lambda world: None, []
+        self.log = Log(level=MOVES_LEVEL)
+        self.is_cut_off = False
+        self.commits = {}
+        self.links: list[Link] = []
+        self.cut_off: set[int] = set()  # hosts that do not reach the directory
+        self.cut_pairs: set[frozenset[int]] = set()  # hosts that do not reach each other
+        self.slow_s: dict[int, float] = {}  # by host: how long each message of its links is on its way
+        self.boots = dict.fromkeys(range(1, count + 1), 0)
+        self.renewed_s: dict[int, float] = {}
+        self.hosts: dict[int, Any] = {}
+        self.background: dict[int, list[asyncio.Task[Any]]] = {}
+        self.incarnations: list[tuple[float, int]] = []
+        for number in self.boots:
+            self.start(number)
+        named = {"max_items": 100_000, "replicas": policy.replicas, "min_replicas": policy.min_replicas}
+        self.log.apply(open_channel("cam", ack=policy.ack, **named))
+        self.channel_id = next(iter(self.log.directory.tables.channels))
+        self.background[0] = [asyncio.create_task(self._end_leases())]
+        self._note()
+
+    # The directory.
+
+    @property
+    def channel(self) -> ChannelRecord:
+        return self.log.directory.tables.channels[self.channel_id]
+
+    def renew(self, host: Host) -> bool:
+        """Whether the directory has prolonged the lease."""
+        known = self.log.directory.tables.hosts.get(host.identity.host_id)
+        if known is None or not known.alive or known.boot_incarnation != host.identity.boot_incarnation:
+            return False
+        self.renewed_s[self._number(host.identity.host_id)] = self.clock.now_s
+        return True
+
+    def enroll(self, host: Host) -> None:
+        """Register the host."""
+        number = self._number(host.identity.host_id)
+        boot = host.identity.boot_incarnation
+        self.apply(register(number, boot=boot, incarnation=self.rng.getrandbits(63), move_key=key_of(number)))
+        self.renewed_s[number] = self.clock.now_s
+
+    def owned_by(self, host: Host) -> list[Any]:
+        return [
+            recorded_channel(channel_record(one))
+            for one in self.log.directory.tables.channels_at(host.identity.host_id)
+        ]
+
+    async def _end_leases(self) -> None:
+        while True:
+            await asyncio.sleep(CHECK_S)
+            if not self.is_cut_off:
+                for known in [*self.log.directory.tables.live_hosts()]:
+                    number = self._number(known.host_id)
+                    if self.clock.now_s - self.renewed_s[number] > TTL_S:
+                        boot, at = known.boot_incarnation, known.registered_index
+                        self.apply(expire(number, boot=boot, registered_index=at))
+
+    def another_leader(self) -> None:
+        """Another supernode leads, and begins all leases anew."""
+        self.renewed_s = dict.fromkeys(self.renewed_s, self.clock.now_s)
+
+    def apply(self, operation: Operation) -> Any:
+        before = self.channel if hasattr(self, "channel_id") else None
+        heirs = [*self.heirs()] if before is not None else []
+        try:
+            return super().apply(operation)
+        finally:
+            if before is not None and before.incarnation != self.channel.incarnation:
+                self._check_heir(before, heirs)
+                self._note()
+
+    def heirs(self) -> Iterator[bytes]:
+        """The hosts that must go on with the channel if its owner is lost."""
+        tables = self.log.directory.tables
+        for one in tables.replicas.of(self.channel_id):
+            host = tables.hosts[one.host_id]
+            if one.in_sync and host.alive and host.boot_incarnation == one.boot_incarnation:
+                yield one.host_id
+
+    def _check_heir(self, before: ChannelRecord, heirs: list[bytes]) -> None:
+        if heirs:
+            assert self.channel.host_id in heirs, "a replica in sync was not made the owner"
+            assert before.policy.ack != "replica", "nothing was lost, and the incarnation has changed"
+            assert self.channel.incarnation == (before.incarnation + 1) % 2**64
+
+    def _note(self) -> None:
+        self.incarnations.append((self.clock.now_s, self.channel.incarnation))
+
+    # The hosts.
+
+    def start(self, number: int) -> None:
+        """Start a host, which has no items."""
+        self.boots[number] += 1
+        host = self.hosts[number] = LeasedHost(self, number, self.boots[number])
+        self.enroll(host)
+        host.fence_s = self.clock.now_s + FENCE_S
+        keep = (host.keep_lease(), host.keep_fence())
+        self.background[number] = [asyncio.create_task(one) for one in keep]
+
+    def kill(self, number: int) -> None:
+        super().kill(number)
+        self.hosts[number].running.set()
+        for task in self.background[number]:
+            task.cancel()
+
+    def cut(self, one: int, other: int) -> None:
+        """Break the streams between two hosts, and let no new one begin."""
+        self.cut_pairs.add(frozenset((one, other)))
+        for link in self.links:
+            if not self.reaches(link):
+                link.cut()
+
+    def reaches(self, link: Link) -> bool:
+        assert link.caller is not None
+        pair = (self._number(one.identity.host_id) for one in (link.source, link.caller))
+        return frozenset(pair) not in self.cut_pairs
+
+    def delay_s(self, link: Link) -> float:
+        assert link.caller is not None
+        numbers = [self._number(one.identity.host_id) for one in (link.source, link.caller)]
+        return max(self.rng.uniform(0, WAY_SECONDS_MAX), *(self.slow_s.get(one, 0.0) for one in numbers))
+
+    async def on_the_way(self, host: Host) -> None:
+        await asyncio.sleep(self.rng.uniform(0, ANSWER_SECONDS_MAX))
+        await host.running.wait()
+        if self._number(host.identity.host_id) in self.cut_off:
+            raise Unavailable("the way to the directory is cut")
+
+    async def pass_through(self, host: Host) -> None:
+        """A call on its way. Raises Unavailable."""
+        await self.on_the_way(host)
+        if self.is_cut_off or not host.alive:
+            raise Unavailable("no supernode can be reached")
+
+    def _number(self, host_id: bytes) -> int:
+        return int.from_bytes(host_id, "big")
+
+    def heal(self) -> None:
+        """End all faults."""
+        self.is_cut_off = False
+        self.cut_off.clear()
+        self.cut_pairs.clear()
+        self.slow_s.clear()
+        for number, host in self.hosts.items():
+            host.running.set()
+            if not host.alive:
+                self.start(number)
+
+    async def aclose(self) -> None:
+        """End all work of the hosts."""
+        for number in self.boots:
+            if self.hosts[number].alive:
+                self.kill(number)
+        self.background[0][0].cancel()
+        await asyncio.sleep(0)
+
+
+def serving(cluster: Cluster) -> list[int]:
+    """The hosts that serve the channel, at whatever epoch."""
+    found = []
+    for number, host in cluster.hosts.items():
+        hosted = host.store.known(cluster.channel_id)
+        if hosted is None or hosted.copy is not None or not host.running.is_set():
+            continue
+        try:
+            host.store.find(cluster.channel_id, hosted.epoch)
+        except StampedeError:
+            continue
+        found.append(number)
+    return found
+
+
+__all__ = ["Cluster", "LeasedHost", "id_of", "serving"]
