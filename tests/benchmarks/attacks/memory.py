@@ -70,7 +70,7 @@ async def attributes(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def refused_runs(ground: Ground, under_way: Callable[[], None]) -> None:
-    """800 messages of 1 MiB in the place of runs, which cannot be decoded."""
+    """800 runs of 1 MiB whose payload lengths are wrong."""
     bad = item_pb2.ItemRun(payload_length_bytes=[1], payloads=bytes(MIB)).SerializeToString()
     await _put_and_stay(ground, itertools.repeat(bad, REFUSED), under_way)
 

@@ -90,7 +90,7 @@ class Client(NamedTuple):
         return Blocking(found, self.pool) if self.pool and name == "queue" else found
 
     def check(self, stale_after: str) -> None:
-        """The entry failed as the page says, and the client asked those whom the page names."""
+        """Check that the entry failed as the page says, and that the client asked the parties that the page names."""
         row, kind = rows()[stale_after], SHOWN[stale_after]
         assert self.trace.failed(kind) in row.failure.split(" or ")
         assert self.trace.asked(kind) == row.asked
@@ -118,12 +118,12 @@ async def other(cluster: LocalCluster) -> AsyncIterator[Any]:
 
 
 async def of_all(clients: list[Client], step: Callable[[Client], Awaitable[Any]]) -> list[Any]:
-    """Both clients take a step at the same time."""
+    """Let both clients take a step at the same time."""
     return await asyncio.gather(*(step(client) for client in clients))
 
 
 async def has(channel: Any, *payloads: bytes) -> None:
-    """The channel has these items once, in order."""
+    """Check that the channel has these items once, in order."""
     assert [item.payload for item in await channel.get(st.OLDEST, st.NEWEST)] == [*payloads]
 
 

@@ -1,4 +1,6 @@
-"""Records the entries that clients drop from their caches, and whom the clients ask then; reads the documented rows."""
+"""Records the entries that clients drop from their caches, and the parties that they ask then. Reads the documented
+rows.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ ANSWERERS = {
 
 
 class Row(NamedTuple):
-    """One row of the table: an entry, what makes it stale, how its use fails, and whom the client asks then."""
+    """One row of the table: an entry, the cause that makes it stale, the failure of its use, and the parties asked
+    then.
+    """
 
     entry: str
     stale_after: str

@@ -65,7 +65,7 @@ async def test_each_item_costs_its_payload_and_64_bytes_and_the_last_one_may_exc
     await channel.put(run_of(*(b"%06d" % number for number in range(10))))
     await grant(call, 2 * 70 + 1)
     assert payloads(await read(call)) == [b"000000", b"000001", b"000002"]
-    await grant(call, 69)  # the last one is owed: nothing yet
+    await grant(call, 69)  # the last item exceeded the credit, so nothing comes yet
     await grant(call, 1)
     assert payloads(await read(call)) == [b"000003"]
     call.cancel()

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("no_settings_of_the_user")
 
 
 class Hosts:
-    """The supervisor, and the lines and process ids that it has told."""
+    """The supervisor, and the lines and process ids that it has printed."""
 
     def __init__(self, supervisor: Process) -> None:
         self.supervisor = supervisor

@@ -73,7 +73,7 @@ async def served() -> AsyncIterator[tuple[LocalCluster, Served]]:
 
 
 def hold_up(seconds: float) -> None:
-    """As a long computation does; the loop does not turn meanwhile."""
+    """Stop the event loop, as a long computation does."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         sum(range(10_000))

@@ -62,7 +62,7 @@ async def large(rig: Rig) -> Large:
 
 async def test_one_large_get_lets_everybody_else_in_between_and_is_as_of_its_beginning(rig: Rig) -> None:
     one, other = await large(rig), await rig.open("other")
-    async with rig.host.store.scheduler._turn:  # as if other long work had its turn
+    async with rig.host.store.scheduler._turn:  # as while other long work has its turn
         getting = asyncio.create_task(one.channel.get(without_payloads=True))
         await one.until(begun=True)
         assert (await other.put(run_of(b"beside")))[0].first_seq == 1

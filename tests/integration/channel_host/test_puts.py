@@ -308,7 +308,7 @@ async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_m
 
 
 async def make_room(rig: Rig, channel: Opened) -> None:
-    """The channel gets another limit, and whatever waits has come in."""
+    """Give the channel another limit, and wait until the waiting puts are accepted."""
     request = blocking(600 * S)
     request.retention.max_items = 9
     await rig.host.changes.configure(

@@ -49,7 +49,7 @@ def numbers(items: st.Items) -> list[int]:
 
 
 def wait_until_collected(channel: st.Channel, held: int) -> None:
-    """Wait until the archive has so much that memory holds only `held` items."""
+    """Wait until memory holds only `held` items, because the archive has the others."""
     wait_until(lambda: channel.stats().held <= held)
 
 

@@ -85,7 +85,7 @@ def is_of_the_host(found: object) -> bool:
 
 @pytest.mark.parametrize("puts", [puts_over_grpc, puts_over_a_socket])
 async def test_a_stream_of_puts_leaves_nothing_to_the_collector(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
-    """The rights of a stream's requests, and the way to answer at once, were in circles that stayed for 10 minutes."""
+    """A fixed fault: objects of a stream's rights and answers referred to each other, and stayed for 10 minutes."""
     async with running_host() as rig:
         channel, target = await rig.open(), await socket_target(rig.connection, ())
         await puts(channel, target)

@@ -35,7 +35,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 
 def depth(rt: Any, found: list[object]) -> list[object]:
-    """The consumer of the stereo demo in short: pairs of both cameras, and frames without a partner."""
+    """A short form of the stereo demo's consumer: pairs of both cameras, and frames without a partner."""
     with rt.group("stereo").match("eye/left", "4ms", partial=True) as matches:
         found.append("open")
         for matched in islice(matches, FRAMES):

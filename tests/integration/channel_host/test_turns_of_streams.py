@@ -43,7 +43,7 @@ class Heavy:
         self._known = {use.subject for use in accounts.uses()}
 
     def overspend(self) -> LoopShare:
-        """Let the callers of all open streams, of which this connection has the only ones, be beyond their share."""
+        """Put the callers of all open streams beyond their share. Only this connection has open streams."""
         (subject,) = {use.subject for use in self._accounts.uses() if str(use.quota) == "streams" and use.used}
         found = self._accounts.of(subject).loop_share
         other = self._accounts.of("other").loop_share

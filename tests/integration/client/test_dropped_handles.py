@@ -196,14 +196,16 @@ async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: Loca
             await full.put(b"hasty", timeout=0.1)
         with pytest.raises(st.ChannelFull):
             await full.put(b"at once", timeout=0)
-        assert len(rt._session.put_streams._streams) == 2  # those that wait equally long share one
+        assert len(rt._session.put_streams._streams) == 2  # puts with equal time limits share one stream
         await full.configure(max_items=5)
         async with asyncio.timeout(LIMIT_S):
             assert [(await put).seq for put in patient] == [2, 3]
 
 
 async def test_each_of_many_puts_that_wait_side_by_side_waits_for_its_own_time_only(cluster: LocalCluster) -> None:
-    """Each waited for those before it and then anew, and failed as if the host were overloaded."""
+    """A fixed fault: each put waited for the puts before it, then waited again, and failed as if the host were
+    overloaded.
+    """
     async with await aio.connect(cluster.address) as rt:
         full = await rt.channel("dropped/side-by-side", max_items=1, max_age="60s", on_full="block")
         queue = await rt.queue("dropped/side-by-side", max_items=1)

@@ -1,4 +1,4 @@
-"""An awaited connection on another event loop than its own: each use says so at once."""
+"""An awaited connection on another event loop than its own: each use raises an error about this at once."""
 
 from __future__ import annotations
 

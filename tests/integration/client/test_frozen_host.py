@@ -93,7 +93,7 @@ async def test_an_awaited_subscription_does_not_wait_for_ever(cluster: LocalClus
 
 
 def fills(frozen: ServiceProcess) -> bytes:
-    """Stop the host. The payload of puts of which eight are all that may be in flight."""
+    """Stop the host. Returns a payload so large that only eight puts of it may be in flight."""
     frozen.pause()
     return bytes(2**20)
 
@@ -117,7 +117,7 @@ def test_a_producers_put_does_not_wait_for_ever(cluster: LocalCluster) -> None:
         assert handed_over >= 8
         frozen.resume()
         producer.flush(30)
-        assert producer.accepted == 1 + handed_over  # the one that raised was not handed over
+        assert producer.accepted == 1 + handed_over  # the producer did not take the put that raised
         producer.close()
 
 

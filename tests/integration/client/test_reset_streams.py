@@ -29,7 +29,7 @@ ROUNDS = 20
 
 @dataclass(frozen=True)
 class World:
-    """A host that is reached by way of the relay."""
+    """A host that clients reach through the relay."""
 
     address: str
     host: str
@@ -80,7 +80,7 @@ async def opened(rt: Any, made: Any) -> Any:
 
 
 async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:
-    """The form in which users met the fault. The other tests of this file cause it, too."""
+    """Users met the fault in this form. The other tests of this file cause it, too."""
     async with dial(world.host, secret=world.secret) as channel:
         call = channel_service_pb2_grpc.ChannelServiceStub(channel).Get()
         reading = asyncio.ensure_future(call.read())

@@ -50,7 +50,7 @@ def reader_of(cluster: LocalCluster, name: str) -> Iterator[subprocess.Popen[str
 
 
 def heard(reader: subprocess.Popen[str]) -> tuple[int, int, int]:
-    """The seq of the reader's next item, how many were dropped by then, and the seq of the newest one."""
+    """The seq of the reader's next item, the number of items dropped before, and the seq of the newest item."""
     assert reader.stdout is not None
     seq, dropped, newest = map(int, reader.stdout.readline().split())
     return seq, dropped, newest
@@ -93,7 +93,7 @@ def test_a_stopped_reader_delays_no_other_caller_and_goes_on_where_it_was(
 
 
 def test_readers_of_a_stopped_host_hear_of_the_loss_and_never_believe_it_again(cluster: LocalCluster) -> None:
-    """They read its memory for as long as its lease lasts. Then another host has the channel."""
+    """The readers read the host's memory while its lease lasts. Then another host has the channel."""
     with st.connect(cluster.address, transport="shared") as rt, ThreadPoolExecutor() as pool:
         channel = rt.channel("stopped/host", max_age="600s", host="h1")
         before = channel.put(b"before")

@@ -82,7 +82,7 @@ async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: 
 async def test_of_many_that_look_for_a_channel_at_once_only_one_asks_its_host(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ten thousand gets on a fresh handle sent as many requests to the gatekeeper before the first one waited."""
+    """A fixed fault: before the first get waited, all gets on a new handle had sent a request to the gatekeeper."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/herd", max_age="60s")
         asked, bind_at = [], rt._session._bind_at
@@ -129,7 +129,7 @@ def test_closing_the_connection_ends_a_thread_that_watches(cluster: LocalCluster
 
 
 async def until_put_streams(rt: Any) -> Any:
-    """The open put streams, as soon as there is one and before it is connected."""
+    """Return the open put streams as soon as there is one, even before it is connected."""
     streams = rt._session.put_streams._streams
     async with asyncio.timeout(LIMIT_S):
         while not streams:  # noqa: ASYNC110  (a pause could outlast the opening)
@@ -138,7 +138,7 @@ async def until_put_streams(rt: Any) -> Any:
 
 
 async def lose(response: Any) -> None:
-    """The answers on a stream that breaks do not arrive."""
+    """Break a stream, and lose the answers on it."""
 
 
 def are_under_way(rt: Any) -> bool:
@@ -179,7 +179,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_wai
 
 
 async def test_a_stream_that_is_given_up_while_it_opens_keeps_no_put_waiting(cluster: LocalCluster) -> None:
-    """gRPC's own write waits for ever then."""
+    """A write of gRPC then waits for ever."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/given-up", max_age="60s")
         await channel.stats()

@@ -39,7 +39,7 @@ class Asked:
 
 
 class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """A supernode so many seconds away, whose answers to pings begin once all others have been pinged, too."""
+    """A supernode at a distance of some seconds, which answers pings once all others have got one, too."""
 
     def __init__(self, name: str, asked: Asked, later_seconds: float) -> None:
         self._name, self._asked, self._later_seconds = name, asked, later_seconds
@@ -114,7 +114,7 @@ Ask = Callable[[str, str], Awaitable[None]]
 
 @pytest.fixture(params=[ask_awaited, ask_in_thread], ids=["async", "sync"])
 def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ask:
-    """Binds, and asks for the hosts. A ping may take long here: on a busy machine, too, the order counts."""
+    """Connect, and ask for the hosts. A ping may take long here, so that the order is right on a busy machine, too."""
     for module in (async_directory, sync_directory):
         monkeypatch.setattr(module, "PING_TIMEOUT_S", 10.0)
     chosen: Ask = request.param

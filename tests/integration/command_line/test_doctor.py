@@ -100,7 +100,7 @@ def test_a_killed_host_and_its_channels_are_reported_until_it_is_back(cluster: L
 
 
 def put_until_refused(handle: st.Channel | st.Queue) -> None:
-    """Put once, which is tried again for some seconds; again if a busy machine did not answer the last try in time."""
+    """Put once. The client repeats the put for some seconds. Put again if a busy host did not answer the last try."""
     told: st.StampedeError | None = None
     while not isinstance(told, st.Overloaded):
         with pytest.raises((st.Overloaded, st.Unavailable)) as raised:
@@ -164,7 +164,7 @@ def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
 
 
 def row(said: str, part: str) -> str:
-    """The line of the table that tells of that part."""
+    """The line of the table about that part."""
     return next((line for line in said.splitlines() if line.startswith(f"{part} ")), "")
 
 

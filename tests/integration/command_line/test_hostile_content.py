@@ -1,5 +1,5 @@
-"""Attributes, content types, payloads, zones and errors of other programs never command the terminal. And a reader that
-closes its pipe ends each verb quietly.
+"""Attributes, content types, payloads, zones and errors of other programs never command the terminal. Each verb ends
+quietly when its reader closes the pipe.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks(host
     status = await host.status(group)
     assert status.cut_unix_nano == t + 2 * S
     assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
-    await right.put(t + 1)  # late, and at once to be seen
+    await right.put(t + 1)  # late, and visible at once
     assert (await right.get(group))[0] == [t + 1, t + 1]
 
 
@@ -137,7 +137,7 @@ async def test_a_reader_that_has_seen_more_gets_nothing_rather_than_less(host: H
     await one.put(t, t + 1)
     times, summary = await one.get(group, cut_floor_unix_nano=t + 5)
     assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
-    assert summary.cut_unix_nano == t + 1  # the reader's word has not raised it
+    assert summary.cut_unix_nano == t + 1  # the number that the reader sent has not raised it
     waiting = asyncio.create_task(one.get(group, cut_floor_unix_nano=t + 5, wait_nanos=10 * S))
     await one.put(t + 5)
     assert (await waiting)[0] == [t, t + 1]

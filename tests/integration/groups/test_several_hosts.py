@@ -258,7 +258,7 @@ async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_le
     ]
     pair.right.host.host.groups.exchange.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
     assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
-    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # it came from there, or so it seems
+    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # the message had its id
 
 
 async def test_a_host_that_says_it_is_another_gets_no_times(pair: Pair) -> None:

@@ -1,4 +1,4 @@
-"""docs/two-machines.md from top to bottom on two machines that are none: each block in its machine's namespace."""
+"""docs/two-machines.md from top to bottom on two simulated machines: each block in its machine's namespace."""
 
 from __future__ import annotations
 

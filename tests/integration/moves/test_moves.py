@@ -93,8 +93,8 @@ def test_a_consumer_goes_on_where_it_was(rt: Any, channel: Any) -> None:
 
 
 def test_many_moves_in_a_row_lose_nothing_and_repeat_nothing(rt: Any, channel: Any) -> None:
-    """Checks of a producer with single puts and one with a stream, subscriptions, a callback, blocked gets, and a group
-    with its cuts.
+    """Checks a producer with single puts and one with a stream, subscriptions, a callback, blocked gets, and a group's
+    cuts.
     """
     other = rt.channel(f"mic/{next(numbers)}", max_items=100_000, host="h1")
     group = rt.group(f"both/{next(numbers)}", [channel, other])

@@ -78,7 +78,7 @@ def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int]
 
 
 def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
-    """Whether a clock is known, and off by so much as far as can be told."""
+    """Whether a clock is known, and its measured offset agrees with this one within the uncertainty."""
     return clock is not None and abs(clock.offset_nanos - nanos) <= clock.uncertainty_nanos
 
 

@@ -30,7 +30,7 @@ with st.connect(sys.argv[1]) as rt:
 
 
 def killed_taker(address: str, queue: str) -> str:
-    """The payload that a process took before it was killed without a word."""
+    """The payload that a process took before it was killed."""
     command = [sys.executable, "-c", TAKE_AND_HOLD, address, queue]
     with started(command) as process:
         assert process.stdout is not None
@@ -38,7 +38,7 @@ def killed_taker(address: str, queue: str) -> str:
 
 
 def taken(queue: st.Queue, count: int) -> list[tuple[bytes, int]]:
-    """The next messages, acknowledged: payloads, and which delivery it was."""
+    """Take and acknowledge the next messages. Returns their payloads and the numbers of their deliveries."""
     found = []
     for _ in range(count):
         message = queue.get(timeout=20)

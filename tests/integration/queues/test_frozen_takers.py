@@ -44,7 +44,7 @@ asyncio.run(main())
 
 @contextmanager
 def taker(client: str, address: str, queue: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that takes and acknowledges messages, and prints those that it still had the lease of."""
+    """A process that takes and acknowledges messages, and prints those whose lease it still had."""
     command = [sys.executable, "-c", TAKER[client], address, queue]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

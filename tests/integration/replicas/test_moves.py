@@ -1,4 +1,4 @@
-"""Moves of channels with replicas between real processes: to the replica's host, and to a host that holds nothing."""
+"""Moves of channels with replicas between real processes: to the replica's host, and to a host without a copy."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def owner_of(rt: Any, channel: Any) -> str:
 
 
 def holds_all(channel: Any, last: int) -> None:
-    """Every acknowledged item is there once, with the same seq."""
+    """Check that every acknowledged item is there once, with the same seq."""
     assert [item.seq for item in channel.get(st.OLDEST, st.NEWEST)] == [*range(1, last + 1)]
 
 

@@ -71,7 +71,7 @@ class Load:
             self.counts["heard"] += 1
 
     def go_on(self) -> None:
-        """Wait until everything has happened a good number of times more."""
+        """Wait until each kind of call has succeeded several times more."""
         goal = {name: count + (3 if name == "connect" else PROGRESS_ITEMS) for name, count in self.counts.items()}
         wait_until(
             lambda: bool(self.failures) or all(self.counts[name] >= goal[name] for name in goal),

@@ -66,7 +66,7 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
     watches: list[Any] = []
 
     async def watch() -> None:
-        async for _ in attempts():  # so many beginnings at once keep a busy machine from answering all in time
+        async for _ in attempts():  # a busy machine cannot answer all in time if they begin together
             call = stub.Watch(pb.WatchRequest(name_glob="nothing/*"))
             try:
                 await call.read()

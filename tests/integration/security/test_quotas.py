@@ -124,7 +124,7 @@ def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluste
     metadata = (("authorization", f"Bearer {operator.token('maker')}"),)
 
     def make(name: str) -> str:
-        """The quota that keeps the client from it; empty: it is made."""
+        """Make a thing. Returns the quota that refused it; empty if it was made."""
         request = directory_pb.OpenChannelRequest(request_id=secrets.token_bytes(16), name=name, create=True)
         try:
             open_channel(request, metadata=metadata, timeout=10)

@@ -249,7 +249,7 @@ def test_a_host_gets_no_channel_of_another_host_by_its_own_word(cluster: LocalCl
 
 
 def test_a_supernode_neither_adds_nor_removes_another(cluster: LocalCluster) -> None:
-    """It could else remove the others one by one, and then decide alone about the directory."""
+    """Otherwise it could remove the others one by one, and then decide alone about the directory."""
     own = cluster.tls_files("s9", Role.SUPERNODE)
     remove = membership_service_pb2.RemoveSupernodeRequest(supernode_id="s1")
     add = membership_service_pb2.AddSupernodeRequest(supernode_id="s8", protocol_version=1)
@@ -330,7 +330,7 @@ class Bomb:
 
 
 def send(address: str, data: bytes, context: ssl.SSLContext | None) -> None:
-    """Send `data` and read until the other side has had enough of it, for one second at most."""
+    """Send `data` and read until the other side closes the connection, for one second at most."""
     host, _, port = address.rpartition(":")
     with contextlib.suppress(OSError):  # the server closed the connection, as it should
         plain = socket.create_connection((host, int(port)), 5)

@@ -42,7 +42,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 @asynccontextmanager
 async def streams(cluster: LocalCluster, token: str) -> AsyncIterator[dict[str, RawStream]]:
-    """Streams of a caller with `token`, each of which waits for something else. The host serves all of them."""
+    """Streams of a caller with `token`. Each waits for another thing, and the host serves all of them."""
     secret = cluster.secret.text
     with st.connect(cluster.address, secret=secret) as rt:
         channel = rt.channel(NAME, max_items=ITEMS)

@@ -109,7 +109,9 @@ async def test_a_process_with_the_name_of_a_member_needs_the_store_of_that_membe
 
 
 async def test_a_liar_with_the_store_of_a_member_ends_no_process_and_raises_no_term(tmp_path: Path) -> None:
-    """The liar has stopped a member and taken its folder. Each lie costs it its stream, and does no other harm."""
+    """The liar has stopped a member and taken its folder. The others end its stream after each lie, and take no other
+    harm.
+    """
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         taken, _ = cluster.others(leader)

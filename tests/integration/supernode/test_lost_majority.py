@@ -20,7 +20,7 @@ LOST, FOUND = "no supernode can serve this front-end", "the directory can serve"
 
 
 def lines_of(cluster: LocalCluster, words: str) -> int:
-    """How many lines of front-ends and hosts say so."""
+    """The number of lines of front-ends and hosts with these words."""
     return sum(words in line for service in (*cluster.frontends, *cluster.hosts) for line in service.last_lines)
 
 
@@ -59,7 +59,7 @@ def test_without_a_majority_callers_hear_just_that_and_doctor_leaves_the_clocks_
         assert "is the address right" not in str(raised.value)
         assert stampede(["ls", "--url", cluster.address]) == 1
         said = capsys.readouterr().err
-        # A busy machine's front-end may not have heard of the last one in time.
+        # On a busy machine, the front-end may not have heard of the last supernode in time.
         assert "the directory has no majority" in said or "no supernode answers this front-end" in said
         member = cluster.supernodes[0].address
         assert stampede(["doctor", "--url", cluster.address, "--member", member]) == 1

@@ -36,7 +36,7 @@ async def three(folder: Path) -> AsyncIterator[Cluster]:
 
 
 async def flip(one: Supernode, folder: Path, ask: Supernode) -> None:
-    """Let a bit flip at `one`, and show in a later command."""
+    """Flip a bit at `one`, whose effect a later command shows."""
     (folder / one.name / FLIP_FILE).touch()
     await register(ask, 1)
     channel = (await open_channel(ask, NAME)).channel
@@ -56,7 +56,7 @@ async def says_of_itself(one: Supernode, text: str) -> None:
 
 
 async def served_by(one: Supernode) -> None:
-    """Updates and confirmed reads are served there."""
+    """Check that updates and confirmed reads are served there."""
     async for _ in attempts():
         try:
             await open_channel(one, "cam/later")

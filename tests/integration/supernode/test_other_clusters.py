@@ -1,4 +1,4 @@
-"""Hosts of one cluster with supernodes of another one, and founders that got different lists."""
+"""Hosts of one cluster with supernodes of another one, and founders with different lists."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ async def have_met(cluster: Cluster, folder: Path) -> None:
 
 
 async def write(supernode: Supernode) -> list[str]:
-    """Channels that were acknowledged."""
+    """Open channels, and return their names."""
     names = [f"cam/{number}" for number in range(WRITES)]
     for name in names:
         await open_channel(supernode, name)
@@ -129,7 +129,7 @@ async def test_an_older_copy_is_refused_also_by_a_leader_that_was_restarted_mean
         shutil.copytree(copy, folder)
         await leader.start()
         await restored.start()
-        # The word of one alone marks no folder, and yet the copy does not vote for the one that lacks the writes.
+        # The report of one member marks no folder. Yet the copy does not vote for the member that lacks the writes.
         await status_has(leader.address, f"{restored.name} is refused: '{restored.name}' comes with an older copy")
         assert not json.loads((folder / FILE_NAME).read_text()[9:])["refused"]
         await away.start()

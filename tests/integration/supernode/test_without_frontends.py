@@ -55,13 +55,13 @@ def test_bound_clients_go_on_without_front_ends_also_to_new_channels_hosts_and_s
     other.put(b"new")
     assert [item.payload for item in other.get(st.OLDEST, st.NEWEST)] == [b"new"]
 
-    # The owner is cached; the channel is deleted and made anew elsewhere, so the cache is stale and is asked for again.
+    # The owner is cached; the channel is deleted and made anew elsewhere, so the cache is stale. The client asks anew.
     other.delete()
     again = rt.channel("bound/after", max_age="1h", host="h1")
     again.put(b"elsewhere")
     assert [item.payload for item in again.get(st.OLDEST, st.NEWEST)] == [b"elsewhere"]
 
-    # The supernode that is asked first, whichever it is, goes, too: the next one by distance takes over.
+    # End the supernode that the client asks first, too: the next one by distance takes over.
     for supernode in cluster.supernodes[:1]:
         supernode.kill()
     rt.channel("bound/later", max_age="1h").put(b"later")

@@ -36,7 +36,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
 
 @pytest.fixture(scope="module")
 def items(cluster: LocalCluster) -> Iterator[dict[str, st.Item]]:
-    """Some channels with one or two items each, a group, and payloads that would like to be markup."""
+    """Some channels with one or two items each, a group, and payloads that contain markup."""
     with st.connect(cluster.address) as rt:
         camera = rt.channel("cam/left", max_age="1h", content_type="image/png")
         number = rt.channel("imu", max_age="1h", codec="json")

@@ -14,7 +14,7 @@ import pytest
 from stampede_rt.cli.main import main
 
 SECONDS_MAX = 60
-# Tells of the first module of a name that is looked for, with the level at which gRPC would log if it were that one.
+# Reports the first module of a name that Python looks for, with the level at which gRPC would log if it were that one.
 WATCH = """
 import os, sys
 class Watch:

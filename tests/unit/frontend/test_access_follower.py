@@ -1,4 +1,4 @@
-"""How a front-end hears of token keys and revocations: it asks when an answer to a probe tells a later version."""
+"""A front-end gets token keys and revocations: it asks for them when the answer to a probe has a later version."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stampede_rt_runtime.server import serving
 
 
 class Told(access_service_pb2_grpc.AccessServiceServicer):
-    """A supernode's word. `version` 0: it refuses to tell."""
+    """A supernode's answers. `version` 0: it refuses to answer."""
 
     def __init__(self) -> None:
         self.version, self.asked = 7, 0

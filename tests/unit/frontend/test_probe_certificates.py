@@ -1,4 +1,4 @@
-"""A front-end tells its callers when it is for certificates that no supernode answers it."""
+"""A front-end tells its callers if no supernode answers it because of certificates."""
 
 from __future__ import annotations
 

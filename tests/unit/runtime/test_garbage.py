@@ -17,7 +17,7 @@ from stampede_rt_runtime.garbage import (
 
 
 class Item:
-    """As a channel holds them: nothing untracks it."""
+    """An object like the items of a channel, which Python always tracks."""
 
     def __init__(self, held: object) -> None:
         self.held = held

@@ -1,4 +1,4 @@
-"""Items of queues that no taker copes with, over gRPC with the generated stubs."""
+"""Messages of queues that no taker can process, over gRPC with the generated stubs."""
 
 from __future__ import annotations
 

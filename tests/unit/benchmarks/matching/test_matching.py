@@ -1,4 +1,4 @@
-"""The comparison with message_filters judges sets as a complete view would; no time is judged here."""
+"""The comparison with message_filters judges sets by the whole recording. No time is judged here."""
 
 from __future__ import annotations
 

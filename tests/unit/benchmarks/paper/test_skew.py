@@ -24,7 +24,7 @@ CAPTIONS = [Receipt(number * CAPTION_NANOS, number * CAPTION_NANOS + 10) for num
 
 
 def frames(count: int, late: dict[int, int] | None = None) -> list[Receipt]:
-    """Each with its caption, but for those in `late`, by so many milliseconds."""
+    """Frames with their captions. Those in `late` come later than their captions, by the stated milliseconds."""
     delays = late or {}
     times = [number * NANOS_PER_SECOND // 30 for number in range(count)]
     return [

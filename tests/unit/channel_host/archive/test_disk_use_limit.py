@@ -53,7 +53,7 @@ class Recorded:
         self.recorder.note(now)
 
     def write(self) -> None:
-        """Write as the archive does: all that there is, in parts."""
+        """Write all waiting items in parts, as the archive does."""
         while (job := self.recorder.take()).parts:
             self.recorder.written(job, self.files.write(job.parts, self.recorder.limits))
 

@@ -16,7 +16,7 @@ from tests.unit.channel_host.archive.test_host_archive_writes import FILES, arch
 
 
 async def written(recorder: ChannelRecorder) -> str:
-    """Wait until all items are on stable storage, or cannot be. Returns why not."""
+    """Wait until all items are on stable storage, or cannot come there. Returns the reason in that case."""
     return await recorder.stored(1, recorder.archived_to + recorder.backlog_items, 60)
 
 

@@ -138,7 +138,9 @@ def test_a_message_for_others_is_made_anew() -> None:
 
 
 def interleaved(items: int) -> tuple[ChannelCore, list[bytes]]:
-    """A channel into which two producers put runs of `items` items each, every one between two of the other."""
+    """A channel into which two producers put runs of `items` items. Each item of one lies between two items of the
+    other.
+    """
     channel, stored = ChannelCore(Policy(max_items=1000), incarnation=9), []
     for odd in (0, 1):
         times = [NOW - 1000 + 2 * at + odd for at in range(items)]

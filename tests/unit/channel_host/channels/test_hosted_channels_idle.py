@@ -55,7 +55,9 @@ async def used_bytes() -> int:
 
 
 def test_an_idle_channel_with_one_item_takes_less_than_six_kilobytes() -> None:
-    """In a process of its own: tests whose channels cannot be set up spoil Python's tables of names for the others."""
+    """This runs in a separate process, because tests with failed constructors of channels spoil Python's tables of
+    names.
+    """
     measured = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True, check=True, timeout=60)
     assert int(measured.stdout) / CHANNELS < BYTES_MAX
 

@@ -20,7 +20,7 @@ class Feed:
 
 
 class Replicas(OwnedReplicas[Feed]):
-    """The replicas of a thing that shows nothing to anybody."""
+    """The replicas of a thing without readers."""
 
     def __init__(self) -> None:
         super().__init__(ReplicasInSync(START, 1), 1, lambda: 0)

@@ -205,7 +205,7 @@ async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog
     told = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
     lines = [line for line in told if "fenced" not in line]
     assert lines[:2] == ["the lease could not be renewed", "the lease is renewed again"]
-    # A busy machine may be late for one more renewal: that is told in the same way.
+    # A busy machine may be late for one more renewal, which has the same line.
     assert all(line != after for line, after in itertools.pairwise(lines))
 
 

@@ -93,8 +93,9 @@ def test_only_the_last_runs_of_a_producer_are_kept() -> None:
 
 
 def test_each_run_in_flight_of_a_producer_is_recognised_however_long_its_runs_are() -> None:
-    """A producer whose connection broke sends up to 64 runs of 256 items again: they were doubled once, all but the
-    last four, because the window was counted in numbers."""
+    """A producer whose connection broke sends up to 64 runs of 256 items again. A fixed fault: the window counted
+    numbers, so only the last four runs were recognised.
+    """
     window = RetryWindow()
     for run in range(64):
         window.record(PRODUCER, 1 + run * 256, accepted(256, 1 + run * 256))

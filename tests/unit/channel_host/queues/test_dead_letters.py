@@ -1,4 +1,4 @@
-"""Dead letters: as whom a queue puts them."""
+"""Dead letters: the producer whose name and numbers they have."""
 
 from __future__ import annotations
 

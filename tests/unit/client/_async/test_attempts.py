@@ -120,7 +120,7 @@ async def test_an_error_that_cannot_pass_is_raised_at_once(clock: Clock, error: 
 
 
 async def tries(quota: str, clock: Clock) -> tuple[int, float]:
-    """How often an operation is tried that meets this quota, and for how long."""
+    """The number of tries of an operation that meets this quota, and their time together."""
     place, began_s = Place(), clock.now_s
     operation = Operation(st.Overloaded("cam has 3; its quota is 3", metadata={"quota": quota}), for_ever=True)
     with pytest.raises(st.Overloaded):

@@ -74,7 +74,7 @@ class Stream:
 
 
 class Staying(BindingCache):
-    """The queue is where it was, whenever that is looked up anew."""
+    """A queue whose place never changes."""
 
     def forget(self, channel_id: bytes) -> None:
         pass
@@ -281,7 +281,7 @@ async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_fo
 
 
 async def test_prefetched_messages_are_extended_while_others_are_taken_and_go_back_when_none_is() -> None:
-    """Prefetched messages were lost to their leases while their taker worked on those before them."""
+    """A fixed fault: the leases of prefetched messages ended while their taker worked on the messages before them."""
     host = Host()
     taker = taker_at(host, prefetch=3)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -315,7 +315,9 @@ async def until_at_rest(taker: Taker) -> None:
 
 
 async def test_no_stream_is_opened_for_callers_that_left_meanwhile() -> None:
-    """Each cancelled get of a handle at a lost host left a stream and a task behind, once there was another host."""
+    """A fixed fault: after the loss of a host, each cancelled get of a handle left a stream and a task behind at the
+    new host.
+    """
     host = Host()
     host.error = st.Unavailable("connection refused")
     taker = taker_at(host)

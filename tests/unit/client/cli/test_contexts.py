@@ -1,4 +1,4 @@
-"""Saved contexts: who may read them, which one counts, and that no secret is printed."""
+"""Saved contexts: the users who may read them, the one that counts, and no secret in any output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`stampede sub` and channels that are deleted and made again, with a connection that tells what the test says."""
+"""`stampede sub` and channels that are deleted and made again, with a connection whose answers the test sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spans of the program's calls: none without an SDK, and then at no cost that shows."""
+"""Spans of the program's calls: without an SDK there are none, and no measurable cost."""
 
 from __future__ import annotations
 

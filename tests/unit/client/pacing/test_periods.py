@@ -56,7 +56,7 @@ class TestClock:
 
 
 class Attaching:
-    """As much of a session as a sampler needs."""
+    """The parts of a session that a sampler uses."""
 
     closed = False
 

@@ -86,7 +86,7 @@ class Stopped(Exception):
 
 
 class Stores:
-    """Lets a writer make so many stores, the last of bytes only in half."""
+    """Lets a writer make the given number of stores. If the last one stores bytes, it stores only half of them."""
 
     def __init__(self, memory: memoryview, left: list[int]) -> None:
         self._memory, self._left = memory, left

@@ -13,7 +13,7 @@ from stampede_rt.transports import grpc_async
 
 
 class Ring:
-    """As much of a mapped ring as an endpoint needs."""
+    """The parts of a mapped ring that an endpoint uses."""
 
     def __init__(self) -> None:
         self.closed = asyncio.Event()

@@ -55,7 +55,7 @@ SIZES = (0, 1, 4, 59, 60, 63, 64, 65, 123, 128, 129, 300)
 
 
 def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, bytes]], FrameReader]:
-    """The frames that come if each read gives so many bytes at most; the last number is for all further reads."""
+    """The frames that come if each read gives at most so large a part. The last size is for all further reads."""
     reader, short, found, turn = FrameReader(LIMITS), memoryview(bytearray(SHORT_BYTES)), [], 0
     while stream:
         place = reader.place(short)

@@ -16,7 +16,7 @@ def item(time: int, duration: int, payload: bytes = b"") -> Item:
 
 
 def event(start: int, seconds: int) -> Span:
-    """The items that become visible when the cut advances by so many captions."""
+    """The items that become visible when the cut advances by this number of captions."""
     end = start + seconds * SECOND
     frames = [item(time, FRAME) for time in range(start, end, FRAME)]
     blocks = [item(time, BLOCK) for time in range(start, end, BLOCK)]

@@ -1,4 +1,4 @@
-"""The settings of quotas, and which of them holds for whom."""
+"""The settings of quotas, and the setting that holds for each caller."""
 
 from __future__ import annotations
 

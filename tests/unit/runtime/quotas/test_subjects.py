@@ -1,4 +1,4 @@
-"""Whom a quota is counted for."""
+"""The subjects for which a quota counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much each caller has made, and when it may make no more."""
+"""The number of things that each caller has made, and its limit."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_the_last_clock_reading_of_a_holder_is_kept_beside_its_lease(table: Leas
     assert table.renew(host(1), 2 * SECOND)  # it does not know any more
     assert table.clock(host(1)) is None
     table.note_clock(host(1), AHEAD, 3 * SECOND)
-    assert table.clock(host(1, registered_index=9)) is None  # another registration, of which nothing is known
+    assert table.clock(host(1, registered_index=9)) is None  # another registration, which the table does not know
     table.follow([], 4 * SECOND)
     assert table.clock(host(1)) is None
 

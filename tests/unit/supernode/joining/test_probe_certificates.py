@@ -1,4 +1,4 @@
-"""A supernode logs once that it is for certificates that it cannot talk to another member."""
+"""A supernode logs once that it cannot talk to another member because of certificates."""
 
 from __future__ import annotations
 

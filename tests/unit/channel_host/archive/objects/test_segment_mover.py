@@ -1,4 +1,6 @@
-"""The archive of a host with an object store: moves in the background, a store that fails, and what a host leaves."""
+"""The archive of a host with an object store: moves in the background, a store that fails, and the files that a host
+leaves.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,7 @@ class Host:
         return recorder
 
     async def write(self, count: int = 1) -> None:
-        """Accept items, write them, and let so much time pass that the host closes the file."""
+        """Accept items, write them, and let time pass until the host closes the file."""
         for _ in range(count):
             self.clock += 1
             self.recorder.check_room(7)

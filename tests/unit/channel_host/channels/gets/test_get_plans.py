@@ -1,4 +1,4 @@
-"""Gets that ask the same are taken apart once, and nothing is mixed up by it."""
+"""The host parses equal gets once, and each get still has its own answer."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ async def test_the_blocked_gets_of_a_caller_that_has_gone_are_cancelled_a_few_at
 
 
 async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order() -> None:
-    """Room for 256 answers came at once, and all of them were made in one step."""
+    """A fixed fault: when room for 256 answers came, one step made all of them."""
     polled: list[int] = []
     in_one_step: list[int] = []
     nothing: Any = None

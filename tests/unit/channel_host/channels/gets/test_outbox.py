@@ -32,7 +32,7 @@ class Context:
 
 
 class Box:
-    """An outbox, and what it did: the ended calls, the payload bytes sent, and the long work that it began."""
+    """An outbox, and its effects: the ended calls, the payload bytes sent, and the long work that it began."""
 
     def __init__(self) -> None:
         task = asyncio.current_task()

@@ -57,7 +57,7 @@ class Stream:
 
 
 async def turns_of_puts(streams: list[Stream]) -> tuple[list[int], HostedChannel]:
-    """For each put, the turns of the event loop until every stream that takes messages has this one."""
+    """For each put, the turns of the event loop until every stream that takes messages has its message."""
     store = Store()
     record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(Policy(max_items=4)))
     channel = HostedChannel(recorded_channel(record), MemoryBudget(2**30), store.now, begin=store.scheduler.begin)
@@ -93,7 +93,7 @@ async def turns_until(condition: Any) -> int:
 async def test_a_stalled_reader_costs_the_others_no_turn_of_the_event_loop() -> None:
     alone, _ = await turns_of_puts([Stream() for _ in range(READERS)])
     beside, channel = await turns_of_puts([Stream(stalls=True), *(Stream() for _ in range(READERS))])
-    assert beside[1:] == alone[1:]  # the first put is the last thing that wakes the stalled reader
+    assert beside[1:] == alone[1:]  # the first put wakes the stalled reader for the last time
     assert channel.deliveries.encodings == PUTS
 
 

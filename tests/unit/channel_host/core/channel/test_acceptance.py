@@ -174,7 +174,7 @@ def test_the_rest_of_a_run_without_times_goes_on_when_its_first_item_is_old_enou
 
 
 def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_the_newest_item() -> None:
-    """The newest bucket stays to be found, so that a put stamped into it would exceed the limit."""
+    """The newest bucket stays for readers, so a put with a time in it would exceed the limit."""
     channel = a_channel(max_items=1, consumers=1, on_full="block")
     put(channel, CLOCK + 50)
     channel.consume(1, [], CLOCK)

@@ -99,7 +99,7 @@ def test_collection_by_age_looks_at_a_bounded_number_of_items_in_each_step(monke
 
 
 def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:
-    """Every slice that is looked at from now on."""
+    """Count the slices that are read from now on."""
     looked: list[Slice] = []
     for name in ("slices", "slices_from"):
         found = getattr(ChannelIndex, name)

@@ -13,7 +13,7 @@ S = 10**9
 
 
 def group(**times: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
-    """A settled group of a and b, of which so much is known."""
+    """A settled group of a and b with these known times."""
     return defined(GroupDefinition(members=frozenset((A, B))), **times)
 
 

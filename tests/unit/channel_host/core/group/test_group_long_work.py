@@ -25,7 +25,7 @@ POLICY = Policy(max_items=10**6, max_future_nanos=10**9)
 
 
 class Counter:
-    """How many slices of any index were looked at."""
+    """The number of slices that were read in any index."""
 
     def __init__(self) -> None:
         self.slices = 0

@@ -164,7 +164,7 @@ def unique(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
 
 
 def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tuple[int, int | None]]:
-    """The matches that a match takes which waits for its own channel, too."""
+    """The results of a match that waits for its own channel, too."""
     times = {OWN: OwnTimes(left, NOW).times(1), RIGHT: OwnTimes(right, NOW).times(1)}
     taken = matcher.take(lambda name, instant: times[name].has_passed(instant), NOW, 100)
     return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]

@@ -1,4 +1,4 @@
-"""How far a channel is, as its owner sees it and as others are told."""
+"""The progress of a channel, as its owner sees it and as the owner reports it to others."""
 
 from __future__ import annotations
 

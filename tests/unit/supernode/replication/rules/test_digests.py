@@ -101,7 +101,7 @@ ONE, OTHER = b"one state", b"another one"
 
 
 def polled(asked: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPoll:
-    """A leader's poll at position 7 among so many other voters, "a", "b", ..."""
+    """A leader's poll at position 7 among this number of other voters, "a", "b", ..."""
     poll = DigestPoll()
     poll.ask(0.0, (7, asked), [])
     for name, digest in answers.items():
