@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics soak-page images wheels docs bench bench-docs bench-moves kill-moves clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics soak-page images wheels docs bench bench-docs bench-moves kill-moves kill-uploads clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -72,6 +72,9 @@ race-rings: setup  ## readers and the writer of a ring in shared memory at the s
 
 kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at each of the 12 steps of a move: about 12 minutes
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py
+
+kill-uploads: setup  ## kill -9 at each of the 18 steps of a segment to an object store (needs Go): about 3 minutes
+	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py
 
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import re
 import time
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -14,6 +11,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.channel_host.recording_guide import check_guide
 from tests.support.waiting import wait_until
 
 ITEMS = 400
@@ -101,6 +99,7 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
     channel.advance(began + (ITEMS - 2) * MS)
     empty = rt.channel("rig/empty", archive="7d")
     assert empty.newest() is None
+    unserved = rt.channel("rig/unserved", archive="7d")
     with channel.subscribe(start=began) as items:
         seen = [next(items) for _ in range(5)]
         for times in (1, 2):  # the second process does not even open the channel
@@ -120,6 +119,8 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
     assert rt.channel("rig/empty").info.incarnation == empty.info.incarnation
     assert empty.get(st.OLDEST, began).reason != "LOST"
     assert empty.get(began - MS, began).reason != "LOST"
+    assert rt.channel("rig/unserved").info.incarnation == unserved.info.incarnation
+    assert unserved.get(began - MS, began).reason != "LOST"
 
 
 def test_after_a_crash_only_the_last_stretch_is_lost(cluster: LocalCluster, rt: st.Connection) -> None:
@@ -168,17 +169,7 @@ def test_a_get_says_which_items_are_in_a_damaged_block(rt: st.Connection, folder
 def test_every_example_of_the_guide_prints_the_stated_output(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
-    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
-    page = (Path(__file__).resolve().parents[3] / "docs" / "recording.md").read_text()
-    names: dict[str, object] = {}
-    for number, block in enumerate(re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)):
-        printed = io.StringIO()
-        with redirect_stdout(printed):
-            exec(compile(block, "recording.md", "exec"), names)
-        assert printed.getvalue().splitlines() == re.findall(r"print\(.*\)  # (.*)", block)
-        if not number:
-            wait_until_collected(names["imu"], 10)
+    check_guide(cluster, monkeypatch)
 
 
 def test_a_subscription_begins_in_the_archive_and_goes_on_live(rt: st.Connection) -> None:

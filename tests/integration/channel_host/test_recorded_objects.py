@@ -13,6 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.channel_host.recording_guide import check_guide
 from tests.support.channel_host.s3_server import BUCKET, S3Server, s3_server
 from tests.support.cluster import running_cluster
 from tests.support.waiting import wait_until
@@ -141,6 +142,52 @@ def test_while_the_store_is_away_live_readers_go_on_and_doctor_names_the_reason(
     server.start()
     moved(server, folder, channel, "h2")
     assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS + 20))
+
+
+@pytest.mark.parametrize("end", ["kill", "stop"])
+def test_a_host_that_starts_while_the_store_is_away_serves_what_it_has_and_catches_up(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, end: str
+) -> None:
+    name = f"rig/started-{end}"
+    channel, began = filled(rt, name, "h2", ack="disk")
+    moved(server, folder, channel, "h2")
+    server.stop()
+    try:
+        put(channel, began, ITEMS, ITEMS + 20)
+        getattr(cluster.hosts[1], end)()
+        cluster.hosts[1].restart()
+        channel = rt.channel(name)
+        assert channel.newest().payload == b"%d" % (ITEMS + 19)
+        with channel.subscribe() as live:
+            put(channel, began, ITEMS + 20, ITEMS + 30)
+            assert next(live).payload == b"%d" % (ITEMS + 20)
+        found = channel.get(began + (ITEMS + 20) * MS, st.NEWEST)
+        assert numbers(found) == list(range(ITEMS + 20, ITEMS + 30))
+        assert (found.reason == "LOST") == (end == "kill")  # some items may have come shortly before the kill
+        with pytest.raises(st.Unavailable, match="the object store s3://archives/rig says"):
+            channel.get(began, began + 5 * MS)
+        new = rt.channel(f"rig/new-{end}", host="h2", archive="7d")
+        new.put(b"recorded", ack="disk")
+    finally:
+        server.start()
+    wait_until(lambda: answers(channel, began) == list(range(ITEMS + 30)), "the host has caught up")
+    assert channel.get(began, began + 5 * MS).reason is None
+    moved(server, folder, channel, "h2")
+    assert numbers(channel.get(began, began + (ITEMS + 29) * MS)) == list(range(ITEMS + 30))
+
+
+def answers(channel: st.Channel, began: int) -> list[int]:
+    """All numbers, as soon as the host can read them."""
+    try:
+        return numbers(channel.get(began, st.NEWEST))
+    except st.Unavailable:
+        return []
+
+
+def test_every_example_of_the_guide_holds_with_an_archive_in_an_object_store(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check_guide(cluster, monkeypatch)
 
 
 def test_a_host_that_is_killed_during_an_upload_loses_and_doubles_nothing(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,15 +84,15 @@ def told(step: Step, name: str, plan: Path) -> Callable[..., Any]:
     return awaited
 
 
-def run() -> int:
-    """Run the host."""
+def run(steps: Mapping[str, Step]) -> int:
+    """Run the host, whose methods reach these steps."""
     _, word, plan, *arguments = sys.argv
     assert word == "--plan"
-    for name, step in (DESTINATION_STEPS | SOURCE_STEPS).items():
+    for name, step in steps.items():
         setattr(step.owner, step.method, told(step, name, Path(plan)))
     sys.argv = [sys.argv[0], *arguments]
     return main()
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    sys.exit(run(DESTINATION_STEPS | SOURCE_STEPS))

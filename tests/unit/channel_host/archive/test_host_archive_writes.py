@@ -20,6 +20,7 @@ from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, Segmen
 from stampede_rt_channel_host.core.archive import ArchivedRun, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 from stampede_rt_runtime.settings import SettingsError
+from tests.support.waiting import until
 from tests.unit.channel_host.archive.test_archive_files import decode, opened, run_at, seqs, write
 
 FILES = "stampede_rt_channel_host.archive.segment_files"
@@ -193,3 +194,26 @@ def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_writte
     assert asyncio.run(scenario()) == 2
     assert len([*tmp_path.glob("second/*.segment")]) == 0
     assert sum(one.items for one in SegmentFiles(tmp_path / "first", {}).open(1).segments) == 1
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_a_write_begins_as_soon_as_there_is_enough_for_it_and_waits_while_the_disk_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool
+) -> None:
+    async def scenario() -> list[int]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
+        recorder, put = recorded(archive, tmp_path / "c")
+        run_bytes = recorder.files.run_bytes_max + 2
+        monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.BYTES_PER_WRITE", 3 * run_bytes)
+        if is_full:
+            recorder.note_end("no space left on device")
+        written = []
+        for _ in range(4):
+            put()
+            await until(lambda: recorder.archived_to == 4 or not recorder.fills_a_write)
+            written.append(recorder.archived_to - 1)
+        await archive.close([])
+        return written
+
+    assert asyncio.run(scenario()) == ([0, 0, 0, 0] if is_full else [0, 0, 3, 3])

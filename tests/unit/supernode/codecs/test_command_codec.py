@@ -210,6 +210,7 @@ CHANNEL = ChannelRecord(
     policy=Policy(**EVERYTHING),
     policy_version=2,
     proxy_host_ids=(id_of(8),),
+    first_incarnation=2**64 - 2,
 )
 GROUP = GroupRecord(
     group_id=id_of(4),

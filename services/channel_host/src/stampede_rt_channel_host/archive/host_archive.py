@@ -33,9 +33,10 @@ _REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each
 class HostArchive:
     """Writes with one thread, and reads with others, so that the event loop never waits for the disk.
 
-    After new items have come, the archive waits WRITE_AFTER_SECONDS for more. Then it writes the items of all channels,
-    one channel after the other. `decode` makes a run of its stored body. `on_written` is called after each write of a
-    channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
+    After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
+    Then it writes the items of all channels, one channel after the other. `decode` makes a run of its stored body.
+    `on_written` is called after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is
+    the host's clock.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class HostArchive:
     @property
     def store_failure(self) -> str:
         """Why the last call of the object store failed; empty: it succeeded, or there is no object store."""
-        return "" if self.objects is None else self.objects.mover.failure
+        return "" if self.objects is None else self.objects.mover.failure or self.objects.store.failure
 
     @property
     def place(self) -> str:
@@ -115,11 +116,7 @@ class HostArchive:
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, with those in the object store. Raises OSError."""
         files = objects.files_of(record.channel_id, facts, self._kept)
-        stored = await asyncio.get_running_loop().run_in_executor(self._readers, files.stored.find, record.epoch)
-        objects.mover.reopening(record.channel_id)
-        return files, await self._in_writer(
-            lambda: files.open(record.epoch, record.incarnation, files.stored.adopt(stored))
-        )
+        return files, await objects.open(files, record, self._readers, self._writer)
 
     async def _in_writer(self, call: Callable[..., Result], *arguments: object) -> Result:
         return await asyncio.get_running_loop().run_in_executor(self._writer, call, *arguments)
@@ -144,6 +141,8 @@ class HostArchive:
     def touch(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         """Note that this channel has items to write."""
         self._due[recorder] = on_written
+        if recorder.fills_a_write:
+            self._hurry.set()
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._write_on(), name="archive")
             self._task.add_done_callback(_log_defect)

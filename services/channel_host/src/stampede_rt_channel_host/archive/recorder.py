@@ -151,6 +151,11 @@ class ChannelRecorder:
         return min((*self._instants[:1], *(one.accepted for one in self._advances[:1])), default=None)
 
     @property
+    def fills_a_write(self) -> bool:
+        """Whether as many bytes wait as one write takes, and the disk takes writes."""
+        return self._coming_bytes >= BYTES_PER_WRITE and not self.failure
+
+    @property
     def backlog_items(self) -> int:
         """The accepted items that are not archived."""
         return self._channel.next_seq - self.archived_to

@@ -99,6 +99,8 @@ class SegmentFiles(SegmentReads):
         self._facts = facts
         self.is_shared = False
         """Whether the other hosts of the cluster read the closed segments, too."""
+        self.is_listed = True
+        """Whether the place of the segments has told which ones it has; else a list on the disk did."""
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._begun_at = 0  # the acceptance instant of its first block

@@ -37,6 +37,10 @@ class SegmentPlace(Protocol):
         """Bytes of a segment that were damaged, from a better copy; None: there is none."""
         ...
 
+    def is_stored(self, number: int) -> bool:
+        """Whether the segment is in an object store, and not in the folder."""
+        ...
+
 
 class SegmentFolder:
     """The segments of one channel as files of a folder."""

@@ -70,12 +70,12 @@ def replication_of(
 
 
 def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:
-    """An empty channel or copy. If the channel had another owner before, the items of that owner are lost."""
+    """An empty channel or copy. If the channel had another incarnation before, the items of its owner are lost."""
     if copy is not None and copy.channel is not None:
         return copy.channel
     incarnation, name = record.incarnation, record.name
     if copy is None:
-        lost_before = now if record.epoch > 1 else None
+        lost_before = now if record.may_have_lost else None
         return ChannelCore(record.policy, incarnation=incarnation, name=name, lost_before=lost_before, cut=slice_run)
     assert isinstance(copy, NewCopy), "an owned core has a channel"
     fed = FedChannel(record.policy, incarnation=incarnation, name=name, cut=slice_run, knows_owner=copy.knows_owner)

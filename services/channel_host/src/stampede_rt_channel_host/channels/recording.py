@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import Bound, Interval, ResolvedInterval
 from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
@@ -41,7 +43,7 @@ from stampede_rt_channel_host.core.channel import (
     make_run,
 )
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
-from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -70,10 +72,7 @@ async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedC
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written."""
     try:
         files, found = await archive.open(record)
-        newest = None
-        if found.segments:
-            wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63)
-            newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
+        newest = await _newest(archive, files, found.segments)
     except OSError as error:
         raise Unavailable(
             f"the archive of channel {record.name} in {archive.place} cannot be used ({error.strerror}); free the "
@@ -81,6 +80,28 @@ async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedC
             "channel again"
         ) from error
     return OpenedChannelArchive(files, found, newest, archive.disk.of_channel(record.channel_id, record.created_by))
+
+
+async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Segment, ...]) -> ArchiveWindow | None:
+    """The newest archived items; None: there are none. While the object store is away, those on the disk, as far as
+    they are later than all items in the store. Raises OSError.
+    """
+    if not segments:
+        return None
+    if files.is_listed:
+        with suppress(StoreError):
+            return await archive.load(files, segments, _latest_from(FIRST_KEY))
+    stored = [one for one in segments if files.place.is_stored(one.number)]
+    edge = max((one.high[0] for one in stored if one.high is not None), default=None)
+    local = tuple(one for one in segments if one not in stored)
+    window = await archive.load(files, local, _latest_from(FIRST_KEY if edge is None else (edge + 1, 0)))
+    edges = [one for one in (edge, window.edge) if one is not None]
+    return window._replace(edge=max(edges, default=None))
+
+
+def _latest_from(low: ItemKey) -> WantedWindow:
+    """The newest items, from the key `low` on."""
+    return WantedWindow(Wanted(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
 
 
 class Recording:
@@ -101,7 +122,7 @@ class Recording:
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
-        if channel.next_seq == 1 and (opened.newest is not None or opened.found.stop is not None):
+        if channel.next_seq == 1 and (opened.found.segments or opened.found.stop is not None):
             _restore(channel, opened, cut)
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory

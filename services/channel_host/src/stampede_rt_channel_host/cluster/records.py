@@ -51,6 +51,7 @@ def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
         message=message.SerializeToString(),
         created_by=intern(message.created_by),  # one string object for all records of a caller
         copy_host_ids=tuple(message.proxy_host_ids),
+        first_incarnation=message.first_incarnation,
     )
 
 

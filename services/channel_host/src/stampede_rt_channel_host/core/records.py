@@ -19,7 +19,8 @@ class RecordedChannel:
     """One channel, with its owner and policy.
 
     `created_by` is the name of the caller that created the channel. It is empty if the directory does not know the
-    caller. `copy_host_ids` are the hosts that hold a copy.
+    caller. `copy_host_ids` are the hosts that hold a copy. `first_incarnation` is the one with which a recorded channel
+    began; 0: it is unknown.
     """
 
     channel_id: bytes
@@ -32,6 +33,12 @@ class RecordedChannel:
     message: bytes = field(repr=False)
     created_by: str = ""
     copy_host_ids: tuple[bytes, ...] = ()
+    first_incarnation: int = 0
+
+    @property
+    def may_have_lost(self) -> bool:
+        """Whether items may have been lost with an earlier owner."""
+        return self.epoch > 1 and self.incarnation != self.first_incarnation
 
 
 def next_incarnation(incarnation: int) -> int:

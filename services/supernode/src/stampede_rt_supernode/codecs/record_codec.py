@@ -88,6 +88,7 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
         policy_version=record.spec_version,
         proxy_host_ids=tuple(record.proxy_host_ids),
         created_by=intern(record.created_by),  # one string object for all records of a caller
+        first_incarnation=record.first_incarnation,
     )
 
 
@@ -113,6 +114,7 @@ def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
         spec_version=channel.policy_version,
         proxy_host_ids=channel.proxy_host_ids,
         created_by=channel.created_by,
+        first_incarnation=channel.first_incarnation,
     )
 
 

@@ -83,7 +83,8 @@ class ChannelRecord:
 
     `policy_version` grows by 1 with every change of `policy`. `proxy_host_ids`: the hosts of all copies, in the order
     of addition; warm replicas are among them. `created_by`: the name by which rules of access know the caller that
-    created it; empty if it is unknown.
+    created it; empty if it is unknown. `first_incarnation`: the one with which a recorded channel began; 0 if it is
+    unknown.
     """
 
     channel_id: bytes
@@ -95,6 +96,7 @@ class ChannelRecord:
     policy_version: int
     proxy_host_ids: tuple[bytes, ...] = ()
     created_by: str = ""
+    first_incarnation: int = 0
 
     def after_restart(self, incarnation: int) -> ChannelRecord:
         """The record with the next epoch and with this incarnation. The host stays the same.
@@ -112,6 +114,7 @@ class ChannelRecord:
             policy_version=self.policy_version,
             proxy_host_ids=self.proxy_host_ids,
             created_by=self.created_by,
+            first_incarnation=self.first_incarnation,
         )
 
 

@@ -81,8 +81,10 @@ def test_only_recorded_channels_keep_their_incarnation_when_the_archive_has_all_
     log.apply(with_archive(1, boot=2, continues=1))
     assert (now(log, recorded).epoch, now(log, recorded).incarnation) == (2, recorded.incarnation)
     assert (now(log, plain).epoch, now(log, plain).incarnation) == (2, 900)
+    assert now(log, recorded).first_incarnation == recorded.incarnation
     log.apply(with_archive(1, boot=3, continues=1))  # the note of a process that was not the last one
     assert (now(log, recorded).epoch, now(log, recorded).incarnation) == (3, 900)
+    assert (now(log, recorded).first_incarnation, now(log, plain).first_incarnation) == (recorded.incarnation, 0)
 
 
 def test_below_the_level_of_archives_no_replica_believes_in_them() -> None:

@@ -1,4 +1,4 @@
-"""The last files of former owners, which come to the object store after a channel has moved here."""
+"""Channels whose objects the host has still to list: a former owner moves its last files, or the store was away."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ WAIT_SECONDS_MIN, WAIT_SECONDS_MAX = 0.5, 600.0
 class _Expected(NamedTuple):
     due: float  # by the clock of the event loop
     wait_s: float
+    is_former: bool
 
 
 class FormerOwners:
@@ -21,9 +22,13 @@ class FormerOwners:
     def __init__(self) -> None:
         self._expected: dict[MovingFiles, _Expected] = {}
 
-    def expect(self, files: MovingFiles) -> None:
-        """Note that the former owner of a channel still has items on its disk."""
-        self._expected[files] = _Expected(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN)
+    def expect(self, files: MovingFiles, *, is_former: bool = True) -> None:
+        """Look for the last items of a former owner. `is_former` False: one look is enough."""
+        self._expected[files] = _Expected(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN, is_former)
+
+    def hurry(self) -> None:
+        """Look at all of them now."""
+        self._expected = {files: one._replace(due=0.0) for files, one in self._expected.items()}
 
     def forget(self, files: MovingFiles) -> None:
         """Stop looking for files of a channel."""
@@ -37,13 +42,15 @@ class FormerOwners:
         """The channels for which the caller looks now."""
         found = [files for files, one in self._expected.items() if one.due <= _clock()]
         for files in found:
-            wait_s = min(2 * self._expected[files].wait_s, WAIT_SECONDS_MAX)
-            self._expected[files] = _Expected(_clock() + wait_s, wait_s)
+            one = self._expected[files]
+            wait_s = min(2 * one.wait_s, WAIT_SECONDS_MAX)
+            self._expected[files] = one._replace(due=_clock() + wait_s, wait_s=wait_s)
         return found
 
     def found(self, files: MovingFiles) -> None:
-        """Note that the caller has looked. If the archive has no hole any more, this was the last look."""
-        if not files.lacks_items():
+        """Note that the caller has looked. If the former owner has no more items, this was the last look."""
+        one = self._expected.get(files)
+        if one is not None and not (one.is_former and files.lacks_items()):
             self.forget(files)
 
 

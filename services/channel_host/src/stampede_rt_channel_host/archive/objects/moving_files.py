@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 
+from stampede_rt_channel_host.archive.clean_stop import read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
-from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
 
@@ -34,6 +35,21 @@ class MovingFiles(SegmentFiles):
         self.is_left = False
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
+
+    def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:
+        """The segments in the store as the disk knows them; None: it may not know all of them. Raises OSError.
+
+        `epoch`, `incarnation`: of the channel now.
+        """
+        stop = read_stop(self._folder)
+        is_whole = stop is not None and stop.incarnation == incarnation
+        return self.stored.known(epoch, is_whole=is_whole)
+
+    def open_found(self, epoch: int, incarnation: int, found: Mapping[int, StoredSegment]) -> OpenedArchive:
+        """As `open`. `found`: the segments in the store. Raises OSError."""
+        opened = self.open(epoch, incarnation, self.stored.adopt(found))
+        self.stored.note(epoch)
+        return opened
 
     def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
         """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:
@@ -73,7 +89,10 @@ class MovingFiles(SegmentFiles):
         """
         kept = {one.number: one for one in self._segments}
         latest = max(kept, default=0)
-        for one in self.stored.adopt({number: one for number, one in found.items() if number not in kept}):
+        self.is_listed = True
+        new = self.stored.adopt({number: one for number, one in found.items() if number not in kept})
+        self.stored.note_more(new)
+        for one in new:
             if one.number < latest or not kept:
                 kept[one.number] = one
         ordered: list[Segment] = []

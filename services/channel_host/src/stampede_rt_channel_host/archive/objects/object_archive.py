@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
+from stampede_rt_channel_host.archive.objects.guarded_store import GuardedStore
 from stampede_rt_channel_host.archive.objects.leftovers import Leftovers
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_mover import SegmentMover
-from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
+from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
 from stampede_rt_channel_host.archive.objects.stored_segments import StoredSegments
+from stampede_rt_channel_host.archive.segment_files import OpenedArchive
 from stampede_rt_channel_host.core.archive import CutRun
+from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+LISTING_SECONDS_MAX = 3.0  # a slower listing is left to the mover if the disk knows what the store has
 
 
 class ObjectSettings(NamedTuple):
@@ -29,16 +37,44 @@ class ObjectArchive:
 
     def __init__(self, settings: ObjectSettings, folder: ArchiveFolder, cut: CutRun, now: Callable[[], int]) -> None:
         """Blocks. Raises OSError."""
-        self.store = settings.store
+        self.store = GuardedStore(settings.store)
         self._folder, self._cut = folder, cut
-        self._cache = ChunkCache(settings.store, folder.path / "cache", settings.cache_bytes_max)
+        self._cache = ChunkCache(self.store, folder.path / "cache", settings.cache_bytes_max)
         self._cache.open()
-        leftovers = Leftovers(folder.channels, settings.store, lambda channel_id: self.files_of(channel_id, {}))
+        leftovers = Leftovers(folder.channels, self.store, lambda channel_id: self.files_of(channel_id, {}))
         leftovers.look()
         seal_nanos = settings.move_after_seconds * 10**9
-        self.mover = SegmentMover(settings.store, self._cache, leftovers, seal_nanos, now)
+        self.mover = SegmentMover(self.store, self._cache, leftovers, seal_nanos, now)
 
     def files_of(self, channel_id: bytes, facts: dict[str, str | int], kept: KeptBlocks | None = None) -> MovingFiles:
         """The files of a channel, which the caller opens. `kept`: see `SegmentReads`."""
         path = self._folder.of_channel(channel_id)
         return MovingFiles(path, facts, StoredSegments(path, self._cache, self.store), self._cut, kept)
+
+    async def open(
+        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor
+    ) -> OpenedArchive:
+        """Open the files of a channel. If the store is away, the disk tells what the store has.
+
+        Raises OSError, also if the store is away and the disk does not know what it has.
+        """
+        loop = asyncio.get_running_loop()
+        listing = loop.run_in_executor(readers, files.stored.find, record.epoch)
+        listing.add_done_callback(_look)
+        await asyncio.wait({listing}, timeout=LISTING_SECONDS_MAX)
+        failure = listing.exception() if listing.done() else None
+        if isinstance(failure, LaterOwner):
+            raise failure
+        known = None
+        if failure is not None or not listing.done():
+            known = await loop.run_in_executor(writer, files.known, record.epoch, record.incarnation)
+        found = await listing if known is None else known
+        self.mover.reopening(record.channel_id)
+        files.is_listed = known is None
+        return await loop.run_in_executor(writer, files.open_found, record.epoch, record.incarnation, found)
+
+
+def _look(listing: asyncio.Future[dict[int, StoredSegment]]) -> None:
+    """Look at the error of a listing for which nobody may wait any more."""
+    if not listing.cancelled():
+        listing.exception()

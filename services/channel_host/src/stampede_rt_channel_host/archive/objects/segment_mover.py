@@ -80,6 +80,9 @@ class SegmentMover:
         """Move the closed segments of a channel that this host records."""
         if isinstance(recorder.files, MovingFiles):
             self._recorders[recorder.files] = recorder
+            if not recorder.files.is_listed:
+                self._former.expect(recorder.files, is_former=False)
+                self._wake.set()
 
     def expect_former(self, recorder: ChannelRecorder) -> None:
         """Note that a channel has moved here, and that its former owner still moves its last files to the store."""
@@ -155,6 +158,8 @@ class SegmentMover:
     async def move_all(self) -> str:
         """Do all work that is due now. Returns the reason of a failure, or an empty text."""
         self._store_fails = False
+        if self.failure:  # a look without work would not notice that the store fails
+            self._former.hurry()
         failures = [await self._tried(self._look())]
         for files in (*self._recorders, *self._leaving):
             failures.append(await self._tried(self._move_waiting(files)))

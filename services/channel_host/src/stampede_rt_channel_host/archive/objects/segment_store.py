@@ -13,7 +13,7 @@ from stampede_rt_runtime.settings import SettingsError
 logger = logging.getLogger(__name__)
 
 MARKER = "stampede-archive"
-CHECK_SECONDS_MAX = 20.0
+CHECK_SECONDS_MAX = 5.0
 
 
 class StoreError(OSError):
@@ -22,6 +22,10 @@ class StoreError(OSError):
     def __init__(self, text: str, *, is_refusal: bool = False) -> None:
         super().__init__(errno.EIO, text)
         self.is_refusal = is_refusal
+
+
+class LaterOwner(StoreError):
+    """The object store has files of a later owner of the channel."""
 
 
 class FoundObject(NamedTuple):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
-from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
+from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
+from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
 from stampede_rt_channel_host.core.archive.stored_segment import (
@@ -44,6 +45,7 @@ class StoredSegments(SegmentFolder):
         self.outdated: list[str] = []
         """The objects that have left the archive, but not the store."""
         self._cache, self._store = cache, store
+        self._known = KnownObjects(path)
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
         self._stored: dict[int, StoredSegment] = {}
@@ -55,23 +57,48 @@ class StoredSegments(SegmentFolder):
         return bytes.fromhex(self.path.name)
 
     def find(self, epoch: int) -> dict[int, StoredSegment]:
-        """List the segments in the store, by their numbers. `epoch`: of the channel now. Raises StoreError.
+        """List the segments in the store, by their numbers. `epoch`: of the channel now.
 
-        It is an error if there are segments of a later epoch: then another host owns the channel. Ignores objects that
-        are not segments. Any thread may call it.
+        Raises StoreError, and LaterOwner if there are segments of a later epoch. Ignores objects that are no segments.
+        Any thread may call it.
         """
-        found = {}
-        for one in self._store.find(self.prefix):
-            segment = segment_named(one.name.removeprefix(self.prefix))
-            if segment is not None:
-                found[segment.number] = StoredSegment(segment, one.name, one.bytes)
+        found = self._segments_of((one.name, one.bytes) for one in self._store.find(self.prefix))
         latest = max(found, default=0)
         if latest >= first_number(epoch + 1):
-            raise StoreError(
+            raise LaterOwner(
                 f"the object store {self._store.url} has files of a later owner of the channel ({found[latest].name}); "
                 "open the channel again"
             )
         return found
+
+    def known(self, epoch: int, *, is_whole: bool) -> dict[int, StoredSegment] | None:
+        """The segments in the store as the disk knows them; None: the disk does not know all of them.
+
+        `epoch`: of the channel now. `is_whole`: no other host has had the channel since. Raises OSError.
+        """
+        known = self._known.read()
+        if known is None and epoch == 1 and not self.path.exists():  # a new channel
+            known = Known(epoch, {})
+        if known is None or not (is_whole or known.epoch in (epoch - 1, epoch)):
+            return None
+        return self._segments_of(known.objects.items())
+
+    def _segments_of(self, objects: Iterable[tuple[str, int]]) -> dict[int, StoredSegment]:
+        found = {}
+        for name, size in objects:
+            segment = segment_named(name.removeprefix(self.prefix))
+            if segment is not None:
+                found[segment.number] = StoredSegment(segment, name, size)
+        return found
+
+    def note(self, epoch: int) -> None:
+        """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
+        self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}))
+
+    def note_more(self, segments: Iterable[Segment]) -> None:
+        """Note on the disk that the store has these segments, too. Raises OSError."""
+        stored = [self._stored[one.number] for one in segments]
+        self._known.add({one.name: one.bytes for one in stored})
 
     def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
         """Take over the segments of a listing that are new. Returns them.
@@ -118,12 +145,15 @@ class StoredSegments(SegmentFolder):
         """Note that the store has a segment, and delete its file. Raises OSError."""
         segment = packed.segment
         if segment.number not in self._stored:
+            self._known.add({packed.name: len(packed.content)})
             self._add(StoredSegment(segment, packed.name, len(packed.content)))
         self.file_of(segment.number).unlink(missing_ok=True)
 
     def remove(self, number: int) -> None:
         """Delete the file of a segment, and add its object to `outdated`. Raises OSError."""
         super().remove(number)
+        if number in self._stored:
+            self._known.remove(self._stored[number].name)
         stored = self._stored.pop(number, None)
         self._dropped_to = max(self._dropped_to, number)
         if stored is not None:

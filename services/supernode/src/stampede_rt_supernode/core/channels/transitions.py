@@ -148,6 +148,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
         policy=operation.policy,
         policy_version=1,
         created_by=operation.created_by,
+        first_incarnation=operation.new_incarnation if operation.policy.is_recorded else 0,
     )
     tables.add_channel(channel)
     return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)

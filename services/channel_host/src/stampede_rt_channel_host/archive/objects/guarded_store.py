@@ -1,0 +1,88 @@
+"""An object store that is not asked by everybody while it fails."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import Lock
+
+from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, SegmentStore, StoreError
+
+PAUSE_SECONDS = 1.0
+
+
+class GuardedStore:
+    """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail at once.
+
+    So a store that answers nothing does not hold all threads of the archive. Any thread may use it.
+    """
+
+    def __init__(self, store: SegmentStore, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock`: in seconds."""
+        self.url = store.url
+        self.failure = ""
+        """Why the last call failed; empty: it did not."""
+        self._store, self._clock = store, clock
+        self._lock = Lock()
+        self._failed_at = 0.0
+        self._is_tried = False
+
+    async def create(self, name: str, content: bytes | bytearray) -> bool:
+        """See `SegmentStore`. Always tries: the caller has pauses of its own."""
+        try:
+            made = await self._store.create(name, content)
+        except StoreError as error:
+            self._note(str(error.strerror))
+            raise
+        except asyncio.CancelledError:
+            self._note(f"the object store {self.url} does not answer in time")
+            raise
+        self._note("")
+        return made
+
+    def read(self, name: str, offset: int, size: int) -> bytes:
+        """See `SegmentStore`."""
+        with self._trial():
+            return self._store.read(name, offset, size)
+
+    def find(self, prefix: str) -> Iterator[FoundObject]:
+        """See `SegmentStore`."""
+        with self._trial():
+            yield from self._store.find(prefix)
+
+    def delete(self, names: Sequence[str]) -> None:
+        """See `SegmentStore`."""
+        with self._trial():
+            self._store.delete(names)
+
+    @contextmanager
+    def _trial(self) -> Iterator[None]:
+        is_trial = self._enter()
+        try:
+            yield
+        except StoreError as error:
+            self._note(str(error.strerror))
+            raise
+        except FileNotFoundError:  # the store works
+            self._note("")
+            raise
+        else:
+            self._note("")
+        finally:
+            self._is_tried = self._is_tried and not is_trial
+
+    def _enter(self) -> bool:
+        """Whether this call tries a store that has failed. Raises StoreError if another call does."""
+        with self._lock:
+            if not self.failure:
+                return False
+            if self._is_tried or self._clock() < self._failed_at + PAUSE_SECONDS:
+                raise StoreError(self.failure)
+            self._is_tried = True
+            return True
+
+    def _note(self, failure: str) -> None:
+        with self._lock:
+            self.failure, self._failed_at = failure, self._clock()

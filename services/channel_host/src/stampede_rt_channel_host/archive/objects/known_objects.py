@@ -1,0 +1,106 @@
+"""The list of a channel's objects on the disk of its host, for starts while the object store is away. Blocks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from zlib import crc32
+
+from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
+
+_FILE = "objects"
+
+
+class Known(NamedTuple):
+    """The objects of a channel, by their names, with their bytes. `epoch`: of the channel at the host that noted them.
+
+    They are all objects of the channel if no other host has owned the channel since.
+    """
+
+    epoch: int
+    objects: dict[str, int]
+
+
+class KnownObjects:
+    """A file with a line for each change, each with a checksum. Any damage makes the whole list unknown.
+
+    If the disk does not take a line, the list is deleted, because moves must go on: they make room on a full disk.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / _FILE
+
+    def read(self) -> Known | None:
+        """The list, or None if there is none or it is damaged. Raises OSError."""
+        try:
+            *lines, rest = self._path.read_text(errors="replace").split("\n")
+        except FileNotFoundError:
+            return None
+        rows = [_decoded(line) for line in lines]
+        if not rows or rest or None in rows:
+            return None
+        first, *others = (one for one in rows if one is not None)
+        known = Known(first[0], {})
+        for size, name in others:
+            if size:
+                known.objects[name] = size
+            else:
+                known.objects.pop(name, None)
+        return known
+
+    def replace(self, known: Known) -> None:
+        """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
+        content = "".join([_encoded(known.epoch, "epoch"), *_lines(known.objects)]).encode()
+        if self._path.exists() and self._path.read_bytes() == content:
+            return
+        draft = self._path.with_suffix(".draft")
+        draft.unlink(missing_ok=True)
+        try:
+            _append(draft, content)
+            draft.rename(self._path)
+            sync_folder(self._path.parent)
+        except OSError:
+            draft.unlink(missing_ok=True)
+            self._path.unlink(missing_ok=True)
+
+    def add(self, objects: Mapping[str, int]) -> None:
+        """Add objects to the list, if there is one. Raises OSError as `replace`."""
+        if not objects or not self._path.exists():
+            return
+        try:
+            _append(self._path, "".join(_lines(objects)).encode())
+        except OSError:
+            self._path.unlink()
+
+    def remove(self, name: str) -> None:
+        """The object has left the archive. Raises OSError as `replace`."""
+        self.add({name: 0})
+
+
+def _lines(objects: Mapping[str, int]) -> Iterable[str]:
+    return (_encoded(size, name) for name, size in objects.items())
+
+
+def _encoded(number: int, text: str) -> str:
+    row = f"{number} {text}"
+    return f"{crc32(row.encode()):08x} {row}\n"
+
+
+def _decoded(line: str) -> tuple[int, str] | None:
+    checksum, _, row = line.partition(" ")
+    number, _, text = row.partition(" ")
+    if checksum != f"{crc32(row.encode()):08x}" or not number.isdecimal():
+        return None
+    return int(number), text
+
+
+def _append(path: Path, content: bytes) -> None:
+    """Append bytes, and bring them to stable storage."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    try:
+        write_all(file, [content])
+        os.fsync(file)
+    finally:
+        os.close(file)

@@ -1,0 +1,110 @@
+"""A store behind a guard: while it fails, one call tries it, and the others fail at once."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from stampede_rt_channel_host.archive.objects.guarded_store import PAUSE_SECONDS, GuardedStore
+from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, StoreError
+from tests.support.channel_host.object_stores import FakeStore
+
+
+class Times:
+    """A clock in seconds that a test moves."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_store_that_fails_is_asked_again_only_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    store, clock = FakeStore(), Times()
+    guarded = GuardedStore(store, clock)
+    store.objects["a"] = b"0123"
+    store.failure = "connection refused"
+    for _ in range(3):
+        with pytest.raises(StoreError, match="connection refused"):
+            guarded.read("a", 0, 4)
+    assert store.calls == ["read a"]
+    assert guarded.failure == "connection refused"
+    clock.now += PAUSE_SECONDS
+    with pytest.raises(StoreError):
+        [*guarded.find("")]
+    store.failure = ""
+    with pytest.raises(StoreError):
+        guarded.delete(["b"])
+    clock.now += PAUSE_SECONDS
+    assert guarded.read("a", 1, 2) == b"12"
+    assert [*guarded.find("")] == [FoundObject("a", 4)]
+    assert guarded.failure == ""
+
+
+def test_a_missing_object_and_a_listing_that_nobody_reads_on_are_no_failures() -> None:
+    store = FakeStore()
+    store.objects.update({"a": b"1", "b": b"2"})
+    guarded = GuardedStore(store)
+    with pytest.raises(FileNotFoundError):
+        guarded.read("missing", 0, 1)
+    listing: Iterator[FoundObject] = guarded.find("")
+    assert next(listing) == FoundObject("a", 1)
+    del listing
+    assert guarded.failure == ""
+    assert guarded.read("b", 0, 1) == b"2"
+
+
+def test_while_one_call_tries_a_store_that_hangs_the_others_do_not_wait() -> None:
+    asked, answers = threading.Event(), threading.Event()
+
+    class Hanging(FakeStore):
+        def read(self, name: str, offset: int, size: int) -> bytes:
+            if self.failure:
+                return super().read(name, offset, size)
+            asked.set()
+            answers.wait(10)
+            return b"x"
+
+    store, clock = Hanging(), Times()
+    guarded = GuardedStore(store, clock)
+    store.failure = "away"
+    with pytest.raises(StoreError):
+        guarded.read("a", 0, 1)
+    store.failure = ""
+    clock.now += PAUSE_SECONDS
+    trying = threading.Thread(target=guarded.read, args=("a", 0, 1))
+    trying.start()
+    assert asked.wait(10)
+    clock.now += 100 * PAUSE_SECONDS
+    with pytest.raises(StoreError, match="away"):
+        guarded.read("a", 0, 1)
+    answers.set()
+    trying.join(10)
+    assert guarded.read("a", 0, 1) == b"x"
+
+
+@pytest.mark.asyncio
+async def test_an_upload_always_tries_and_its_end_tells_the_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Hanging(FakeStore):
+        async def create(self, name: str, content: bytes | bytearray) -> bool:
+            if name == "hangs":
+                await asyncio.Event().wait()
+            return await super().create(name, content)
+
+    store = Hanging()
+    guarded = GuardedStore(store, Times())
+    store.failure = "away"
+    with pytest.raises(StoreError):
+        await guarded.create("a", b"1")
+    store.failure = ""
+    assert await guarded.create("a", b"1")
+    assert guarded.read("a", 0, 1) == b"1"
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.01):
+            await guarded.create("hangs", b"1")
+    with pytest.raises(StoreError, match="does not answer in time"):
+        guarded.read("a", 0, 1)

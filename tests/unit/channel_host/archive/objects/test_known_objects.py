@@ -1,0 +1,65 @@
+"""The list of a channel's objects on the disk: what it says after changes, damage, and on a disk that takes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_channel_host.archive.objects import known_objects
+from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
+
+
+def test_a_list_says_what_was_noted_added_and_removed(tmp_path: Path) -> None:
+    known = KnownObjects(tmp_path)
+    assert known.read() is None
+    known.add({"a": 1})  # there is no list that this could complete
+    assert known.read() is None
+    known.replace(Known(3, {"a": 1, "b": 2}))
+    known.add({"c d": 3, "b": 4})
+    known.remove("a")
+    assert KnownObjects(tmp_path).read() == Known(3, {"b": 4, "c d": 3})
+    known.replace(Known(4, {}))
+    assert known.read() == Known(4, {})
+    assert [path.name for path in tmp_path.iterdir()] == ["objects"]
+
+
+def test_a_list_cut_off_within_a_line_is_unknown_until_the_next_note(tmp_path: Path) -> None:
+    known, file = KnownObjects(tmp_path), tmp_path / "objects"
+    known.replace(Known(1, {"a": 1}))
+    known.add({"b": 2})
+    whole = file.read_bytes()
+    ends = {at + 1 for at, byte in enumerate(whole) if byte == ord("\n")}
+    for size in range(len(whole)):
+        file.write_bytes(whole[:size])
+        assert (known.read() is not None) == (size in ends)
+        known.replace(Known(1, {"z": 9}))
+        assert known.read() == Known(1, {"z": 9})
+
+
+def test_a_flipped_bit_makes_the_list_unknown(tmp_path: Path) -> None:
+    known, file = KnownObjects(tmp_path), tmp_path / "objects"
+    known.replace(Known(1, {"a": 1, "b": 2}))
+    good = file.read_bytes()
+    for at in range(len(good)):
+        for bit in range(8):
+            file.write_bytes(good[:at] + bytes([good[at] ^ (1 << bit)]) + good[at + 1 :])
+            assert known.read() is None
+
+
+@pytest.mark.parametrize("change", ["replace", "add"])
+def test_a_disk_that_takes_no_line_costs_the_list_and_not_the_move(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "no space left on device")
+
+    known = KnownObjects(tmp_path)
+    known.replace(Known(1, {"a": 1}))
+    monkeypatch.setattr(known_objects, "write_all", full)
+    if change == "replace":
+        known.replace(Known(2, {}))
+    else:
+        known.add({"b": 2})
+    assert known.read() is None
+    assert [*tmp_path.iterdir()] == []

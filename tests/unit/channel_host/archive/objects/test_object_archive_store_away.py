@@ -1,0 +1,145 @@
+"""A host that starts while its object store is away: it serves what it has, and lists the store when it is back."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_channel_host.archive.objects import former_owners, guarded_store, object_archive, segment_mover
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError
+from stampede_rt_channel_host.channels.recording import open_archive
+from stampede_rt_channel_host.core.channel import FIRST_KEY
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore
+from tests.support.waiting import until
+from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
+
+
+@pytest.fixture(autouse=True)
+def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MIN", 0.01)
+    monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.01)
+
+
+async def left(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) -> None:
+    """A host serves the channel, moves some of its segments, and is killed with others on its disk."""
+    one = Host(path, store)
+    await one.serve(1)
+    for _ in range(moved):
+        await one.write()
+        assert not await one.mover.move_all()
+    for _ in range(local):
+        await one.write()
+        one.recorder.files.close(None)
+    one.archive.folder.close()
+
+
+@pytest.mark.parametrize("epoch", [1, 2])
+@pytest.mark.asyncio
+async def test_a_host_goes_on_with_its_seqs_and_reads_its_own_files_while_the_store_is_away(
+    tmp_path: Path, epoch: int
+) -> None:
+    store = FakeStore()
+    await left(tmp_path, store)
+    before = dict(store.objects)
+    store.failure = "connection refused"
+    async with host(tmp_path, store) as one:
+        recorder = await one.serve(epoch)
+        assert one.channel.next_seq == 6
+        assert (recorder.span.oldest, recorder.span.newest) == (1, 5)
+        await one.write()
+        with pytest.raises(StoreError, match="connection refused"):
+            one.read()
+        assert one.archive.store_failure == "connection refused"
+        one.archive.start()
+        await until(lambda: one.mover.failure)
+        store.failure = ""
+        await until(lambda: not one.mover.failure and recorder.files.is_listed)
+        assert one.read() == [1, 2, 3, 4, 5, 6]
+        await until(lambda: one.local() == [])
+        assert one.read() == [1, 2, 3, 4, 5, 6]
+    assert {name: store.objects[name] for name in before} == before
+
+
+@pytest.mark.asyncio
+async def test_memory_gets_the_items_of_the_disk_that_are_later_than_all_in_the_store(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path, store)
+    store.failure = "away"
+    async with host(tmp_path, store) as one:
+        opened = await open_archive(one.archive, record(2))
+        assert opened.newest is not None
+        assert [part.first_seq for part in opened.newest.items.slices(FIRST_KEY, LAST_KEY)] == [4, 5]
+        assert opened.newest.edge == 3
+        one.archive.give_up(opened.files)
+
+
+@pytest.mark.asyncio
+async def test_a_new_channel_can_be_recorded_while_the_store_is_away(tmp_path: Path) -> None:
+    store = FakeStore()
+    store.failure = "away"
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write(2)
+        assert one.read() == [1, 2]
+        one.archive.start()
+        store.failure = ""
+        await until(lambda: len(store.objects) == 1)
+    assert one.local() == []
+
+
+@pytest.mark.parametrize(("epoch", "damage"), [(3, False), (2, True)])
+@pytest.mark.asyncio
+async def test_a_host_that_may_not_know_all_objects_refuses_the_channel(
+    tmp_path: Path, epoch: int, damage: bool
+) -> None:
+    store = FakeStore()
+    await left(tmp_path, store)
+    if damage:
+        (tmp_path / "channels" / CHANNEL.hex() / "objects").write_text("nonsense\n\n")
+    store.failure = "connection refused"
+    async with host(tmp_path, store) as one:
+        with pytest.raises(Unavailable, match="connection refused"):
+            await open_archive(one.archive, record(epoch))
+        store.failure = ""
+        await one.serve(epoch)
+        assert one.read() == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.asyncio
+async def test_a_listing_that_hangs_delays_a_start_for_a_moment_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+
+    class Hanging(FakeStore):
+        def _call(self, what: str) -> None:
+            super()._call(what)
+            if what.startswith("find"):
+                answers.wait(10)
+
+    store = Hanging()
+    answers.set()
+    await left(tmp_path, store)
+    answers.clear()
+    monkeypatch.setattr(object_archive, "LISTING_SECONDS_MAX", 0.01)
+    async with host(tmp_path, store) as one:
+        recorder = await one.serve(2)
+        assert not recorder.files.is_listed
+        assert one.channel.next_seq == 6
+        answers.set()
+
+
+@pytest.mark.asyncio
+async def test_objects_of_a_later_owner_refuse_the_channel_even_if_the_disk_knows_others(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path, store)
+    store.objects[PREFIX + "000000009000000001_5_0_90_90_x_x_0.segment"] = b"later"
+    async with host(tmp_path, store) as one:
+        with pytest.raises(Unavailable, match="later owner"):
+            await open_archive(one.archive, record(2))
