@@ -10,22 +10,26 @@ from stampede_rt_channel_host.archive.objects import known_objects
 from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
 
 
+URL = "s3://bucket/a prefix"
+
+
 def test_a_list_says_what_was_noted_added_and_removed(tmp_path: Path) -> None:
-    known = KnownObjects(tmp_path)
+    known = KnownObjects(tmp_path, URL)
     assert known.read() is None
     known.add({"a": 1})  # there is no list that this could complete
     assert known.read() is None
     known.replace(Known(3, {"a": 1, "b": 2}))
     known.add({"c d": 3, "b": 4})
     known.remove("a")
-    assert KnownObjects(tmp_path).read() == Known(3, {"b": 4, "c d": 3})
+    assert KnownObjects(tmp_path, URL).read() == Known(3, {"b": 4, "c d": 3})
     known.replace(Known(4, {}))
     assert known.read() == Known(4, {})
+    assert KnownObjects(tmp_path, "s3://another/bucket").read() is None
     assert [path.name for path in tmp_path.iterdir()] == ["objects"]
 
 
 def test_a_list_cut_off_within_a_line_is_unknown_until_the_next_note(tmp_path: Path) -> None:
-    known, file = KnownObjects(tmp_path), tmp_path / "objects"
+    known, file = KnownObjects(tmp_path, URL), tmp_path / "objects"
     known.replace(Known(1, {"a": 1}))
     known.add({"b": 2})
     whole = file.read_bytes()
@@ -38,7 +42,7 @@ def test_a_list_cut_off_within_a_line_is_unknown_until_the_next_note(tmp_path: P
 
 
 def test_a_flipped_bit_makes_the_list_unknown(tmp_path: Path) -> None:
-    known, file = KnownObjects(tmp_path), tmp_path / "objects"
+    known, file = KnownObjects(tmp_path, URL), tmp_path / "objects"
     known.replace(Known(1, {"a": 1, "b": 2}))
     good = file.read_bytes()
     for at in range(len(good)):
@@ -54,7 +58,7 @@ def test_a_disk_that_takes_no_line_costs_the_list_and_not_the_move(
     def full(*_: object) -> None:
         raise OSError(28, "no space left on device")
 
-    known = KnownObjects(tmp_path)
+    known = KnownObjects(tmp_path, URL)
     known.replace(Known(1, {"a": 1}))
     monkeypatch.setattr(known_objects, "write_all", full)
     if change == "replace":

@@ -29,11 +29,12 @@ class KnownObjects:
     If the disk does not take a line, the list is deleted, because moves must go on: they make room on a full disk.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / _FILE
+    def __init__(self, folder: Path, url: str) -> None:
+        """`url`: of the object store. A list of another store does not count."""
+        self._path, self._url = folder / _FILE, url
 
     def read(self) -> Known | None:
-        """The list, or None if there is none or it is damaged. Raises OSError."""
+        """The list, or None if there is none, it is damaged, or it is of another store. Raises OSError."""
         try:
             *lines, rest = self._path.read_text(errors="replace").split("\n")
         except FileNotFoundError:
@@ -41,8 +42,10 @@ class KnownObjects:
         rows = [_decoded(line) for line in lines]
         if not rows or rest or None in rows:
             return None
-        first, *others = (one for one in rows if one is not None)
-        known = Known(first[0], {})
+        (epoch, url), *others = (one for one in rows if one is not None)
+        if url != self._url:
+            return None
+        known = Known(epoch, {})
         for size, name in others:
             if size:
                 known.objects[name] = size
@@ -52,7 +55,7 @@ class KnownObjects:
 
     def replace(self, known: Known) -> None:
         """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
-        content = "".join([_encoded(known.epoch, "epoch"), *_lines(known.objects)]).encode()
+        content = "".join([_encoded(known.epoch, self._url), *_lines(known.objects)]).encode()
         if self._path.exists() and self._path.read_bytes() == content:
             return
         draft = self._path.with_suffix(".draft")

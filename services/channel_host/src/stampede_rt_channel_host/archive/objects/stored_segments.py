@@ -45,7 +45,7 @@ class StoredSegments(SegmentFolder):
         self.outdated: list[str] = []
         """The objects that have left the archive, but not the store."""
         self._cache, self._store = cache, store
-        self._known = KnownObjects(path)
+        self._known = KnownObjects(path, store.url)
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
         self._stored: dict[int, StoredSegment] = {}
