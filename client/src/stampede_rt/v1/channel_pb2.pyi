@@ -70,7 +70,7 @@ class ChannelSpec(_message.Message):
     def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ..., replicas: _Optional[int] = ..., ack: _Optional[_Union[Ack, str]] = ..., min_replicas: _Optional[int] = ..., archive_nanos: _Optional[int] = ..., archive_bytes: _Optional[int] = ...) -> None: ...
 
 class ChannelRecord(_message.Message):
-    __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids", "created_by")
+    __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids", "created_by", "first_incarnation")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -80,6 +80,7 @@ class ChannelRecord(_message.Message):
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     PROXY_HOST_IDS_FIELD_NUMBER: _ClassVar[int]
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
+    FIRST_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     name: str
     host_id: bytes
@@ -89,7 +90,8 @@ class ChannelRecord(_message.Message):
     spec_version: int
     proxy_host_ids: _containers.RepeatedScalarFieldContainer[bytes]
     created_by: str
-    def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ..., created_by: _Optional[str] = ...) -> None: ...
+    first_incarnation: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ..., created_by: _Optional[str] = ..., first_incarnation: _Optional[int] = ...) -> None: ...
 
 class ChannelCounters(_message.Message):
     __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed", "rejected_overloaded", "not_replicated")

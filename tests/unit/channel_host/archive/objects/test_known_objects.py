@@ -9,7 +9,6 @@ import pytest
 from stampede_rt_channel_host.archive.objects import known_objects
 from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
 
-
 URL = "s3://bucket/a prefix"
 
 

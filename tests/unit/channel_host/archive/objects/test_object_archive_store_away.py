@@ -132,7 +132,11 @@ async def test_a_listing_that_hangs_delays_a_start_for_a_moment_only(
         recorder = await one.serve(2)
         assert not recorder.files.is_listed
         assert one.channel.next_seq == 6
+        one.archive.start()
+        await one.write()
         answers.set()
+        await until(lambda: recorder.files.is_listed and one.local() == [])
+        assert one.read() == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.asyncio

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections import OrderedDict
 from contextlib import suppress
@@ -38,31 +39,30 @@ class ChunkCache:
 
     def read(self, name: str, offset: int, size: int) -> bytes:
         """Bytes of an object; fewer at its end. Raises StoreError, and FileNotFoundError if there is no such object."""
-        parts = []
-        for number in range(offset // CHUNK_BYTES, (offset + size + CHUNK_BYTES - 1) // CHUNK_BYTES):
-            chunk = self._chunk((name, number))
+        parts, end = [], offset + size
+        for number in range(offset // CHUNK_BYTES, (end + CHUNK_BYTES - 1) // CHUNK_BYTES):
             begin = max(0, offset - number * CHUNK_BYTES)
-            parts.append(chunk[begin : offset + size - number * CHUNK_BYTES])
-        return b"".join(parts)
+            parts.append(self._part((name, number), begin, min(CHUNK_BYTES, end - number * CHUNK_BYTES) - begin))
+        return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def forget(self, name: str, offset: int, size: int) -> None:
         """Forget some bytes of an object, because they were damaged. The store may still have them undamaged."""
         for number in range(offset // CHUNK_BYTES, (offset + size) // CHUNK_BYTES + 1):
             self._drop((name, number))
 
-    def _chunk(self, place: Place) -> bytes:
+    def _part(self, place: Place, begin: int, size: int) -> bytes:
+        """Bytes of a chunk; fewer at its end."""
         with self._lock:
             kept = self._kept.get(place)
             if kept is not None:
                 self._kept.move_to_end(place)
         if kept is not None:
-            with suppress(OSError):
-                chunk = kept[0].read_bytes()
-                if len(chunk) == kept[1]:
-                    return chunk
+            with suppress(OSError), kept[0].open("rb", buffering=0) as file:
+                if os.fstat(file.fileno()).st_size == kept[1]:
+                    return os.pread(file.fileno(), size, begin)
         fetched = self._store.read(place[0], place[1] * CHUNK_BYTES, CHUNK_BYTES)
         self._keep(place, fetched)
-        return fetched
+        return fetched[begin : begin + size]
 
     def _keep(self, place: Place, chunk: bytes) -> None:
         with self._lock:
