@@ -156,23 +156,29 @@ def _lost_with_hosts(history: Sequence[Operation]) -> list[tuple[int, int, dict[
 
 
 def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS) -> list[str]:
-    """The items that were known long before the last one of an incarnation, and that a replica has lost as the owner.
+    """The items that were known long before the last acknowledgement of an incarnation, and that a replica has lost as
+    the owner.
 
     The next incarnation has the items of a replica if its number follows. Only those count of which a reader has read
     all items: without such a read it is unknown which items are lost.
     """
     found: list[str] = []
     for name, history in by_key(operations).items():
-        times = _known(history)
         read = {one.answer.incarnation for one in history if isinstance(one.answer, Listed)}
         for incarnation, after, lost in _lost_with_hosts(history):
-            last = max(times[incarnation].values())
+            last = _last_acknowledgement(history, incarnation)  # an owner may show later items, and acknowledge none
             early = [item for item, since in lost.items() if since < last - LAG_SECONDS_MAX - slack_s]
             if early and after in read and after == (incarnation + 1) % 2**64:
                 found.append(
                     f"{name}: {len(early)} items were lost more than {LAG_SECONDS_MAX:g} s before the last one"
                 )
     return found
+
+
+def _last_acknowledgement(history: Sequence[Operation], incarnation: int) -> float:
+    answers = ((one.returned, one.answer) for one in history)
+    times = (at for at, one in answers if isinstance(one, Accepted) and one.incarnation == incarnation)
+    return max(times, default=0.0)
 
 
 def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], set[bytes]]:

@@ -103,6 +103,9 @@ def test_items_that_a_replica_goes_on_with_are_not_lost_and_early_losses_are_fou
     assert judge_items(lacks_more).gone_with_host == 2
     assert "1 items were lost" in early_losses(lacks_more)[0]
     assert early_losses(lacks_more[:-1]) == [], "nobody has read what is there"
+    shown = listed(8, A, (1, b"1"), (2, b"2"), (3, b"3"))  # the owner showed item 3, and did not acknowledge it
+    lost = [FIRST, SECOND, shown, put(b"4", 10, A + 1, 2), listed(12, A + 1, (1, b"1"), (2, b"4"))]
+    assert early_losses(lost) == [], "item 2 was one of the last second"
 
 
 def test_an_item_that_was_seen_and_not_acknowledged_counts_as_gone_with_its_host() -> None:

@@ -257,13 +257,13 @@ MUTANTS = (
         name="flag_before_the_replica_has_everything",
         file=f"{HOST}/core/replication/in_sync.py",
         edits=(("and (self._may_lag or one.next_seq >= self._needed)", ""),),
-        noticed_by="takeovers",
+        noticed_by="tests/property/test_replicas_in_sync.py",
     ),
     Mutant(
         name="replica_drops_its_items_with_its_flag",
         file=f"{HOST}/channels/owned_replicas.py",
         edits=(("        return has_dropped\n", "        return True\n"),),
-        noticed_by="takeovers",
+        noticed_by="tests/unit/channel_host/channels/test_owned_replicas.py",
     ),
     Mutant(
         name="no_wait_for_a_replica_that_joins",

@@ -41,14 +41,6 @@ Item = tuple[int, int]
 """A producer and the number of its item."""
 
 
-class Known(NamedTuple):
-    """An item was acknowledged or seen at this time, under this incarnation, with this seq."""
-
-    at_s: float
-    incarnation: int
-    seq: int
-
-
 class Found(NamedTuple):
     """The figures of one run."""
 
@@ -68,7 +60,8 @@ class Trial:
         count, replicas = self.rng.choice(((3, 1), (3, 2), (4, 1), (4, 2)))
         policy = Policy(replicas=replicas, ack=ack, min_replicas=self.rng.choice((0, 1)))
         self.policy, self.cluster = policy, Cluster(clock, seed, count, policy)
-        self.acknowledged: dict[Item, Known] = {}
+        self.acknowledged: set[Item] = set()
+        self.last_ack_s: dict[int, float] = {}  # by incarnation
         self.known: dict[int, dict[Item, float]] = {}  # by incarnation: when each item was first acknowledged or seen
         self.moves = 0
         self.is_faulty = True
@@ -114,7 +107,8 @@ class Trial:
             ack = await held.due()
         if not host.alive or ack.HasField("error") or not ack.HasField("first_seq"):
             return False
-        self.acknowledged[producer, number] = Known(self.clock.now_s, ack.incarnation, ack.first_seq)
+        self.acknowledged.add((producer, number))
+        self.last_ack_s[ack.incarnation] = self.clock.now_s
         self._know(ack.incarnation, (producer, number))
         return True
 
@@ -147,6 +141,7 @@ class Trial:
         """One fault after the other, some of them at the same time."""
         cluster, rng, running = self.cluster, self.rng, []
         faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
+        faults += [self.kill_behind_slow_links, self.kill_alone]
         ends_s = self.clock.now_s + FAULTY_SECONDS
         while self.clock.now_s < ends_s:
             await asyncio.sleep(rng.uniform(0.2, 5.0))
@@ -179,6 +174,29 @@ class Trial:
         self.cluster.slow_s[number] = self.rng.choice((0.1, 0.3, 0.7, 1.5))
         await asyncio.sleep(self._lasts())
         self.cluster.slow_s.pop(number, None)
+
+    async def kill_behind_slow_links(self, number: int) -> None:
+        """The replicas lack the latest items."""
+        owner = self.owner_number()
+        self.cluster.slow_s[owner] = self.rng.choice((0.2, 0.5, 0.9))
+        await asyncio.sleep(self.rng.uniform(1.0, 2.0))
+        self.cluster.slow_s.pop(owner, None)
+        await self.kill(owner)
+
+    async def kill_alone(self, number: int) -> None:
+        """The owner reaches nobody but its callers, and then dies."""
+        owner = self.owner_number()
+        self.cluster.cut_off.add(owner)
+        for other in self.cluster.hosts:
+            self.cluster.cut(owner, other)
+        await asyncio.sleep(self.rng.uniform(0.5, 3.5))
+        if self.cluster.hosts[owner].alive:
+            self.cluster.kill(owner)
+        self.cluster.cut_off.discard(owner)
+        self.cluster.cut_pairs.clear()
+        await asyncio.sleep(self._lasts())
+        if not self.cluster.hosts[owner].alive:
+            self.cluster.start(owner)
 
     async def cut(self, number: int) -> None:
         other = self.rng.choice([one for one in self.cluster.hosts if one != number])
@@ -233,7 +251,7 @@ class Trial:
                 continue  # no replica was in sync
             missing = {item: since for item, since in times.items() if item not in there}
             lost += len(missing)
-            last_s = max(times.values(), default=0.0)
+            last_s = self.last_ack_s.get(incarnation, 0.0)  # later items were seen, and nobody has an answer for them
             ends_at = self.policy.ack == "host" and at + 1 < len(order)
             early = [
                 item
