@@ -124,7 +124,7 @@ def run_send(arguments: argparse.Namespace) -> int:
                 message_id=arguments.message_id,
             )
         except PeerNotFound as error:
-            raise _nobody(arguments.peer) from error
+            raise _no_such_peer(arguments.peer) from error
     print_sent({"peer": arguments.peer}, sent, arguments.output)
     return 0
 
@@ -141,7 +141,7 @@ def run_pending(arguments: argparse.Namespace) -> int:
         try:
             found = rt.mailbox_pending(arguments.peer, arguments.count)
         except PeerNotFound as error:
-            raise _nobody(arguments.peer) from error
+            raise _no_such_peer(arguments.peer) from error
     print_pending(found, f"the mailbox of {arguments.peer}", arguments.output)
     return 0
 
@@ -153,12 +153,12 @@ def run_info(arguments: argparse.Namespace) -> int:
             stats = rt.mailbox_stats(arguments.peer)
             replicas = queue_replicas(rt, stats, arguments.output)
         except PeerNotFound as error:
-            raise _nobody(arguments.peer) from error
+            raise _no_such_peer(arguments.peer) from error
     facts: dict[str, Any] = {"peer": arguments.peer, "incarnation": f"{stats.incarnation:016x}"}
     facts["replicas"] = replicas
     print_facts(facts | counted(stats, arguments.output), arguments.output)
     return 0
 
 
-def _nobody(name: str) -> PeerNotFound:
+def _no_such_peer(name: str) -> PeerNotFound:
     return PeerNotFound(f"no live peer is named {name}; `stampede peers` lists the live ones")

@@ -22,7 +22,7 @@ def add_verbs(subparsers: Any) -> None:
     rebalance = add_verb(subparsers, "rebalance", text, run_rebalance)
     rebalance.add_argument("--apply", action="store_true", help="perform the moves, one after the other")
     rebalance.add_argument(
-        "--over", default="2s", metavar="DURATION", help="measure the work of the channels for so long; default: 2s"
+        "--over", default="2s", metavar="DURATION", help="measure the work of the channels for this time; default: 2s"
     )
 
 

@@ -61,7 +61,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="DURATION",
         help='record the channel: the host keeps items on disk for this time, or "forever"',
     )
-    parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most so much on disk, such as "200GiB"')
+    parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most this size on disk, such as "200GiB"')
     parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
     parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
     parser.add_argument("--ack", choices=ACKS, help="when a put is acknowledged")

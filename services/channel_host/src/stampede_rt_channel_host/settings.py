@@ -152,8 +152,8 @@ class HostSettings(ServiceSettings):
             metavar="SECONDS",
             minimum=1,
             maximum=7 * 86400,
-            help="after so long, and after 64 MiB, the host closes a file of a channel and moves it to the object "
-            "store; so much of a channel is lost if the machine is lost",
+            help="after this time, and after 64 MiB, the host closes a file of a channel and moves it to the object "
+            "store; if the machine is lost, so are the items of files that have not moved",
         ),
     )
     archive_bytes_max: int = field(

@@ -64,8 +64,8 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
         )
     if set(found.accepted) & set(secret.accepted):
         raise PermissionDenied(
-            f"{path} and {secret.path} hold the same value, and whoever has it would count as a member; make another "
-            "one for the clients"
+            f"{path} and {secret.path} hold the same value, so each of its callers would count as a member; make "
+            "another one for the clients"
         )
     return found
 

@@ -94,7 +94,7 @@ def log_defects() -> None:
 def _log_defect(kind: type[BaseException], error: BaseException | None, traceback: TracebackType | None) -> None:
     if not issubclass(kind, KeyboardInterrupt | SystemExit):
         about = (kind, error or kind(), traceback)
-        logger.error("a defect: nobody handled an error", exc_info=about, extra={"event": "defect"})
+        logger.error("a defect: no code handled an error", exc_info=about, extra={"event": "defect"})
 
 
 def _is_no_lost_caller(record: logging.LogRecord) -> bool:

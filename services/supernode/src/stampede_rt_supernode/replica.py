@@ -34,7 +34,7 @@ class DirectoryReplica:
         self._lock = threading.Lock()
         self._directory = Directory()
         self._snapshots = SnapshotWriter()
-        self._listener: Callable[[], None] = _nobody
+        self._listener: Callable[[], None] = _no_listener
         self.restored = 0
 
     def listen(self, listener: Callable[[], None]) -> None:
@@ -126,5 +126,5 @@ class DirectoryReplica:
             return question(self._directory)
 
 
-def _nobody() -> None:
+def _no_listener() -> None:
     """The listener before `listen`."""

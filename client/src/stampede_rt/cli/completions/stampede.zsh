@@ -445,7 +445,7 @@ _shtab_stampede_configure_options=(
   "--consumers[an item may leave once N consumers have consumed it]:N:"
   "--max-age-unconsumed[keep items for this time while a live consumer has still to consume them]:DURATION:"
   "--archive[record the channel\: the host keeps items on disk for this time, or \"forever\"]:DURATION:"
-  "--archive-bytes[keep at most so much on disk, such as \"200GiB\"]:SIZE:"
+  "--archive-bytes[keep at most this size on disk, such as \"200GiB\"]:SIZE:"
   "--on-full[what the host does with a put into a full channel]:on_full:(drop_oldest block reject)"
   "--replicas[copies that can take over if the host is lost]:N:"
   "--ack[when a put is acknowledged]:ack:(host disk replica)"
@@ -850,7 +850,7 @@ _shtab_stampede_host_options=(
   "--archive[the folder in which the host keeps recorded channels (those opened with \`archive\`), and, without --data-dir, its identity\; or an object store, the same for all hosts of the cluster\: s3\:\/\/BUCKET\/PREFIX, gs\:\/\/, az\:\/\/ or file\:\/\/ (extra \[objects\])\; default\: none, the host records no channel \[default\: none\]]:PLACE:"
   "--archive-folder[with a URL in --archive\: the folder of files that have not moved to the object store, of cached parts of objects, and, without --data-dir, of the host\'s identity\; default\: \`archive\` in --data-dir, or \~\/.local\/state\/stampede\/archive \[default\: none\]]:FOLDER:_files -/"
   "--archive-cache-bytes[the most bytes of objects that the host keeps in --archive-folder for reads that come again\; several processes have equal parts of it \[default\: 1 GiB\]]:SIZE:"
-  "--archive-move-seconds[after so long, and after 64 MiB, the host closes a file of a channel and moves it to the object store\; so much of a channel is lost if the machine is lost \[default\: 600\]]:SECONDS:"
+  "--archive-move-seconds[after this time, and after 64 MiB, the host closes a file of a channel and moves it to the object store\; if the machine is lost, so are the items of files that have not moved \[default\: 600\]]:SECONDS:"
   "--archive-bytes-max[the most bytes that the archive may use on its disk\; beyond it the host refuses puts into recorded channels\; several processes have equal parts of it\; default\: nine tenths of the room that the disk has at the start, so give it if several hosts or processes share a disk \[default\: 0 B\]]:SIZE:"
   "--memory-bytes-max[the most memory that all channels and queues may use together\; beyond it the host refuses puts\; several processes have equal parts of it \[default\: 4 GiB\]]:SIZE:"
   "--metrics-names[with --metrics\: the channels, queues and groups that may have metrics of their own, at most 100 of each, the busiest first\; \"\" for none \[default\: \*\]]:GLOB:"
@@ -1108,7 +1108,7 @@ _shtab_stampede_put_options=(
   "--consumers[an item may leave once N consumers have consumed it]:N:"
   "--max-age-unconsumed[keep items for this time while a live consumer has still to consume them]:DURATION:"
   "--archive[record the channel\: the host keeps items on disk for this time, or \"forever\"]:DURATION:"
-  "--archive-bytes[keep at most so much on disk, such as \"200GiB\"]:SIZE:"
+  "--archive-bytes[keep at most this size on disk, such as \"200GiB\"]:SIZE:"
   "--on-full[what the host does with a put into a full channel]:on_full:(drop_oldest block reject)"
   "--replicas[copies that can take over if the host is lost]:N:"
   "--ack[when a put is acknowledged]:ack:(host disk replica)"
@@ -1285,7 +1285,7 @@ _shtab_stampede_rebalance_options=(
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--apply[perform the moves, one after the other]"
-  "--over[measure the work of the channels for so long\; default\: 2s]:DURATION:"
+  "--over[measure the work of the channels for this time\; default\: 2s]:DURATION:"
 )
 
 # guard to ensure default positional specs are added only once per session

@@ -256,7 +256,7 @@ class Retention:
         return oldest.items > 0
 
     @property
-    def _nobody_holds(self) -> bool:
+    def _no_place_holds(self) -> bool:
         """Whether every place was taken, and every lease has ended."""
         consumers = self.consumers
         if consumers is None or self.limits.consumers is None:
@@ -299,7 +299,7 @@ class Retention:
         itself.
         """
         held = self._held
-        if self._nobody_holds and held.newest is not None and time != held.newest:
+        if self._no_place_holds and held.newest is not None and time != held.newest:
             return (held.items, held.payload_bytes) if time > held.newest else (1, payload_bytes)
         age = self._age_of_oldest()
         if age is None or held.oldest is None or held.oldest >= time:
@@ -337,7 +337,7 @@ class Retention:
     def _due_as_if_put(self, time: int, own_end: int | None) -> int | None:
         """The instant of the next collection or lease end if the channel had the item, or None."""
         held, age = self._held, self.age_of_new
-        if self._nobody_holds and held.newest is not None and time > held.newest:
+        if self._no_place_holds and held.newest is not None and time > held.newest:
             return time
         if age is None or held.oldest is None:
             return self._lease_end()
