@@ -32,13 +32,14 @@ from stampede_rt.values.reading import (
     parse_within,
 )
 from stampede_rt.values.timeline import (
-    MAX_INSTANT,
+    ALL_TIME,
     MIN_INSTANT,
     OLDEST,
     BoundLike,
     Bounds,
     DurationLike,
     InstantLike,
+    Interval,
     Match,
     MatchLike,
     parse_bound,
@@ -165,7 +166,8 @@ class Reader(Reference):
         `timeout` and `as_of` as in `get`.
         """
         bound = parse_bound(time, "time")
-        return await self._read_one(MIN_INSTANT, bound, "[)", True, None, payloads, timeout, as_of=as_of)
+        interval = parse_interval(MIN_INSTANT, bound, "[)")
+        return await self._read_one(interval, True, None, payloads, timeout, as_of=as_of)
 
     async def oldest(
         self, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
@@ -174,7 +176,7 @@ class Reader(Reference):
 
         `timeout` and `as_of` as in `get`.
         """
-        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout, as_of=as_of)
+        return await self._read_one(ALL_TIME, False, None, payloads, timeout, as_of=as_of)
 
     async def newest(
         self,
@@ -207,13 +209,11 @@ class Reader(Reference):
                 return found
             if timeout and deadline_s is not None:
                 timeout = max(0.0, deadline_s - monotonic_s())
-        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, position, payloads, timeout, demand, as_of)
+        return await self._read_one(ALL_TIME, True, position, payloads, timeout, demand, as_of)
 
     async def _read_one(
         self,
-        start: BoundLike,
-        end: BoundLike,
-        bounds: Bounds,
+        interval: Interval,
         newest_first: bool,
         newer_than: Item | InstantLike | None,
         payloads: bool,
@@ -223,7 +223,7 @@ class Reader(Reference):
     ) -> Item | None:
         items = await self._read(
             ReadQuery(
-                parse_interval(start, end, bounds),
+                interval,
                 match=Match.START,
                 limit=1,
                 newest_first=newest_first,

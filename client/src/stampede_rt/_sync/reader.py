@@ -33,13 +33,14 @@ from stampede_rt.values.reading import (
     parse_within,
 )
 from stampede_rt.values.timeline import (
-    MAX_INSTANT,
+    ALL_TIME,
     MIN_INSTANT,
     OLDEST,
     BoundLike,
     Bounds,
     DurationLike,
     InstantLike,
+    Interval,
     Match,
     MatchLike,
     parse_bound,
@@ -166,7 +167,8 @@ class Reader(Reference):
         `timeout` and `as_of` as in `get`.
         """
         bound = parse_bound(time, "time")
-        return self._read_one(MIN_INSTANT, bound, "[)", True, None, payloads, timeout, as_of=as_of)
+        interval = parse_interval(MIN_INSTANT, bound, "[)")
+        return self._read_one(interval, True, None, payloads, timeout, as_of=as_of)
 
     def oldest(
         self, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
@@ -175,7 +177,7 @@ class Reader(Reference):
 
         `timeout` and `as_of` as in `get`.
         """
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout, as_of=as_of)
+        return self._read_one(ALL_TIME, False, None, payloads, timeout, as_of=as_of)
 
     def newest(
         self,
@@ -208,13 +210,11 @@ class Reader(Reference):
                 return found
             if timeout and deadline_s is not None:
                 timeout = max(0.0, deadline_s - monotonic_s())
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, position, payloads, timeout, demand, as_of)
+        return self._read_one(ALL_TIME, True, position, payloads, timeout, demand, as_of)
 
     def _read_one(
         self,
-        start: BoundLike,
-        end: BoundLike,
-        bounds: Bounds,
+        interval: Interval,
         newest_first: bool,
         newer_than: Item | InstantLike | None,
         payloads: bool,
@@ -224,7 +224,7 @@ class Reader(Reference):
     ) -> Item | None:
         items = self._read(
             ReadQuery(
-                parse_interval(start, end, bounds),
+                interval,
                 match=Match.START,
                 limit=1,
                 newest_first=newest_first,

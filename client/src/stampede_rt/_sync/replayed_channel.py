@@ -18,8 +18,8 @@ from stampede_rt.values.model import Item, Items, PastState, Reason
 from stampede_rt.values.policy import flag_of
 from stampede_rt.values.reading import NO_WAIT, ReadQuery, SubscribeMode
 from stampede_rt.values.timeline import (
+    ALL_TIME,
     MAX_INSTANT,
-    MIN_INSTANT,
     BoundLike,
     Interval,
     Match,
@@ -29,7 +29,7 @@ from stampede_rt.values.timeline import (
 )
 
 _MAY_COME = (Reason.NOT_YET, Reason.LOST)  # the reasons for which items may still come into the interval
-NEWEST_QUERY = ReadQuery(parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, limit=1, newest_first=True)
+NEWEST_QUERY = ReadQuery(ALL_TIME, match=Match.START, limit=1, newest_first=True)
 
 
 class ReplayedChannel(Reader):
@@ -50,7 +50,7 @@ class ReplayedChannel(Reader):
         self, after: Item | int | None = None, *, payloads: bool = True, timeout: float | None = 0, **_: Any
     ) -> Item | None:
         """Return the newest item, or None (see `Channel.newest`)."""
-        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
+        return self._read_one(ALL_TIME, True, after, payloads, timeout)
 
     def _read(self, query: ReadQuery) -> Items:
         wait, begun = query.wait, self._clock.now

@@ -278,6 +278,10 @@ def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Inte
     )
 
 
+ALL_TIME = parse_interval(MIN_INSTANT, MAX_INSTANT)
+"""The interval that holds every instant."""
+
+
 class Match(Enum):
     """The rule by which an interval selects items (paper, section 3.2)."""
 
