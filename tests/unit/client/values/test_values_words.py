@@ -44,9 +44,9 @@ def test_every_word_of_a_type_is_accepted_and_no_other(words: object, parse: typ
 
 
 def test_both_modes_of_subscriptions_have_a_type() -> None:
-    from stampede_rt._sync import subscription
+    from stampede_rt.wire import subscribing
 
-    assert set(typing.get_args(reading.SubscribeMode)) == set(subscription._MODES)
+    assert set(typing.get_args(reading.SubscribeMode)) == set(subscribing._MODES)
 
 
 @pytest.mark.parametrize(("function", "argument", "annotation"), TYPED)
