@@ -26,7 +26,7 @@ needs_promtool = pytest.mark.skipif(shutil.which("promtool") is None, reason="De
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
-    with running_cluster(hosts=2, supernodes=3, metrics="localhost:0") as made:
+    with running_cluster(hosts=2, supernodes=3, metrics="localhost:0", multicast="239.255.7.9:7589") as made:
         yield made
 
 
