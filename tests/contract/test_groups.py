@@ -260,6 +260,22 @@ async def test_a_match_pairs_the_nearest_items_and_names_members_without_one(sur
 
 
 @pytest.mark.parametrize("per_is_left", [True, False])
+async def test_a_match_begins_with_the_held_items_from_its_start_on(surface: Surface, per_is_left: bool) -> None:
+    left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    for time in (0, 20, 40, 100):
+        await left.put(b"l", time=base + time * MS)
+        await right.put(b"r", time=base + (time + 1) * MS)
+    for start, first in ((base + 20 * MS, 1), (st.OLDEST, 0), (st.OLDEST + "1ns", 1)):
+        async with group.match(left, "5ms", start=start) as matches:
+            pairs = [[item.time - base for item in one.values()] for one in await take(matches, 3 - first)]
+            assert pairs == [[time * MS, (time + 1) * MS] for time in (0, 20, 40)[first:]]
+            assert (matches.dropped, matches.losses) == (0, 0)
+    with pytest.raises(st.InvalidArgument, match="start"):
+        group.match(left, "5ms", start=1.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("per_is_left", [True, False])
 async def test_a_unique_match_gives_each_item_once_to_the_nearest_also_after_a_break(
     surface: Surface, per_is_left: bool
 ) -> None:

@@ -38,6 +38,7 @@ from stampede_rt_channel_host.core.channel import (
     run_to_end,
 )
 from stampede_rt_channel_host.core.group import Horizon, RecordedStep, RecordedView, VisibleAll
+from stampede_rt_channel_host.core.group.recorded_track import Reads
 
 FoundBlocks = Callable[[Segment], SegmentBlocks]
 ContentOf = Callable[[Segment, PlacedBlock], bytes]
@@ -131,6 +132,28 @@ class ArchivedChannel:
         moment = self.channel.snapshot(self.now)
         try:
             return self._read(query, moment, self.segments, self._blocks_of)
+        finally:
+            moment.close()
+
+    def load(self, reads: Reads) -> None:
+        """Perform the reads of a search that needs archived items."""
+        found: ArchivedRead | None = None
+        while True:
+            try:
+                query = reads.send(found) if found is not None else next(reads)
+            except StopIteration:
+                return
+            found = self.performed(query)
+
+    def performed(self, query: Query) -> ArchivedRead:
+        """One read, of one request."""
+        moment, span = self.channel.snapshot(self.now), span_of(self.segments)
+        try:
+            within = archive.resolved(moment, span, query)
+            assert within is not None, "the bounds are instants"
+            read = ArchivedRead(moment, span, query, within)
+            self._perform(read, self.segments, self._blocks_of)
+            return read
         finally:
             moment.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,7 @@ class Rig:
     def __init__(self, rt: st.Connection, name: str, ahead: int = 0) -> None:
         """The second channel is behind the first one by `ahead` items."""
         hosts = sorted(one.name for one in rt.hosts())
+        self.connection = rt
         self.camera = rt.channel(f"{name}/camera", max_items=5, archive="forever", host=hosts[0])
         self.imu = rt.channel(f"{name}/imu", max_items=5, archive="forever", host=hosts[1])
         self.began = self.camera.stats().host_time - 60 * 10**9
@@ -159,3 +161,99 @@ def test_the_picture_of_one_read_is_drawn_from_a_recorded_channel(rt: st.Connect
     draw(recording_picture.one_read(rt), tmp_path / "fresh.png")
     with Image.open(tmp_path / "fresh.png") as fresh, Image.open(DOCS / "images" / recording_picture.NAME) as committed:
         assert fresh.size == committed.size
+
+
+def beside(matched: st.Matched[st.Channel]) -> list[int]:
+    return [int(item.payload) for item in matched.values()]
+
+
+@pytest.mark.parametrize("unique", [True, False])
+def test_matches_begin_in_the_archives_of_several_hosts_and_go_on_live(rt: st.Connection, unique: bool) -> None:
+    rig = Rig(rt, f"matched {unique}")
+    beside_camera = rt.channel(f"matched {unique}/near", max_items=5, archive="forever", host=rig.camera.host)
+    rig.put(beside_camera, 0, ITEMS)
+    rig.group.add(beside_camera)
+    with rig.group.match(rig.camera, "200us", unique=unique, start=rig.began + 7 * MS) as matches:
+        found = [beside(one) for one in islice(matches, ITEMS - 8)]
+        for channel in (rig.camera, rig.imu, beside_camera):
+            rig.put(channel, ITEMS, ITEMS + 3)
+        found += [beside(one) for one in islice(matches, 3)]
+        assert (matches.unmatched, matches.dropped) == (0, 0)
+    assert found == [[number] * 3 for number in range(7, ITEMS + 2)]
+
+
+def test_a_reader_of_matches_that_is_slower_than_memory_misses_none(rt: st.Connection) -> None:
+    rig = Rig(rt, "slow matches")
+    with rig.group.match(rig.camera, "200us") as matches:
+        matches._stream.cancel()  # a break: meanwhile memory loses all new items but the last ones
+        for channel in (rig.camera, rig.imu):
+            rig.put(channel, ITEMS, 2 * ITEMS)
+            wait_until(lambda channel=channel: channel.stats().held <= 5)
+        assert [beside(next(matches)) for _ in range(ITEMS)] == [[n] * 2 for n in range(ITEMS - 1, 2 * ITEMS - 1)]
+        assert matches.dropped == 0
+
+
+async def test_the_asyncio_client_gets_matches_of_large_items_from_the_archive(cluster: LocalCluster) -> None:
+    async with st.aio.connect(cluster.address, secret=cluster.secret.text) as rt:
+        left, right = [await rt.channel(f"large/{side}", max_items=2, archive="forever") for side in "lr"]
+        began = (await left.stats()).host_time - 60 * 10**9
+        for number in range(12):
+            for channel in (left, right):
+                await channel.put(bytes([number]) * 2**20, time=began + number * MS)
+        group = await rt.group("large", [left, right])
+        async with group.match(right, "0s", start=st.OLDEST) as matches:
+            async for one in matches:
+                number = one[left].payload[0]
+                assert [item.payload == bytes([number]) * 2**20 for item in one.values()] == [True, True]
+                if number == 10:
+                    break
+
+
+def as_read(rig: Rig, as_of: int | None) -> list[object]:
+    """The answers to reads of every kind through a group."""
+    camera, place = rig.group[rig.camera], rig.began + (ITEMS - 5) * MS
+    found = rig.group.get(place, rig.began + 2 * ITEMS * MS, as_of=as_of)
+    newest = rig.group.newest(as_of=as_of)
+    part, at = camera.get(place, st.NOW, as_of=as_of), camera.at(place, as_of=as_of)
+    before, oldest = camera.before(st.NOW, as_of=as_of), camera.oldest(as_of=as_of)
+    section = rig.connection.cross_section(camera, [rig.group[rig.imu]], place + 5, as_of=as_of)
+    answers = [*found.values(), part, at, *section.items.values()]
+    facts = [([(one.payload, one.end, one.seq) for one in items], items.reason, items.cut) for items in answers]
+    singles = [newest[rig.camera], newest[rig.imu], camera.newest(as_of=as_of), before, oldest]
+    return [*facts, *((one and (one.payload, one.end)) for one in singles), section.time]
+
+
+def test_reads_through_a_group_as_of_an_instant_answer_as_they_did_then(rt: st.Connection) -> None:
+    rig = Rig(rt, "past", ahead=3)
+    live = []
+    for number in range(ITEMS - 3, ITEMS + 3):
+        live.append((rig.imu.stats().host_time, rig.cut, as_read(rig, None)))
+        rig.put(rig.imu, number, number + 1)
+        rig.cut = rig.began + min(number, ITEMS - 1) * MS
+        wait_until(lambda: rig.group.status().cut == rig.cut)
+    rig.imu.advance(rig.began + ITEMS * 9 * MS)
+    rig.put(rig.camera, 2 * ITEMS, 2 * ITEMS + 2)
+    for as_of, cut, answers in live:
+        assert as_read(rig, as_of) == answers
+        assert rig.group.get(st.OLDEST, st.NOW, as_of=as_of)[rig.imu].cut == cut
+    before = rig.group.get(st.OLDEST, st.NOW, as_of=rig.began)
+    assert [(len(items), items.reason) for items in before.values()] == [(0, "NOT_YET")] * 2
+    assert rig.group.status().cut == rig.group.get(st.OLDEST, st.NOW)[rig.imu].cut  # the present cut stays
+
+
+def test_a_group_whose_past_cuts_archives_do_not_tell_refuses_reads_as_of_an_instant(rt: st.Connection) -> None:
+    rig = Rig(rt, "refused")
+    live = rt.channel("refused/live")
+    kinds = {"idle_after": {"idle_after": "5s"}, "bound": {"bound": "end"}}
+    for reason, how in kinds.items():
+        group = rt.group(f"refused/{reason}", [rig.camera, rig.imu], **how)
+        with pytest.raises(st.InvalidArgument, match=reason):
+            group.newest(as_of=rig.began)
+    with pytest.raises(st.InvalidArgument, match="not recorded"):
+        rt.group("refused/member", [rig.camera, live]).newest(as_of=rig.began)
+    led = rt.group("refused/not", [rig.camera, live], reference=rig.camera, idle_after="5s")
+    assert led[rig.camera].newest(as_of=rig.camera.stats().host_time).payload == b"%d" % (ITEMS - 2)
+    with pytest.raises(st.InvalidArgument, match="as_of"):
+        led[rig.camera].newest(as_of=rig.began, timeout=1)
+    with pytest.raises(st.InvalidArgument, match="ahead of the host"):
+        rig.group.newest(as_of=st.now() + 3600 * 10**9)

@@ -244,6 +244,7 @@ class Connection(Mailboxes, Reference):
         complete: bool = False,
         payloads: bool = True,
         timeout: float | None = 0,
+        as_of: InstantLike | None = None,
     ) -> CrossSection[Channel | GroupChannel]:
         """Return one item of `reference`, and the items of every other channel at that item.
 
@@ -253,10 +254,11 @@ class Connection(Mailboxes, Reference):
         None, and the answer has only the reference.
 
         `timeout` in seconds bounds the whole call: 0 answers at once, None waits without a limit. The call waits for
-        the first item of each channel, or with `complete` until no more items of `others` can come.
+        the first item of each channel, or with `complete` until no more items of `others` can come. `as_of` as in
+        `Channel.get`.
         """
         return await cross_section(
-            reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout
+            reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout, as_of=as_of
         )
 
     async def queue(

@@ -12,6 +12,7 @@ from stampede_rt._async.cuts import CutSubscription
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.matches import MatchSubscription
+from stampede_rt._async.past_cuts import cut_as_of
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read
 from stampede_rt._async.session import CALL_TIMEOUT_S, request_id
@@ -36,21 +37,24 @@ from stampede_rt.values.grouping import (
     GroupStatus,
     NamedChannel,
     NewestItems,
+    SeenCut,
     parse_lateness,
     parse_max_wait,
     parse_members,
     parse_tolerance,
 )
 from stampede_rt.values.model import Items
-from stampede_rt.values.reading import ReadQuery, parse_limit
+from stampede_rt.values.reading import ReadQuery, parse_as_of, parse_limit
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     BoundLike,
     Bounds,
     DurationLike,
+    InstantLike,
     Match,
     MatchLike,
+    parse_bound,
     parse_interval,
     parse_match,
 )
@@ -131,12 +135,14 @@ class Group(Reference):
         limit: int | None = None,
         newest_first: bool = False,
         payloads: bool = True,
+        as_of: InstantLike | None = None,
     ) -> ByChannel[Channel, Items]:
         """Return for each member the items in an interval.
 
         The client reads all members at one cut, even if several hosts own them. The arguments are those of
         `Channel.get`. A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest
-        item. The answer maps each member to its Items. Raises GroupNotFound, InvalidInterval, Unavailable.
+        item. The answer maps each member to its Items. With `as_of` all members are recorded; the cut is that of then.
+        Raises GroupNotFound, InvalidInterval, InvalidArgument, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         return await self._read(
@@ -146,19 +152,20 @@ class Group(Reference):
                 limit=parse_limit(limit),
                 newest_first=newest_first,
                 payloads=payloads,
+                as_of=parse_as_of(as_of),
             )
         )
 
-    async def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
+    async def newest(self, *, payloads: bool = True, as_of: InstantLike | None = None) -> NewestItems[Channel]:
         """Return the newest visible item of each member, all at one cut. A member without visible items has None.
 
         `.reasons[channel]` of the answer says why a member has no visible item. By default the cut is the time of the
         newest item of the member that is furthest behind, and the group shows only items before the cut. If each member
-        has only one item, the group may therefore show nothing for a member. Raises GroupNotFound, Unavailable.
+        has only one item, the group may therefore show nothing for a member. `as_of`: see `get`. Raises as `get`.
         """
-        interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
+        interval, past = parse_interval(MIN_INSTANT, MAX_INSTANT), parse_as_of(as_of)
         answers = await self._read(
-            ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads)
+            ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads, as_of=past)
         )
         return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
@@ -181,9 +188,11 @@ class Group(Reference):
         return await operation()
 
     async def _read_all(self, query: ReadQuery) -> ByChannel[Channel, Items]:
-        query = replace(query, cut=await self._cut())
+        view = self._members.view if query.as_of is None else SeenCut(self.info.group_id)
+        cut = self._cut() if query.as_of is None else cut_as_of(self._members, query.as_of)
+        query = replace(query, cut=await cut)
         answers = await run_all(
-            [functools.partial(read, self._session, one._state, query, self._members.view) for one in self.channels]
+            [functools.partial(read, self._session, one._state, query, view) for one in self.channels]
         )
         ids = (channel.info.channel_id for channel in self.channels)
         return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
@@ -238,6 +247,7 @@ class Group(Reference):
         partial: bool = False,
         payloads: bool = True,
         reconnect: DurationLike | None = None,
+        start: BoundLike | None = None,
     ) -> MatchSubscription:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
@@ -248,8 +258,9 @@ class Group(Reference):
 
         With `unique` an item of another member is part of at most one match: that of the nearest item of `per`. The
         host waits for items that come out of order by at most `lateness`. This delays every match by `lateness`.
-        `reconnect` is as in `subscribe`. Raises InvalidArgument; the iterator raises GroupNotFound, IncarnationLost,
-        Unavailable.
+        `reconnect` is as in `subscribe`. `start`: begin with the items of `per` from this bound on, in memory or in the
+        archive; by default with those that come. Raises InvalidArgument; the iterator raises GroupNotFound,
+        IncarnationLost, Unavailable, and Overloaded if one match needs too many archived items.
         """
         return MatchSubscription(
             self._members,
@@ -260,6 +271,7 @@ class Group(Reference):
             unique=unique,
             partial=partial,
             payloads=payloads,
+            start=None if start is None else parse_bound(start, "start"),
         )
 
     async def status(self) -> GroupStatus[Channel]:

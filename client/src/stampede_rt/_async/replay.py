@@ -136,6 +136,8 @@ class ReplayedGroup:
         """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
         if _.get("unique"):
             raise InvalidArgument("a replay does not match with unique=True; leave it out")
+        if _.get("start") is not None:
+            raise InvalidArgument("a replay matches from the instant of its clock on; leave start= out")
         found = next((one for one in self.channels if is_named_by(per, one)), None)
         if found is None:
             raise InvalidArgument(f"{shown_name(per)!r} is not a member of the group {self.name!r}")

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 from stampede_rt._sync.reader import Reader
 from stampede_rt.errors import InvalidArgument
@@ -13,7 +13,7 @@ from stampede_rt.transports.concurrency_sync import monotonic_s, run_all
 from stampede_rt.values.grouping import ByChannel, CrossSection, Over
 from stampede_rt.values.model import Item, Items
 from stampede_rt.values.reading import Wait
-from stampede_rt.values.timeline import NOW, BoundLike, Bounds
+from stampede_rt.values.timeline import NOW, BoundLike, Bounds, InstantLike
 
 Key = TypeVar("Key", bound=Reader)
 
@@ -27,6 +27,7 @@ def cross_section(
     complete: bool,
     payloads: bool,
     timeout: float | None,
+    as_of: InstantLike | None = None,
 ) -> CrossSection[Key]:
     """See `Connection.cross_section`."""
     if over not in ("start", "span"):
@@ -39,13 +40,14 @@ def cross_section(
                 f"{channel!r} is not a channel; give the handle from connection.channel(...), not the name"
             )
     wait, began_s = Wait.parse(timeout), monotonic_s()
-    held = reference.at(at, payloads=payloads, timeout=timeout)
+    held = reference.at(at, payloads=payloads, timeout=timeout, as_of=as_of)
     found = {reference.info.channel_id: held}
     if held:
 
         def beside(other: Key) -> Items:
             left = wait.after(monotonic_s() - began_s)
-            return _beside(other, held[-1], over, complete=complete, payloads=payloads, timeout=left.seconds)
+            how = {"complete": complete, "payloads": payloads, "timeout": left.seconds, "as_of": as_of}
+            return _beside(other, held[-1], over, how)
 
         ids = (other.info.channel_id for other in others)
         reads = [functools.partial(beside, other) for other in others]
@@ -53,13 +55,13 @@ def cross_section(
     return CrossSection(time=held[-1].time if held else None, items=ByChannel([reference, *others], found))
 
 
-def _beside(other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
+def _beside(other: Reader, item: Item, over: Over, how: Mapping[str, Any]) -> Items:
     """Return the items of `other` at the time of `item` (`over` "start"), or during the span of `item` ("span").
 
-    If the span of `item` has no end yet, return the items up to now.
+    If the span of `item` has no end yet, return the items up to now. `how`: further arguments of `get`.
     """
     end: BoundLike = item.time
     bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:
         end, bounds = (NOW, "[]") if item.end is None else (item.end, "[)")
-    return other.get(item.time, end, bounds=bounds, payloads=payloads, timeout=timeout, complete=complete)
+    return other.get(item.time, end, bounds=bounds, **how)

@@ -21,10 +21,11 @@ from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
 from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s, run_all
 from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.v1 import item_pb2 as item_pb
 from stampede_rt.values.grouping import Matched
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, Wait
-from stampede_rt.values.timeline import DurationLike, Match, parse_interval
+from stampede_rt.values.timeline import Bound, DurationLike, Interval, Match, clamp, parse_interval
 
 
 class MatchSubscription(BoundToProcess):
@@ -52,6 +53,7 @@ class MatchSubscription(BoundToProcess):
         unique: bool,
         partial: bool,
         payloads: bool,
+        start: Bound | None = None,
     ) -> None:
         self._reconnecting = Reconnecting(group.session, f"the matching of group {group.name!r}", reconnect)
         self._group = group
@@ -66,6 +68,7 @@ class MatchSubscription(BoundToProcess):
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
         self._steps = StepLock()  # callers that step at the same time take turns
+        self._start = start  # where the first stream begins
         self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
         self._unmatched_before = self._dropped_before = 0
@@ -137,10 +140,26 @@ class MatchSubscription(BoundToProcess):
             return
         try:
             with span("match", group=self._group.name):
+                self._begin_at_start()
                 self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise self._group.explained(error) from None
+
+    def _begin_at_start(self) -> None:
+        """Let the first stream begin with the items from `start` on."""
+        start = self._start
+        if start is None:
+            return
+        instant: int | None = start.offset
+        if start.meta is not None:
+            query = ReadQuery(Interval(start, start), match=Match.START, limit=1, payloads=False, wait=Wait(0))
+            found = (read(self._group.session, self._per._state, query)).interval
+            instant = None if found is None else found.start  # None: there is no item yet
+        if instant is not None:
+            before = item_pb.ItemPosition(time_unix_nano=clamp(instant - 1))
+            self._after = group_pb.MatchCursor(after=before)
+        self._start = None
 
     def _open_within(self, timeout_s: float) -> None:
         def open_at(binding: Binding, _: float) -> None:
@@ -226,7 +245,7 @@ class MatchSubscription(BoundToProcess):
                 self._ready.append((matched, _charge(message)))
             else:
                 self._window.drop(_charge(message))
-        if self._after is not None and self._after.after.incarnation != response.cursor.after.incarnation:
+        if self._after is not None and self._after.after.incarnation not in (0, response.cursor.after.incarnation):
             self.losses += 1
         self._after = response.cursor
         self.unmatched = self._unmatched_before + response.unmatched

@@ -103,6 +103,13 @@ def _add_match_arguments(verb: argparse.ArgumentParser) -> None:
     )
     verb.add_argument("--unique", action="store_true", help="use each item in at most one match, the nearest")
     _add_lateness(verb)
+    verb.add_argument(
+        "--from",
+        dest="start",
+        type=checked(parse_bound_text),
+        metavar="TIME",
+        help="begin with the items from this time on, such as oldest; default: with those that come from now on",
+    )
     verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")
 
 
@@ -291,7 +298,12 @@ def run_match(arguments: argparse.Namespace) -> int:
 
 def _matches(group: Group, arguments: argparse.Namespace) -> Any:
     return group.match(
-        arguments.per, arguments.tolerance, unique=arguments.unique, lateness=arguments.lateness, partial=True
+        arguments.per,
+        arguments.tolerance,
+        unique=arguments.unique,
+        lateness=arguments.lateness,
+        partial=True,
+        start=arguments.start,
     )
 
 

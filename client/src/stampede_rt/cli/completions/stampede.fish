@@ -233,6 +233,7 @@ complete -c stampede -n '_shtab_stampede_using group match' -l per -x -d 'the ch
 complete -c stampede -n '_shtab_stampede_using group match' -l tolerance -x -d 'the greatest distance in time, such as "10ms"'
 complete -c stampede -n '_shtab_stampede_using group match' -l unique -d 'use each item in at most one match, the nearest'
 complete -c stampede -n '_shtab_stampede_using group match' -l lateness -x -d 'wait this long for late items; default 0s'
+complete -c stampede -n '_shtab_stampede_using group match' -l from -x -d 'begin with the items from this time on, such as oldest; default: with those that come from now on'
 complete -c stampede -n '_shtab_stampede_using group match' -s n -l count -x -d 'stop after N matches'
 complete -c stampede -n '_shtab_stampede_using group; and test $_shtab_stampede_npos -eq 0' -a add -d 'add a channel to a group'
 complete -c stampede -n '_shtab_stampede_using group add' -s h -l help -d 'show this help message and exit'

@@ -780,6 +780,7 @@ _shtab_stampede_group_match_options=(
   "--tolerance[the greatest distance in time, such as \"10ms\"]:DURATION:"
   "--unique[use each item in at most one match, the nearest]"
   "--lateness[wait this long for late items\; default 0s]:DURATION:"
+  "--from[begin with the items from this time on, such as oldest\; default\: with those that come from now on]:TIME:"
   {-n,--count}"[stop after N matches]:N:"
   ":the group\'s name:"
 )

@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
+from stampede_rt_channel_host.channels.past_reads import PastSummary
 from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor, SubscriptionBatch
 
@@ -22,24 +23,27 @@ class GroupReadParams:
     """The group through which a get reads.
 
     `floor`: the highest cut that the reader has seen; None: the reader has seen no cut. `at`: the cut at which the get
-    reads; None: the present cut. `within_memory`: the get leaves the archive of the channel out.
+    reads; None: the present cut. `within_memory`: the get leaves the archive of the channel out. `as_of`: the get
+    answers as at this instant, at the cut `at`.
     """
 
     group_id: bytes
     floor: int | None = None
     at: int | None = None
     within_memory: bool = False
+    as_of: int | None = None
 
 
 class GroupAnswer(NamedTuple):
     """The answer to a get, and the cut at which the get read the channel; None: the group had no cut yet.
 
-    `continues`: the answer was cut off for its length.
+    `continues`: the answer was cut off for its length. `past`: of a get as of an earlier instant.
     """
 
     answer: ReadAnswer
     cut: int | None
     continues: bool = False
+    past: PastSummary | None = None
 
 
 class Cursor(Protocol):

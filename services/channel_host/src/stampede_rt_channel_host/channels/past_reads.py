@@ -21,6 +21,7 @@ from stampede_rt_channel_host.core.archive import (
     resolved,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer
+from stampede_rt_channel_host.core.group import Horizon, RecordedView
 
 Done = TypeVar("Done")
 TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
@@ -68,15 +69,17 @@ class PastReader:
         self._recorder = recorder
         self._channel = channel
 
-    async def read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
-        """Read as of an instant of the host's clock that has passed.
+    async def read(
+        self, query: Query, as_of: int, scheduler: PieceScheduler, horizon: Horizon | None = None
+    ) -> PastAnswer:
+        """Read as of an instant of the host's clock that has passed. `horizon`: of the group through which to read.
 
         First waits until the archive has all items that the host had accepted by then. Raises Unavailable if that takes
         more than ARCHIVED_WITHIN_SECONDS, or if the archive cannot be read.
         """
         self._channel.check_positions(query)
         await self._archived(as_of)
-        return await tried(lambda: self._read(query, as_of, scheduler))
+        return await tried(lambda: self._read(query, as_of, scheduler, horizon))
 
     async def _archived(self, as_of: int) -> None:
         """Wait until the archive has all items that the host had accepted by `as_of`."""
@@ -90,7 +93,7 @@ class PastReader:
                 )
             await asyncio.sleep(RETRY_SECONDS)
 
-    async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler) -> PastAnswer:
+    async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler, horizon: Horizon | None) -> PastAnswer:
         past, is_cut = await self._past(as_of)
         summary = _summary(past)
         channel, span = self._channel, span_of(past.segments)
@@ -99,12 +102,19 @@ class PastReader:
         within = resolved(moment, span, query)
         if span.newest is None and is_cut:
             return PastAnswer(nothing_left(within, as_of, channel.incarnation), False, summary)
+        if horizon is not None:
+            view = await self._view(RecordedView(moment, span, query, horizon), past, scheduler)
+            return PastAnswer(view.answer, view.continues, summary)
         if within is None or span.newest is None:
             return PastAnswer(await scheduler.do(read_nothing(moment, query, within)), False, summary)
         read = ArchivedRead(moment, span, query, within)
-        await scheduler.do(read.begin())
         await self._load(read, past, scheduler)
         return PastAnswer(read.answer(), read.continues, summary)
+
+    async def _view(self, view: RecordedView, past: Past, scheduler: PieceScheduler) -> RecordedView:
+        for read in view.reads(None):
+            await self._load(read, past, scheduler)
+        return view
 
     async def _past(self, as_of: int) -> tuple[Past, bool]:
         """The archive as of an instant, and whether it has dropped items since. It also has the next change."""
@@ -116,6 +126,7 @@ class PastReader:
             await self._archived(since)
 
     async def _load(self, read: ArchivedRead, past: Past, scheduler: PieceScheduler) -> None:
+        await scheduler.do(read.begin())
         while (wanted := read.next_window()) is not None:
             window = await self._archive.load(self._recorder.files, past.segments, wanted, past)
             await scheduler.do(read.take(window))

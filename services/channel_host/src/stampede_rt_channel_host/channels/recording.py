@@ -259,7 +259,7 @@ class Recording:
     ) -> ArchivedRead:
         snapshot, segments = self._channel.snapshot(now), self.recorder.segments
         try:
-            span = span_of(segments)
+            span = self.recorder.span
             within = within or resolved(snapshot, span, query)
             assert within is not None, "there is at least one archived item"
             return await self._perform(ArchivedRead(snapshot, span, query, within), segments, scheduler)
@@ -272,7 +272,7 @@ class Recording:
     ) -> RecordedView:  # fmt: skip
         snapshot, segments = self._channel.snapshot(now), self.recorder.segments
         try:
-            view = RecordedView(snapshot, span_of(segments), query, horizon)
+            view = RecordedView(snapshot, self.recorder.span, query, horizon)
             for read in view.reads(within, waits=waits):
                 await self._perform(read, segments, scheduler)
             return view

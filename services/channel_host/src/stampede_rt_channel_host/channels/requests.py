@@ -152,4 +152,5 @@ def group_of(request: pb.GetRequest) -> GroupReadParams | None:
         floor=request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None,
         at=request.cut_unix_nano if request.HasField("cut_unix_nano") else None,
         within_memory=request.within_memory,
+        as_of=request.as_of_unix_nano if request.HasField("as_of_unix_nano") else None,
     )

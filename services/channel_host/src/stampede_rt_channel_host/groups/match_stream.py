@@ -13,11 +13,21 @@ from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
-from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, Track
+from stampede_rt_channel_host.core.group import (
+    OWN,
+    FoundMatch,
+    LocalTrack,
+    Matcher,
+    NotLoaded,
+    RecordedOwn,
+    RecordedTrack,
+    Track,
+)
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, other_incarnation
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_of
+from stampede_rt_channel_host.groups.recorded_matches import filled, load
 from stampede_rt_channel_host.groups.remote_member import RemoteMember
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
@@ -111,7 +121,7 @@ class MatchStream:
                 generation = group.generation
                 group.check_incarnation(incarnation)
                 matcher.set_tracks(self._tracks_of(group, member_of(group, hosted), matcher.earliest))
-            found = self._take(matcher, group, request)
+            found = await self._take(matcher, group, request)
             if matcher.has_more and not found:
                 await asyncio.sleep(0)  # there is much to look at: let others run first
                 continue
@@ -145,7 +155,7 @@ class MatchStream:
         self._near = near
         for channel_id in [one for one in self._remote if one in near or one not in members]:
             self._remote.pop(channel_id)[1].cancel()
-        tracks: dict[bytes, Track] = {one: LocalTrack(own.channel) for one, own in near.items() if one != matched}
+        tracks = {one: _track_of(own) for one, own in near.items() if one != matched}
         return tracks | {one: self._follow(group, one, since).track for one in members - near.keys()}
 
     def _follow(self, group: HostedGroup, channel_id: bytes, since: int) -> RemoteMember:
@@ -159,18 +169,45 @@ class MatchStream:
             remote.epoch, remote.target = record.epoch, group.targets.get(record.host_id, remote.target)
         return remote
 
-    def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
-        """Take the next decided matches: about one message, and about as many bytes as the credit allows."""
-        now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
+    async def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
+        """Take the next decided matches: about one message, and about as many bytes as the credit allows.
+
+        Raises Unavailable if an archive cannot be read.
+        """
+        taken: list[FoundMatch] = []
+        credit = min(self._credit.left, MESSAGE_BYTES_MAX)
+        while True:
+            most = MATCHES_PER_MESSAGE_MAX - len(taken) if credit > 0 else 0
+            try:
+                found = self._decided(matcher, group, request, most, credit)
+            except NotLoaded as missing:
+                if taken:
+                    return taken
+                await load(self._groups.channels, self._near[missing.channel_id], missing)
+                await self._writer.turn()
+                continue
+            goes_on = bool(found) and bool(found[-1].archived)
+            if goes_on:
+                found[-1] = await filled(self._groups.channels, self._near, found[-1])
+                await self._writer.turn()
+            taken += found
+            charge = sum(one.charge_bytes for one in found)
+            self._credit.spend(charge)
+            credit -= charge
+            if not goes_on or credit <= 0 or len(taken) >= MATCHES_PER_MESSAGE_MAX:
+                return taken
+
+    def _decided(
+        self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen, most: int, credit: int
+    ) -> list[FoundMatch]:
+        """The next decided matches, at most `most`. Raises NotLoaded."""
+        now = self._groups.channels.now()
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
             asked = request.per_channel_id if channel_id == OWN else channel_id
             return self._has_passed(group, asked, instant, request.lateness_nanos, now)
 
-        most = MATCHES_PER_MESSAGE_MAX if credit > 0 else 0
-        found = matcher.take(has_passed, now, most, credit, LOOKS_PER_TURN_MAX)
-        self._credit.spend(sum(one.charge_bytes for one in found))
-        return found
+        return matcher.take(has_passed, now, most, credit, LOOKS_PER_TURN_MAX)
 
     def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, lateness_nanos: int, now: int) -> bool:
         """Whether a member has passed `instant`. An idle member counts as having passed it."""
@@ -213,7 +250,15 @@ def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) 
         after=position_of(after.after) if request.HasField("after") else None,
         next_seq=after.next_seq or None,
         partners=partners if request.unique else None,
+        recorded=None if hosted.recording is None else RecordedOwn(hosted.channel, hosted.record.channel_id),
     )
+
+
+def _track_of(hosted: HostedChannel) -> Track:
+    """The track of a member at this host."""
+    if hosted.recording is None:
+        return LocalTrack(hosted.channel)
+    return RecordedTrack(hosted.channel, hosted.record.channel_id)
 
 
 def _cursor(matcher: Matcher, group: HostedGroup) -> pb.MatchCursor:

@@ -37,7 +37,12 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, VisibleNewest
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroup, CopiedGroups
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
-from stampede_rt_channel_host.groups.recorded_gets import is_over, read_recorded_in_group, reads_archive
+from stampede_rt_channel_host.groups.recorded_gets import (
+    is_over,
+    read_past_in_group,
+    read_recorded_in_group,
+    reads_archive,
+)
 from stampede_rt_channel_host.groups.recorded_subscriptions import RecordedSteps, resolved_start
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
@@ -90,6 +95,8 @@ class GroupReads:
         check: Callable[[str], None],
     ) -> GroupAnswer:
         """See `GroupAccess`."""
+        if params.as_of is not None:
+            return await self._read_past(params, hosted, query, check)
         if hosted.copy is not None:
             return await self._read_copy(params, hosted, query, wait_nanos, check)
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
@@ -107,6 +114,17 @@ class GroupReads:
             return await self._get_recorded(group, hosted, params.at, query, deadline_s)
         begun = VisibleChannel(hosted.channel).begin(query, group.horizon(params.at), self._groups.channels.now())
         return await self._get(group, hosted, PendingAt(begun, params.at), deadline_s)
+
+    async def _read_past(
+        self, params: GroupReadParams, hosted: HostedChannel, query: Query, check: Callable[[str], None]
+    ) -> GroupAnswer:
+        """Read as of an earlier instant, at the cut of the request."""
+        group = await self._groups.find(params.group_id)
+        check(group.record.name)
+        member_of(group, hosted)
+        found = await read_past_in_group(self._groups.channels, params, hosted, query)
+        self._check_served(hosted)
+        return found
 
     async def _get_recorded(
         self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None

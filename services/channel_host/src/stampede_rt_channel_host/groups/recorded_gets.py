@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stampede_rt.values.timeline import ResolvedInterval
+from stampede_rt.errors import Unavailable
+from stampede_rt.values.timeline import ResolvedInterval, format_instant
 from stampede_rt_channel_host.channels.group_access import GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import Query
 from stampede_rt_channel_host.core.group import Horizon, RecordedView
+from stampede_rt_channel_host.groups.hosted_group import NOTHING_VISIBLE
 
 
 class FoundAnswer(NamedTuple):
@@ -39,6 +41,19 @@ async def read_recorded_in_group(
     assert recording is not None, "the channel is recorded"
     view = await recording.read_in_group(query, horizon, within, channels.scheduler, channels.now, waits=waits)
     return FoundAnswer(GroupAnswer(view.answer, horizon.cut, view.continues), view)
+
+
+async def read_past_in_group(
+    channels: ChannelStore, params: GroupReadParams, hosted: HostedChannel, query: Query
+) -> GroupAnswer:
+    """The answer as of an earlier instant, at the cut of then. Raises Unavailable if the archive cannot be read."""
+    recording, as_of = hosted.recording, params.as_of
+    if recording is None or as_of is None:
+        raise Unavailable(f"channel {hosted.record.name} is not recorded any more; read again")
+    cut = None if params.at == NOTHING_VISIBLE else params.at
+    horizon = Horizon(cut, lambda: f"as of {format_instant(as_of)}")
+    found = await recording.past_reader().read(query, as_of, channels.scheduler, horizon)
+    return GroupAnswer(found.answer, cut, found.continues, found.summary)
 
 
 def is_over(view: RecordedView, query: Query) -> bool:

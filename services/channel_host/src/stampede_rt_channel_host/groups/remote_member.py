@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 import grpc
 
@@ -12,13 +12,16 @@ from stampede_rt.errors import IncarnationLost, StampedeError
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
 from stampede_rt.values.timeline import MAX_INSTANT
-from stampede_rt_channel_host.channels.subscriptions.credit import CREDIT_MAX
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.group import ChannelTimes, RemoteTrack
+from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from stampede_rt_channel_host.groups.peers import Dial
 
 logger = logging.getLogger(__name__)
 
 PAUSE_SECONDS = 0.2
+AHEAD_ITEMS = TRACK_ITEMS_MAX // 4
+"""The member's host may send about this number of keys ahead. So an archive does not fill the track."""
 
 
 class RemoteMember:
@@ -40,13 +43,29 @@ class RemoteMember:
         self._since = since
         self._cursor: channel_service_pb2.SubscriptionCursor | None = None  # the last one received; None: none yet
         self._times = ChannelTimes(0, 0)  # the newest item and the advance, by the messages of this subscription
+        self._credit = 0  # the granted bytes that the member's host has left
+        self._item_bytes = ITEM_OVERHEAD_BYTES  # the least that an item of the last run has cost
+        self._wants_more = asyncio.Event()
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:
         """Whether the member has passed the instant, judged only by the messages of this subscription.
 
-        So the track already has all items that the member got before it passed the instant.
+        So the track already has all items that the member got before it passed the instant. If the member has not
+        passed it, its host may send more.
         """
-        return self._times.has_passed(instant, lateness_nanos)
+        passed = self._times.has_passed(instant, lateness_nanos)
+        if self._credit <= 0 or not passed:
+            self._ask_for_more(must=not passed)
+        return passed
+
+    def _ask_for_more(self, *, must: bool) -> None:
+        """Let the member's host send more, if the track has room or the matches cannot go on without it."""
+        if self._credit * 2 < self._ahead_bytes and (must or len(self.track) < 2 * AHEAD_ITEMS):
+            self._wants_more.set()
+
+    @property
+    def _ahead_bytes(self) -> int:
+        return AHEAD_ITEMS * self._item_bytes
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
         """Follow the member at its owner. If that fails, try again at the host that the directory names by then."""
@@ -67,7 +86,7 @@ class RemoteMember:
         target = self.target
         channel = dial(target)
         try:
-            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(iter((self._request(),)))
+            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(self._requests())
             async for response in call:
                 self._take(response)
                 on_news()
@@ -76,17 +95,25 @@ class RemoteMember:
         finally:
             await channel.close(None)
 
-    def _request(self) -> channel_service_pb2.SubscribeRequest:
-        """The request that opens the subscription: from `since` on, or after the items that came already.
+    async def _requests(self) -> AsyncIterator[channel_service_pb2.SubscribeRequest]:
+        """The request that opens the subscription: from `since` on, or after the items that came already. Then credit.
 
-        The request grants enough credit, so that the host never has to wait for more.
+        The charge of an item counts its payload, which does not come. So the credit grows with the size of the items.
         """
         opening = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:
             opening.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
         else:
             opening.cursor.CopyFrom(self._cursor)
-        return channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=CREDIT_MAX)
+        self._credit = self._ahead_bytes
+        yield channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=self._credit)
+        while True:  # the call ends it
+            self._wants_more.clear()
+            await self._wants_more.wait()
+            granted = self._ahead_bytes - self._credit
+            if granted > 0:
+                self._credit += granted
+                yield channel_service_pb2.SubscribeRequest(credit_bytes=granted)
 
     def _begin_anew(self) -> None:
         """Forget all seqs and keys, and follow the member again from the time of its newest item.
@@ -105,7 +132,11 @@ class RemoteMember:
             run = delivered.run
             keys = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
             self.track.add(keys)
+            lengths = run.payload_length_bytes
+            self._credit -= sum(lengths) + ITEM_OVERHEAD_BYTES * len(lengths)
+            self._item_bytes = ITEM_OVERHEAD_BYTES + min(lengths, default=0)
             self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
+        self._ask_for_more(must=False)
         if response.HasField("cursor"):
             self._cursor = response.cursor
         if response.progress.HasField("advance_unix_nano"):

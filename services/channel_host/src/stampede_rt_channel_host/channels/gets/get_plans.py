@@ -88,10 +88,8 @@ class GetPlans:
 
 
 def _plan(request: pb.GetRequest) -> GetPlan:
-    if request.HasField("as_of_unix_nano") and request.HasField("group_id"):
-        raise InvalidArgument(
-            "as_of: the read is through a group, and hosts keep no history of cuts; read the channel itself as of then"
-        )
+    if request.HasField("as_of_unix_nano") and request.HasField("group_id") and not request.HasField("cut_unix_nano"):
+        raise InvalidArgument("as_of: a read through a group needs the cut of then; set cut_unix_nano")
     return GetPlan(
         channel_id=request.channel_id,
         epoch=request.epoch,

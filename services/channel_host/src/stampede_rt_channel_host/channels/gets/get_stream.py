@@ -215,13 +215,14 @@ class GetStream:
     def _begin_in_group(
         self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel, now: int
     ) -> None:
-        check = partial(self._rights.check, AccessVerb.READ, AccessKind.GROUP)
-        found = self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now, check)
+        check, get = partial(self._rights.check, AccessVerb.READ, AccessKind.GROUP), OpenGet(call_id, plan, hosted, now)
+        is_past = plan.as_of is not None and get.reads_archive(now)
+        found = None if is_past else self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now, check)
         if found is None:
             self._rights.hold(call_id, AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, params, hosted))
         else:
-            self._answer(OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
+            self._answer(get, found.answer, now, found.cut)
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel) -> None:
         def check(group_name: str) -> None:
@@ -245,7 +246,7 @@ class GetStream:
         else:
             now = self._store.now()
             get = OpenGet(call_id, plan, hosted, now)
-            get.continues = found.continues
+            get.continues, get.past = found.continues, found.past
             self._answer(get, found.answer, now, found.cut)
         self._outbox.kick()
 

@@ -19,7 +19,7 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
 - Matches: the owner of the matched channel keeps a `Matcher`, with a `LocalTrack` or `RemoteTrack` for each other
-  member.
+  member. A recorded channel has a `RecordedOwn` or `RecordedTrack`. The shell performs the reads of each NotLoaded.
 - To report the state of a group, it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and
   `window_too_short`.
 """
@@ -35,6 +35,13 @@ from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT,
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, StepPart
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
 from stampede_rt_channel_host.core.group.recorded_steps import RecordedStep
+from stampede_rt_channel_host.core.group.recorded_track import (
+    NotLoaded,
+    RecordedOwn,
+    RecordedTrack,
+    archived_item,
+    found_item,
+)
 from stampede_rt_channel_host.core.group.recorded_view import RecordedView, reaches_archive
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, KnownTimes, OwnTimes, TimesBoard
@@ -61,8 +68,11 @@ __all__ = [
     "Loss",
     "Matcher",
     "Nearest",
+    "NotLoaded",
     "OwnTimes",
+    "RecordedOwn",
     "RecordedStep",
+    "RecordedTrack",
     "RecordedView",
     "RemoteTrack",
     "StepPart",
@@ -72,6 +82,8 @@ __all__ = [
     "VisibleChannel",
     "VisibleNewest",
     "WantedChannels",
+    "archived_item",
+    "found_item",
     "polling",
     "reaches_archive",
 ]

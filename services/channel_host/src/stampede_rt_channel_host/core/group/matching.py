@@ -6,17 +6,18 @@ until the items that it needs have come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
+from stampede_rt_channel_host.core.group.recorded_track import LateCounter, NotLoaded, RecordedOwn
 from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, Track
 
 CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62  # limits that no `take` reaches
@@ -34,9 +35,14 @@ class FoundMatch:
 
     @property
     def charge_bytes(self) -> int:
-        """The bytes that its items at this host cost a reader's credit."""
+        """The bytes that its items at this host cost a reader's credit, without archived partners."""
         partners = (near.item for near in self.matched.values() if near.item is not None)
         return self.item.slice.charge_bytes + sum(one.slice.charge_bytes for one in partners)
+
+    @property
+    def archived(self) -> list[bytes]:
+        """The members whose item the caller has still to read from the archive."""
+        return [member for member, near in self.matched.items() if near.is_archived]
 
 
 class Matcher:
@@ -50,24 +56,28 @@ class Matcher:
     def __init__(
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
+        recorded: RecordedOwn | None = None,
     ) -> None:  # fmt: skip
         """Begin with the items later than all present items or, with `after`, with the items after that position.
 
         Items before that position with `next_seq` or a later seq came too late for a match, and count as dropped. If
         the position is of another incarnation, all present items before it count as dropped. If `partners` is None, an
         item of another member may go into several matches. Otherwise it goes into one match only (see `Pairing`), and
-        `partners` has the last partner in each member, after which the next ones come.
+        `partners` has the last partner in each member, after which the next ones come. `recorded`: the channel is
+        recorded, and the items that memory does not have come from its archive.
         """
         held, _ = channel.look(now)
         self._channel = channel
         self._tracks = dict(tracks)
         self._tolerance = tolerance_nanos
-        self._low = behind(after) if after is not None else _end(held.newest, channel.next_seq)
+        self._low = behind(after) if after is not None else max(_end(held.newest, channel.next_seq), held.floor)
         known = channel.next_seq if next_seq is None else min(next_seq, channel.next_seq)
         if next_seq is not None and after is not None and after.incarnation not in (0, channel.incarnation):
             known = 1
-        self._loss_counter = LossCounter(held, self._low, known)
-        self._own = LocalTrack(channel)
+        self._own = recorded or LocalTrack(channel)
+        self._loss_counter: LossCounter | LateCounter = (
+            LossCounter(held, self._low, known) if recorded is None else LateCounter(recorded, self._low, known)
+        )
         self._partners = None if partners is None else dict(partners)
         self.unmatched = 0
         self.dropped = 0
@@ -111,29 +121,36 @@ class Matcher:
         Searches a member's nearest item about `looks_max` times. If the searches for an item are not finished then, the
         next call continues them. `has_passed(member, instant)` returns True if the member can get no more items up to
         `instant` (see `ChannelTimes.has_passed`), or if matches do not wait for the member. `take` also calls it with
-        OWN.
+        OWN. A match with an archived partner is the last of a call. Raises NotLoaded if the next match needs archived
+        items that no page has.
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []
         self._looks_left = looks_max
         # a list first, because each look may free entries
-        for one in [*islice(_ones(held.slices(self._low)), items_max)]:
-            time = one.first_time
-            if credit_bytes <= 0 or not self._can_decide(time, has_passed):
+        for item in [*islice(self._own.ones(self._low, now), items_max)] if credit_bytes > 0 else ():
+            one = item.slice
+            if credit_bytes <= 0 or not self._can_decide(one.first_time, has_passed):
                 break
-            found = self._found((time, one.first_seq), has_passed, now)
+            found = self._found((one.first_time, one.first_seq), has_passed, now, may_raise=not taken)
             if found is None:
                 break
-            taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
+            taken.append(self._match(item, found))
             credit_bytes -= taken[-1].charge_bytes
-            self._low = time, one.end_seq
+            self._low = one.first_time, one.end_seq
+            if taken[-1].archived:
+                break
         self.dropped += self._loss_counter.mark_read(
             held, self._low, self._channel.next_seq, given_above=len(taken), given_below=0
         )
-        for track in self._tracks.values():
-            track.forget_before(self._low[0] - self._tolerance)
+        self._forget_before(self._low[0])
         self.has_more = self._looks_left <= 0
         return taken
+
+    def _forget_before(self, time: int) -> None:
+        """Let the tracks forget what no item from `time` on needs."""
+        for track in (self._own, *self._tracks.values()):
+            track.forget_before(time - self._tolerance)
 
     def _can_decide(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
         """Whether no item that comes later can change the match of an item at `time`."""
@@ -141,9 +158,12 @@ class Matcher:
         return others and has_passed(OWN, time)
 
     def _found(
-        self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
+        self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int, *, may_raise: bool
     ) -> dict[bytes, Nearest | None] | None:  # fmt: skip
-        """The partner in each member. None if a partner is not decided yet, or if the looks are used up."""
+        """The partner in each member. None if a partner is not decided yet, or if the looks are used up.
+
+        If archived items are missing, raises NotLoaded, or without `may_raise` returns None.
+        """
         found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
         self._begun = None
         for member, track in self._tracks.items():
@@ -155,6 +175,12 @@ class Matcher:
             try:
                 found[member] = self._found_in(member, track, key, has_passed, now)
             except Undecided:
+                return None
+            except NotLoaded:
+                self._begun = key, found
+                self._forget_before(key[0])
+                if may_raise:
+                    raise
                 return None
         if self._partners is not None:
             near = ((member, one) for member, one in found.items() if one is not None)
@@ -191,8 +217,3 @@ def _behind(key: ItemKey | None) -> ItemKey:
 def _end(newest: int | None, next_seq: int) -> ItemKey:
     """A key above the keys of all present items."""
     return FIRST_KEY if newest is None else (newest, next_seq)
-
-
-def _ones(parts: Iterable[Slice]) -> Iterable[Slice]:
-    """The items of the slices, each as a slice of its own."""
-    return (Slice(part.run, at, at + 1) for part in parts for at in range(part.lo, part.hi))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice
@@ -14,11 +14,12 @@ TRACK_ITEMS_MAX = 65_536
 
 
 class Nearest(NamedTuple):
-    """The time and seq of a found item. `item` is None if the item is at another host."""
+    """The time and seq of a found item. `item` is None if the item is at another host, or in this host's archive."""
 
     time: int
     seq: int
     item: DeliveredSlice | None
+    is_archived: bool = False
 
 
 class Track(Protocol):
@@ -51,7 +52,7 @@ class LocalTrack:
         middle = time, SEQ_END
         below = next(held.slices_down(low, min(high, middle)), None)
         above = next(held.slices(max(low, middle), high), None)
-        found = _nearer(time, below and below.last_time, above and above.first_time, tolerance)
+        found = nearer(time, below and below.last_time, above and above.first_time, tolerance)
         part = None if found is None else next(held.slices(max(low, (found, 0)), high), None)
         if found is None or part is None:
             return None
@@ -60,6 +61,11 @@ class LocalTrack:
 
     def forget_before(self, time: int) -> None:
         """Does nothing, because retention collects the items."""
+
+    def ones(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
+        """The items from `low` on, one by one."""
+        held, _ = self._channel.look(now)
+        return ones(held.slices(low), held.next_time)
 
 
 class RemoteTrack:
@@ -71,6 +77,9 @@ class RemoteTrack:
 
     def __init__(self) -> None:
         self._keys: list[ItemKey] = []
+
+    def __len__(self) -> int:
+        return len(self._keys)
 
     def add(self, keys: Iterable[ItemKey]) -> None:
         """Add the keys of some items of the member."""
@@ -91,7 +100,7 @@ class RemoteTrack:
         above = min(max(first, bisect_left(keys, (time, SEQ_END))), end)
         earlier = keys[above - 1][0] if above > first else None
         later = keys[above][0] if above < end else None
-        found = _nearer(time, earlier, later, tolerance)
+        found = nearer(time, earlier, later, tolerance)
         return None if found is None else Nearest(*keys[bisect_left(keys, max(low, (found, 0)))], None)
 
     def forget_before(self, time: int) -> None:
@@ -99,7 +108,13 @@ class RemoteTrack:
         del self._keys[: bisect_left(self._keys, (time, -1))]
 
 
-def _nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:
+def ones(parts: Iterable[Slice], next_time: Callable[[int], int | None]) -> Iterator[DeliveredSlice]:
+    """The items of the slices, one by one. `next_time` gives the time of the bucket after a time."""
+    each = (Slice(part.run, at, at + 1) for part in parts for at in range(part.lo, part.hi))
+    return (DeliveredSlice(one, next_time(one.first_time)) for one in each)
+
+
+def nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:
     """The nearer of two times, or None if both are farther from `time` than the tolerance.
 
     Of two equally near times returns the earlier one.

@@ -1,0 +1,122 @@
+"""Matches of recorded channels with a small memory equal those of channels that have everything in memory."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from stampede_rt_channel_host.core.archive import archived_read
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Position
+from stampede_rt_channel_host.core.group import FoundMatch, LocalTrack, Matcher
+from stampede_rt_channel_host.core.group.recorded_track import (
+    NotLoaded,
+    RecordedOwn,
+    RecordedTrack,
+    archived_item,
+    found_item,
+)
+from tests.property.archived_channel import ArchivedChannel
+from tests.property.test_archive_against_memory import tell
+
+SCENARIOS = 150
+OWN, OTHER, THIRD = b"", b"other", b"third"
+Match = tuple[object, ...]
+
+
+@pytest.fixture(autouse=True)
+def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows of one block or a few, and answers of a few windows."""
+    monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)
+    monkeypatch.setattr(archived_read, "WINDOW_BYTES", 300)
+    monkeypatch.setattr(archived_read, "ANSWER_BYTES", 12)
+
+
+class Pair:
+    """The same channels twice: in memory, and recorded with a small memory. Each has its matcher."""
+
+    def __init__(self, draw: random.Random) -> None:
+        told = {name: tell(draw) for name in (OWN, OTHER, THIRD)}
+        self.large: dict[bytes, ChannelCore] = {name: one[0] for name, one in told.items()}
+        self.small: dict[bytes, ArchivedChannel] = {name: one[1] for name, one in told.items()}
+        self.now = max(one[3] for one in told.values())
+        self.tolerance = draw.choice([0, 1, 3, 8, 50])
+        self.begin(Position(draw.randrange(-1, self.now + 1)), None, {} if draw.random() < 0.5 else None)
+
+    def begin(self, after: Position, next_seq: int | None, partners: dict[bytes, tuple[int, int]] | None) -> None:
+        """Begin, or continue, at a position."""
+        self.memory = Matcher(
+            self.large[OWN], {name: LocalTrack(self.large[name]) for name in (OTHER, THIRD)}, self.tolerance, self.now,
+            after, next_seq, partners,
+        )  # fmt: skip
+        small = {name: one.channel for name, one in self.small.items()}
+        tracks = {name: RecordedTrack(small[name], name) for name in (OTHER, THIRD)}
+        own = RecordedOwn(small[OWN], OWN)
+        self.archived = Matcher(small[OWN], tracks, self.tolerance, self.now, after, next_seq, partners, recorded=own)
+
+    def put(self, name: bytes, time: int) -> None:
+        offer = Offer(times=[time], durations=None, lengths=[3])
+        if self.small[name].put(offer, self.now).run is not None:
+            self.large[name].put(offer, self.now, lambda first_seq, kept, stamped: b"x")
+
+    def take_archived(self, most: int) -> list[Match]:
+        taken: list[Match] = []
+        for _ in range(10_000):
+            try:
+                found = self.archived.take(
+                    lambda member, instant: True, self.now, min(most - len(taken), 3), looks_max=4
+                )
+            except NotLoaded as missing:
+                self.small[missing.channel_id].load(missing.reads())
+                continue
+            taken += [shown(one, self.partner) for one in found]
+            if not found and not self.archived.has_more:
+                return taken
+        raise AssertionError("the matcher makes no progress")
+
+    def partner(self, member: bytes, time: int, seq: int) -> DeliveredSlice | None:
+        return found_item(self.small[member].performed(archived_item(time, seq)))
+
+
+def fail(member: bytes, time: int, seq: int) -> DeliveredSlice | None:
+    raise AssertionError("memory has the item")
+
+
+def shown(one: FoundMatch, partner: object) -> Match:
+    near = {
+        name: (two.time, two.seq, facts(partner(name, two.time, two.seq) if two.is_archived else two.item))  # type: ignore[operator]
+        for name, two in one.matched.items()
+    }
+    return facts(one.item), near, one.missing
+
+
+def facts(item: DeliveredSlice | None) -> Match:
+    assert item is not None
+    part = item.slice
+    assert part.items == 1
+    return part.first_time, part.first_seq, item.next_time
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_matches_over_archives_equal_those_of_memory_alone(seed: int) -> None:
+    draw = random.Random(seed)
+    pair = Pair(draw)
+    for _ in range(4):
+        most = draw.choice([0, 1, 3, 1000])
+        expected = pair.memory.take(lambda member, instant: True, pair.now, most)
+        assert pair.take_archived(most) == [shown(one, fail) for one in expected]
+        assert (pair.archived.unmatched, pair.archived.dropped) == (pair.memory.unmatched, pair.memory.dropped)
+        assert (pair.archived.position, pair.archived.next_seq) == (pair.memory.position, pair.memory.next_seq)
+        assert pair.archived.partners == pair.memory.partners
+        pair.now += draw.randrange(4)
+        for name in pair.small:
+            for _ in range(draw.randrange(4)):
+                pair.put(name, max(0, pair.now - draw.choice([0, 0, 0, 1, 2, 5])))
+            for matcher in (pair.archived, pair.memory):
+                matcher.take(lambda member, instant: True, pair.now, 0, credit_bytes=0)  # as at each change
+            if draw.random() < 0.5:
+                pair.small[name].archive()
+        if draw.random() < 0.3:
+            at = pair.memory
+            partners = dict(at.partners) if at._partners is not None else None
+            pair.begin(at.position, at.next_seq, partners)
