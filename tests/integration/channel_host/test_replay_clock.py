@@ -14,6 +14,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt._sync import earlier_pages
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.waiting import wait_until
 
@@ -45,7 +46,18 @@ def depth(rt: Any, found: list[object]) -> list[object]:
     return found
 
 
-def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) -> None:
+def surveyed(rt: Any, found: list[object]) -> list[object]:
+    """A consumer that reads through the group: at each match all frames of the last 25 ms before it."""
+    group = rt.group("stereo")
+    with group.match("eye/left", "4ms", partial=True) as matches:
+        found.append("open")
+        for matched in islice(matches, FRAMES):
+            shown = group.get(matched.time - 25 * MS, matched.time, bounds="[)", match="start")
+            found.append([[(one.payload, one.seq, one.time) for one in items] for items in shown.values()])
+    return found
+
+
+def film(left: st.Channel, right: st.Channel, began: int, *seen: list[object]) -> None:
     """Put the frames of both cameras: some of the right ones late, out of order, or never.
 
     Before the next frame, wait until the live consumer has `seen` all decided frames, so that it decides each early.
@@ -59,7 +71,7 @@ def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) ->
         if number % 7 != 6:
             right.put(b"right %d" % number, time=at + (number % 3) * MS)
             decided = number  # the frames before this one
-        wait_until(lambda decided=decided: len(seen) > decided)
+        wait_until(lambda decided=decided: all(len(one) > decided for one in seen))
     for channel in (left, right):
         channel.advance(began + SECOND)
 
@@ -67,16 +79,23 @@ def film(left: st.Channel, right: st.Channel, began: int, seen: list[object]) ->
 def test_ten_replays_at_three_speeds_give_a_consumer_the_same_as_live(rt: st.Connection) -> None:
     left, right = (rt.channel(f"eye/{side}", max_age="60s", archive="7d") for side in ("left", "right"))
     rt.group("stereo", [left, right])
-    start, live = left.stats().host_time, []
-    consumer = threading.Thread(target=depth, args=(rt, live))
-    consumer.start()
-    wait_until(lambda: live)
-    film(left, right, time.time_ns() - 2 * SECOND, live)
-    consumer.join(30)
-    assert len(live) == FRAMES + 2
+    start, live, surveyed_live = left.stats().host_time, [], []
+    consumers = [
+        threading.Thread(target=depth, args=(rt, live)),
+        threading.Thread(target=surveyed, args=(rt, surveyed_live)),
+    ]
+    for consumer in consumers:
+        consumer.start()
+    wait_until(lambda: live and surveyed_live)
+    film(left, right, time.time_ns() - 2 * SECOND, live, surveyed_live)
+    for consumer in consumers:
+        consumer.join(30)
+    assert (len(live), len(surveyed_live)) == (FRAMES + 2, FRAMES + 1)
     for speed in (0, 0, 0, 0, 0, 4.0, 4.0, 4.0, 1.0, 1.0):
         with rt.replay(start, speed=speed) as replay:
             assert depth(replay, []) == live
+        with rt.replay(start, speed=speed) as replay:
+            assert surveyed(replay, []) == surveyed_live
 
 
 def test_blocking_reads_move_the_clock_to_the_instant_of_their_answer(rt: st.Connection) -> None:
@@ -112,6 +131,29 @@ def test_a_subscription_gives_the_items_in_the_order_of_their_acceptance(rt: st.
         assert [item.payload for item in seen.get(st.OLDEST, st.NOW)] == [b"held", b"a", b"late", b"c", b"d"]
     with rt.replay(start, speed=0) as replay, replay.channel("clock/items").subscribe(start=began) as items:
         assert [item.payload for item in items] == [b"held", b"a", b"c", b"late", b"d"]
+
+
+def test_a_subscription_holds_few_of_many_earlier_pages(rt: st.Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+    channel, began = rt.channel("clock/earlier", max_items=5, archive="7d"), st.now() - SECOND
+    times = [at + 7 * (at % 11 == 3) for at in range(300)]  # some come early, and two may have one time
+    for number, at in enumerate(times):
+        channel.put(b"%d" % number, time=began + at * MS)
+    start = channel.stats().host_time
+    channel.put(b"later", time=began + 400 * MS)
+    for name, least in (("KEYS_PER_PAGE", 64), ("PAGE_ITEMS_MAX", 32)):
+        monkeypatch.setattr(earlier_pages, name, least)
+    with rt.replay(start, speed=0) as replay, replay.channel("clock/earlier").subscribe(start=began) as items:
+        accepted = [item.payload for item in channel.get(st.OLDEST, st.NOW)]
+        found = [(item.payload, len(items._ready)) for item in items]
+    assert [payload for payload, _ in found] == [*sorted(accepted[:-1], key=int), b"later"]
+    assert max(waiting for _, waiting in found) < 32
+    monkeypatch.setattr(earlier_pages, "KEYS_MAX", 200)
+    with (
+        rt.replay(start, speed=0) as replay,
+        replay.channel("clock/earlier").subscribe(start=began) as items,
+        pytest.raises(st.Overloaded, match="later start="),
+    ):
+        next(items)
 
 
 def test_a_clock_of_steps_moves_only_by_steps(rt: st.Connection) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Awaitable, Callable, Sequence
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
@@ -13,19 +14,24 @@ from stampede_rt._async.replayed_channel import ReplayedChannel
 from stampede_rt._async.replayed_matches import ReplayedMatches
 from stampede_rt._async.session import Session
 from stampede_rt._async.virtual_clock import VirtualClock
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import AheadOfClock, InvalidArgument
 from stampede_rt.values.codecs import CodecLike
 from stampede_rt.values.grouping import (
+    ByChannel,
     CrossSection,
     NamedChannel,
+    NewestItems,
     Over,
     is_named_by,
     parse_lateness,
     parse_tolerance,
     shown_name,
 )
+from stampede_rt.values.model import Items
 from stampede_rt.values.policy import flag_of
 from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
+
+Result = TypeVar("Result")
 
 
 class Opener(Protocol):
@@ -99,7 +105,7 @@ class ReplayedConnection:
     async def group(self, name: str, *_: object, **__: object) -> ReplayedGroup:
         """Get a group by its name, with its present members. Ignores the other arguments. Raises GroupNotFound."""
         group = await self._connection.group(name)
-        return ReplayedGroup(group.name, [self._replayed(one) for one in group.channels], self._clock)
+        return ReplayedGroup(group, [self._replayed(one) for one in group.channels], self._clock)
 
     async def cross_section(
         self,
@@ -115,13 +121,25 @@ class ReplayedConnection:
 
 
 class ReplayedGroup:
-    """A group under a virtual clock. It matches the items of its channels; it does not show them up to a cut."""
+    """A group under a virtual clock. It matches the items of its channels, and reads them up to the cut of the clock's
+    instant. It has no descriptors and no cut events.
+    """
 
-    def __init__(self, name: str, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
-        self.name = name
+    def __init__(self, group: Group, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
+        self._group = group
+        self.name = group.name
         self.channels = tuple(channels)
         """The members, in the order in which they joined."""
         self._clock = clock
+
+    async def get(self, start: BoundLike, end: BoundLike, **how: Any) -> ByChannel[Channel, Items]:
+        """Return for each member the items in an interval, at the cut of the clock's instant (see `Group.get`)."""
+        read = functools.partial(self._group.get, start, end, **how)
+        return await as_of_clock(lambda instant: read(as_of=instant), self._clock)
+
+    async def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
+        """Return the newest visible item of each member, at the cut of the clock's instant (see `Group.newest`)."""
+        return await as_of_clock(lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock)
 
     def match(
         self,
@@ -150,3 +168,11 @@ class ReplayedGroup:
             partial=flag_of("partial", partial),
             payloads=flag_of("payloads", payloads),
         )
+
+
+async def as_of_clock(read: Callable[[int], Awaitable[Result]], clock: VirtualClock) -> Result:
+    """Return the answer as of the clock's instant, or as of the host's clock if that is earlier."""
+    try:
+        return await read(clock.now)
+    except AheadOfClock as error:  # a wait has moved the replay's clock ahead of the host's
+        return await read(int(error.metadata["host_time_unix_nano"]))

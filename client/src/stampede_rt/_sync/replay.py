@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
@@ -14,19 +15,24 @@ from stampede_rt._sync.replayed_channel import ReplayedChannel
 from stampede_rt._sync.replayed_matches import ReplayedMatches
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.virtual_clock import VirtualClock
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import AheadOfClock, InvalidArgument
 from stampede_rt.values.codecs import CodecLike
 from stampede_rt.values.grouping import (
+    ByChannel,
     CrossSection,
     NamedChannel,
+    NewestItems,
     Over,
     is_named_by,
     parse_lateness,
     parse_tolerance,
     shown_name,
 )
+from stampede_rt.values.model import Items
 from stampede_rt.values.policy import flag_of
 from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
+
+Result = TypeVar("Result")
 
 
 class Opener(Protocol):
@@ -100,7 +106,7 @@ class ReplayedConnection:
     def group(self, name: str, *_: object, **__: object) -> ReplayedGroup:
         """Get a group by its name, with its present members. Ignores the other arguments. Raises GroupNotFound."""
         group = self._connection.group(name)
-        return ReplayedGroup(group.name, [self._replayed(one) for one in group.channels], self._clock)
+        return ReplayedGroup(group, [self._replayed(one) for one in group.channels], self._clock)
 
     def cross_section(
         self,
@@ -116,13 +122,25 @@ class ReplayedConnection:
 
 
 class ReplayedGroup:
-    """A group under a virtual clock. It matches the items of its channels; it does not show them up to a cut."""
+    """A group under a virtual clock. It matches the items of its channels, and reads them up to the cut of the clock's
+    instant. It has no descriptors and no cut events.
+    """
 
-    def __init__(self, name: str, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
-        self.name = name
+    def __init__(self, group: Group, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
+        self._group = group
+        self.name = group.name
         self.channels = tuple(channels)
         """The members, in the order in which they joined."""
         self._clock = clock
+
+    def get(self, start: BoundLike, end: BoundLike, **how: Any) -> ByChannel[Channel, Items]:
+        """Return for each member the items in an interval, at the cut of the clock's instant (see `Group.get`)."""
+        read = functools.partial(self._group.get, start, end, **how)
+        return as_of_clock(lambda instant: read(as_of=instant), self._clock)
+
+    def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
+        """Return the newest visible item of each member, at the cut of the clock's instant (see `Group.newest`)."""
+        return as_of_clock(lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock)
 
     def match(
         self,
@@ -137,6 +155,8 @@ class ReplayedGroup:
         """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
         if _.get("unique"):
             raise InvalidArgument("a replay does not match with unique=True; leave it out")
+        if _.get("start") is not None:
+            raise InvalidArgument("a replay matches from the instant of its clock on; leave start= out")
         found = next((one for one in self.channels if is_named_by(per, one)), None)
         if found is None:
             raise InvalidArgument(f"{shown_name(per)!r} is not a member of the group {self.name!r}")
@@ -149,3 +169,11 @@ class ReplayedGroup:
             partial=flag_of("partial", partial),
             payloads=flag_of("payloads", payloads),
         )
+
+
+def as_of_clock(read: Callable[[int], Result], clock: VirtualClock) -> Result:
+    """Return the answer as of the clock's instant, or as of the host's clock if that is earlier."""
+    try:
+        return read(clock.now)
+    except AheadOfClock as error:  # a wait has moved the replay's clock ahead of the host's
+        return read(int(error.metadata["host_time_unix_nano"]))

@@ -178,7 +178,7 @@ class RecordedOwn(RecordedTrack):
         read = yield replace(_up_to(low[0], floor), after=after)
         answer, self._page = read.answer(), ChannelIndex()
         self.lacked += read.lacks
-        runs = {part.run.first_seq: part.run for part in answer.slices}
+        runs = {part.run.first_seq: part.run for part in answer.slices if split_at(part, floor)[0].items}
         for first_seq in sorted(runs):
             self._page.insert(runs[first_seq])
         self._begin, self._page_end, self._following = low, floor, None

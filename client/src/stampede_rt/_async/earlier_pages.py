@@ -1,0 +1,74 @@
+"""The items that a recorded channel had at an instant, in the order of their acceptance, a few at a time."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.reading import ReadQuery
+from stampede_rt.values.timeline import Match, fixed, parse_interval
+
+ReadAsOf = Callable[[ReadQuery, int], Awaitable[Items]]
+
+KEYS_MAX = 2**20
+"""The most items. For each the reader holds its time and its seq: 50 MB at most."""
+KEYS_PER_PAGE = 2**13
+PAGE_BYTES = 4 * 2**20
+PAGE_ITEMS_FIRST, PAGE_ITEMS_MAX = 16, 1024
+
+
+class EarlierPages:
+    """The items of `query` as of an instant. Holds their keys, and one page of items.
+
+    A page has items that lie side by side in time, so that a read finds them without others.
+    """
+
+    def __init__(self, name: str, read_as_of: ReadAsOf, query: ReadQuery, as_of: int) -> None:
+        self._name, self._read_as_of, self._query, self._as_of = name, read_as_of, query, as_of
+        self._times, self._seqs = array("q"), array("Q")  # in the order of time
+        self._order: list[int] = []  # places in these columns, in the order of acceptance
+        self._at = 0
+        self._page_items = PAGE_ITEMS_FIRST
+
+    async def begin(self) -> PastState | None:
+        """Find the items. Returns the facts about the channel of then. Raises Overloaded beyond KEYS_MAX."""
+        query = replace(self._query, payloads=False, limit=KEYS_PER_PAGE)
+        while True:
+            page = await self._read_as_of(query, self._as_of)
+            self._times.extend(page.times)
+            self._seqs.extend(page.seqs)
+            if len(self._times) > KEYS_MAX:
+                raise Overloaded(
+                    f"channel {self._name!r} had more than {KEYS_MAX} items from the start of the subscription "
+                    "on when the replay began; subscribe with a later start=, or replay from an earlier instant"
+                )
+            if not page.more:
+                self._order = sorted(range(len(self._seqs)), key=self._seqs.__getitem__)
+                return page.past
+            query = replace(query, interval=fixed(query.interval, page.interval), after=page[-1])
+
+    async def take(self) -> list[Item]:
+        """Return the next items; none after the last one."""
+        places = self._next_places()
+        if not places:
+            return []
+        window = parse_interval(self._times[places[0]], self._times[places[-1]])
+        query = ReadQuery(window, match=Match.START, payloads=self._query.payloads)
+        wanted = {self._seqs[place] for place in places}
+        found = await self._read_as_of(query, self._as_of)
+        items = [one for one in found if one.seq in wanted]
+        mean_bytes = 1 + sum(len(one.payload or b"") for one in items) // max(1, len(items))
+        self._page_items = max(1, min(PAGE_ITEMS_MAX, PAGE_BYTES // mean_bytes))
+        return sorted(items, key=lambda one: one.seq)
+
+    def _next_places(self) -> list[int]:
+        """The places of the next items as long as each is beside the one before."""
+        order, first = self._order, self._at
+        while self._at < len(order) and self._at - first < self._page_items:
+            if self._at > first and order[self._at] != order[self._at - 1] + 1:
+                break
+            self._at += 1
+        return order[first : self._at]
