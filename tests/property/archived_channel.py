@@ -211,9 +211,27 @@ class ArchivedChannel:
                 return joined(answers, down=query.newest_first)
             left = rest_of(left, view.answer)
 
+    def past(self, as_of: int) -> archive.Past:
+        """The archive as of an earlier instant."""
+        return archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
+
+    def read_in_group_as_of(self, query: Query, horizon: Horizon, as_of: int) -> ReadAnswer:
+        """The answer before a cut as of an earlier instant, in as many requests as a host would need."""
+        past, within, left, answers = self.past(as_of), None, query, []
+        facts = PastFacts(self.channel.policy, self.channel.incarnation, past.advance, None, None)
+        while True:
+            span = span_of(past.segments)
+            view = RecordedView(archive.past_moment(facts, past, span, as_of), span, left, horizon)
+            for read in view.reads(within):
+                self._perform(read, past.segments, past.blocks_of(self._blocks_of))
+            answers.append(view.answer)
+            if not view.continues:
+                return joined(answers, down=query.newest_first)
+            within, left = view.within, rest_of(left, view.answer)
+
     def read_as_of(self, query: Query, as_of: int) -> ReadAnswer:
         """The answer as of an earlier instant, in as many requests as a host would need."""
-        past = archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
+        past = self.past(as_of)
         facts = PastFacts(self.channel.policy, self.channel.incarnation, past.advance, None, None)
         moment = archive.past_moment(facts, past, span_of(past.segments), as_of)
         return self._read(query, moment, past.segments, past.blocks_of(self._blocks_of))

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.earlier_pages import EarlierPages
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.virtual_clock import VirtualClock
@@ -159,12 +160,15 @@ class ReplayedSubscription:
     """An iterator over the items of a replayed channel, in the order of their acceptance. A context manager.
 
     Each step moves the clock to the instant at which the host accepted the item. The iteration ends with the replay.
+    Raises Overloaded for a `start` with too many earlier items.
     """
 
     def __init__(
         self, channel: ReplayedChannel, clock: VirtualClock, held: ReadQuery, *, holds: bool, payloads: bool
     ) -> None:
-        self._channel, self._clock, self._held, self._holds, self._payloads = channel, clock, held, holds, payloads
+        self._channel, self._clock, self._payloads = channel, clock, payloads
+        self._newest = None if holds else held
+        self._earlier = EarlierPages(channel.name, channel.read_as_of, held, clock.now) if holds else None
         self._begun_at = clock.now
         self._ready: deque[tuple[int, Item]] = deque()
         self._feed: ChangeFeed | None = None
@@ -196,9 +200,10 @@ class ReplayedSubscription:
     def _fetch(self) -> bool:
         """Fetch the next items. Return False at the end of the replay."""
         if self._feed is None:
-            found = self._channel.read_as_of(self._held, self._begun_at)
-            self._feed = ChangeFeed(self._channel, found.past, payloads=self._payloads)
-            held = sorted(found, key=lambda one: one.seq) if self._holds else []
+            self._feed = ChangeFeed(self._channel, self._begin(), payloads=self._payloads)
+        if self._earlier is not None:
+            held = self._earlier.take()
+            self._earlier = self._earlier if held else None
             self._ready.extend((self._begun_at, one) for one in held)
             return True
         instant = self._feed.next_change
@@ -206,6 +211,13 @@ class ReplayedSubscription:
             return False
         self._ready.extend([(instant, one) for one in self._feed.take()])
         return True
+
+    def _begin(self) -> PastState | None:
+        """Return the facts about the channel at the instant at which the subscription begins."""
+        if self._earlier is not None:
+            return self._earlier.begin()
+        assert self._newest is not None, "without earlier items the query asks for the newest one"
+        return (self._channel.read_as_of(self._newest, self._begun_at)).past
 
     def close(self) -> None:
         """End the iteration."""
