@@ -64,7 +64,7 @@ fuzz-parsers: setup  ## all parsers of bytes from outside, guided by coverage (a
 	$(UV) sync --quiet --frozen --python $(PYTHON) --group fuzz
 	$(RUN)/python -m tests.robustness.fuzz.parsers --guided --inputs 10000000 --seconds $${STAMPEDE_FUZZ_SECONDS:-60}
 
-fuzz-ports: setup  ## all RPCs of a host, a supernode and a front-end, a million requests each
+fuzz-ports: setup  ## all RPCs of a host, its TCP port, a supernode and a front-end, a million requests each
 	$(RUN)/python -m tests.robustness.fuzz.ports --inputs $${STAMPEDE_FUZZ_INPUTS:-1000000} --seed $${STAMPEDE_FUZZ_SEED:-1}
 
 race-rings: setup  ## readers and the writer of a ring in shared memory at the same time, for 5 minutes, each payload with a checksum

@@ -8,7 +8,9 @@ import random
 import socket
 import struct
 import threading
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Mapping
+from contextlib import AsyncExitStack
+from functools import partial
 from typing import Literal
 
 CHUNK_BYTES = 64 * 1024
@@ -17,16 +19,15 @@ CUTS: tuple[Cut, ...] = ("reset", "close", "half")
 
 
 class CuttingRelay:
-    """Forwards every connection from `port` to `to_port`, on a separate thread. A context manager.
+    """Forwards every connection from the ports to their targets, on a separate thread. A context manager.
 
-    Any thread may call `cut`. "reset" ends all connections with RST, "close" with FIN. "half" forwards a part of the
-    next chunk, so that a frame is incomplete, and then resets. While `refuses` is True, the relay resets new
-    connections at once.
+    `targets`: the host and port behind each port. Any thread may call `cut`. "reset" ends all connections with RST,
+    "close" with FIN. "half" forwards a part of the next chunk, so that a frame is incomplete, and then resets. While
+    `refuses` is True, the relay resets new connections at once.
     """
 
-    def __init__(self, port: int, to_port: int, seed: int = 0) -> None:
-        self._port = port
-        self._to_port = to_port
+    def __init__(self, targets: Mapping[int, tuple[str, int]], seed: int = 0) -> None:
+        self._targets = targets
         self._random_source = random.Random(seed)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
@@ -72,18 +73,21 @@ class CuttingRelay:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
-        async with await asyncio.start_server(self._pass, "localhost", self._port):
+        async with AsyncExitStack() as stack:
+            for port, target in self._targets.items():
+                server = await asyncio.start_server(partial(self._pass, target), "localhost", port)
+                await stack.enter_async_context(server)
             self._ready.set()
             await self._stopped.wait()
             self._cut("close")
 
-    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _pass(self, target: tuple[str, int], reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
         if self.refuses:
             self._end(writer, reset=True)
             return
         try:
-            far_reader, far_writer = await asyncio.open_connection("localhost", self._to_port)
+            far_reader, far_writer = await asyncio.open_connection(*target)
         except OSError:
             self._end(writer, reset=True)
             return

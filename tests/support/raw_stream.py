@@ -94,11 +94,14 @@ class RawStream:
 
 
 @asynccontextmanager
-async def raw_stream(target: str) -> AsyncIterator[RawStream]:
-    """Yield a new connection to "unix:PATH", or to "tcp:HOST:PORT" after the greeting, with the TLS of SECURED."""
+async def raw_stream(target: str, tls: ssl.SSLContext | None = None) -> AsyncIterator[RawStream]:
+    """Yield a new connection to "unix:PATH", or to "tcp:HOST:PORT" after the greeting.
+
+    `tls`: of a TCP connection; None: that of SECURED.
+    """
     if target.startswith("tcp:"):
         host, _, port = target.removeprefix("tcp:").rpartition(":")
-        reader, writer = await asyncio.open_connection(host, int(port), ssl=SECURED.get(target))
+        reader, writer = await asyncio.open_connection(host, int(port), ssl=tls or SECURED.get(target))
     else:
         reader, writer = await asyncio.open_unix_connection(target.removeprefix("unix:"))
     stream = RawStream(reader, writer)

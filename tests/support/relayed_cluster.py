@@ -18,6 +18,7 @@ PAUSE_S_MAX = 0.25  # between cuts
 REFUSES_SHARE = 0.1  # the share of cuts after which no connection succeeds for a while
 READY_S = 40.0
 HOST_NAME = "relayed"
+INNER = "127.0.0.2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +49,13 @@ class RelayedCluster:
 def running_relayed_cluster() -> Iterator[RelayedCluster]:
     """Yield the cluster and its relay. Both have ended after the block."""
     with running_cluster(hosts=0, supernodes=1) as cluster:
-        port, inner_port = free_ports(2)
-        arguments = ("--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", HOST_NAME)
+        # the host listens at another address, because the relay must have its port for sockets
+        port, inner_port, data_port = free_ports(3)
+        arguments = ("--listen", f"{INNER}:{inner_port}", "--advertise", f"localhost:{port}", "--name", HOST_NAME)
+        arguments += ("--data-port", str(data_port))
         access = ("--frontend", cluster.address, "--secret-file", str(cluster.secret_file))
         host = ServiceProcess("relayed host", "stampede_rt_channel_host", [*arguments, *access])
-        with CuttingRelay(port, inner_port) as relay:
+        with CuttingRelay({port: (INNER, inner_port), data_port: (INNER, data_port)}) as relay:
             try:
                 host.start()
                 host.wait_ready(READY_S)

@@ -110,7 +110,7 @@ def test_a_proxy_goes_on_over_a_link_that_is_cut(tmp_path: Any) -> None:
         words = ["--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", "relayed"]
         words += ["--frontend", cluster.address, "--secret-file", str(cluster.secret_file)]
         owner = ServiceProcess("relayed host", "stampede_rt_channel_host", words)
-        with CuttingRelay(port, inner_port) as relay:
+        with CuttingRelay({port: ("localhost", inner_port)}) as relay:
             owner.start()
             try:
                 owner.wait_ready(READY_S)

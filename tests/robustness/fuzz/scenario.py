@@ -22,6 +22,7 @@ from tests.robustness.fuzz.calling import BOUND_S, Calling
 from tests.robustness.fuzz.ledger import Ledger
 from tests.support.relayed_cluster import RelayedCluster
 
+TRANSPORTS = ("grpc", "best", "tcp")
 THREADS = 40
 END_S = 10.0
 
@@ -66,8 +67,8 @@ class Scenario:
         return self._callings[-1]
 
     async def _connect(self, calling: Calling) -> Any:
-        """Connect the scenario's client. Even seeds use gRPC, because the relay can cut only gRPC connections."""
-        transport = "best" if self._seed % 2 else "grpc"
+        """Connect the scenario's client. The relay cuts connections of gRPC and of TCP sockets, and no Unix socket."""
+        transport = TRANSPORTS[self._seed % len(TRANSPORTS)]
         return await calling.plain(
             aio.connect if calling.is_async else st.connect, self._world.address, transport=transport
         )

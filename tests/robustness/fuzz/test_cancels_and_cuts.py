@@ -15,8 +15,8 @@ import pytest
 from tests.robustness.fuzz.scenario import Scenario
 from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
-SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "2"))
-SCENARIOS = int(os.environ.get("STAMPEDE_FUZZ_SCENARIOS", "1"))
+SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "1"))
+SCENARIOS = int(os.environ.get("STAMPEDE_FUZZ_SCENARIOS", "2"))
 FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import resource
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,12 +14,16 @@ from typing import Any
 import grpc
 
 import stampede_rt as st
-from stampede_rt.security.tls import CLIENT_VARIABLES
+from stampede_rt.security.tls import CLIENT_VARIABLES, TlsReader
+from stampede_rt.security.tls_contexts import client_context
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.values import parse_address
 from tests.robustness.fuzz.ports.hostile_caller import Metadata
+from tests.robustness.fuzz.ports.methods import DATA_PORT
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
+from tests.robustness.fuzz.ports.socket_calls import SocketPort
 from tests.robustness.processor_waits import ProcessorWaits
 
 LEASE_LOST = "the lease has ended"
@@ -44,6 +48,7 @@ class FuzzedCluster:
             on_exit=self._ended,
             log_level="warning",
             archive=archive,
+            data_ports=True,
         )
         self.processes.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
         self._tls, self._stopping = tls, False
@@ -63,11 +68,22 @@ class FuzzedCluster:
         ca, certificate, key = (path.read_bytes() for path in files.paths())
         return grpc.aio.secure_channel(address, grpc.ssl_channel_credentials(ca, key, certificate), options=OPTIONS)
 
+    def socket(self, targets: Sequence[str], role: Role) -> SocketPort | None:
+        """The socket for callers of that role, of those of the host; None: they use gRPC alone."""
+        unix, tcp = (next((one for one in targets if one.startswith(kind)), "") for kind in ("unix:", "tcp:"))
+        if self.outcome.port == DATA_PORT:
+            host, files = parse_address(self.target.address).host, self.processes.tls_files(NAMES[role], role)
+            tls = None if files is None else client_context(TlsReader(files).current())
+            return SocketPort(f"tcp:{host}:{tcp.removeprefix('tcp:')}", tls)
+        return SocketPort(unix, percent=50) if unix and not self._tls else None
+
     def connect(self) -> Any:
         """Connect as a client with all rights, because hostile operators make rules of access."""
-        if self._tls:
-            return st.aio.connect(self.processes.address, tls=self.processes.tls_files("good", Role.OPERATOR))
-        return st.aio.connect(self.processes.address, secret=self.processes.secret.text)
+        transport = "tcp" if self.outcome.port == DATA_PORT else "best"
+        address, files = self.processes.address, self.processes.tls_files("good", Role.OPERATOR)
+        if files is not None:
+            return st.aio.connect(address, tls=files, transport=transport)
+        return st.aio.connect(address, secret=self.processes.secret.text, transport=transport)
 
     def environment(self) -> dict[str, str]:
         """For the command line."""
@@ -87,7 +103,8 @@ class FuzzedCluster:
     def target(self) -> ServiceProcess:
         """The process behind the port."""
         one = self.processes
-        return {"host": one.hosts, "supernode": one.supernodes, "frontend": one.frontends}[self.outcome.port][0]
+        parts = {"supernode": one.supernodes, "frontend": one.frontends}
+        return parts.get(self.outcome.port, one.hosts)[0]
 
     def memory_mib(self) -> float:
         """Resident now."""

@@ -15,7 +15,7 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, drawn_request, drawn_stream
 from tests.robustness.fuzz.ports.methods import Method
 from tests.robustness.fuzz.ports.outcome import BROKEN, Finding, Outcome
-from tests.robustness.fuzz.ports.socket_calls import called_over_socket
+from tests.robustness.fuzz.ports.socket_calls import SocketPort, called_over_socket
 
 DRAWN_BYTES = 1500
 STREAM_SECONDS = 0.05
@@ -40,8 +40,8 @@ class HostileCaller:
         self._credential = credential
         self._outcome = outcome
         self._random_source = random.Random(seed)
-        self.socket = ""
-        """The path of the port's Unix socket, to which half of the streams go. Empty if the port has no such socket."""
+        self.socket: SocketPort | None = None
+        """The socket of the port; None: it has none."""
 
     async def play(self, channel: grpc.aio.Channel) -> None:
         """Make one call."""
@@ -49,7 +49,7 @@ class HostileCaller:
         method = source.choice(self._methods)
         metadata = self._metadata(source)
         requests = self._requests(source, method)
-        if self.socket and method.takes_stream and source.chance(50):
+        if self.socket is not None and method.takes_stream and source.chance(self.socket.percent):
             call = called_over_socket(self.socket, method.path, requests, metadata, source, STREAM_SECONDS)
             code, details = await call
         else:

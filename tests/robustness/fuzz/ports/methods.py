@@ -11,7 +11,9 @@ from google.protobuf.message_factory import GetMessageClass
 
 from stampede_rt import v1
 
-PORTS = ("host", "supernode", "frontend")
+DATA_PORT = "data"
+"""The TCP port of a host for streams. The port "host" has its gRPC port and its Unix socket."""
+PORTS = ("host", DATA_PORT, "supernode", "frontend")
 _HOST = ("ChannelService", "GatekeeperService", "GroupService", "QueueService", "MigrationService", "ReplicaService")
 _FRONTEND = ("FrontendService",)
 _SELDOM = ("/Delete", "/Drop", "/Deregister", "/Remove", "/AddAccessRule", "Migration", ".ReplicaService")
@@ -50,8 +52,9 @@ def methods_of(port: str) -> list[Method]:
         for name in sorted(module.name for module in pkgutil.iter_modules(v1.__path__))
         if name.endswith("_service_pb2")
         for service in importlib.import_module(f"{v1.__name__}.{name}").DESCRIPTOR.services_by_name.values()
-        if _port_of(service.name) == port
+        if _port_of(service.name) == ("host" if port == DATA_PORT else port)
         for method in service.methods
+        if port != DATA_PORT or (method.client_streaming and method.server_streaming)
     ]
 
 

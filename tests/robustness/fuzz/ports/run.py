@@ -16,9 +16,9 @@ from tests.robustness.fuzz.messages import KnownValues
 from tests.robustness.fuzz.ports.cluster import FuzzedCluster, fuzzed_cluster
 from tests.robustness.fuzz.ports.command_line import check_commands
 from tests.robustness.fuzz.ports.hostile_caller import HostileCaller
-from tests.robustness.fuzz.ports.methods import methods_of
+from tests.robustness.fuzz.ports.methods import DATA_PORT, methods_of
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
-from tests.robustness.fuzz.ports.socket_calls import socket_target
+from tests.robustness.fuzz.ports.socket_calls import socket_targets
 from tests.robustness.fuzz.ports.target_objects import first_known, keep_targets
 
 GOOD = "good"
@@ -83,12 +83,13 @@ async def _attack(
     outcome, began = cluster.outcome, time.monotonic()
     methods = methods_of(outcome.port)
     channels = [cluster.channel(cluster.target.address, role) for role in ROLES]
-    has_socket = outcome.port == "host" and bool(cluster.metadata)
-    socket = await socket_target(channels[0], cluster.metadata) if has_socket else ""
+    is_host = outcome.port in ("host", DATA_PORT)
+    targets = await socket_targets(channels[0], cluster.metadata) if is_host else []
+    sockets = [cluster.socket(targets, role) for role in ROLES]
 
     async def calls(number: int) -> None:
         caller = HostileCaller(methods, known, cluster.metadata, outcome, seed=f"{outcome.seed}/{number}")
-        caller.socket = socket
+        caller.socket = sockets[number % len(sockets)]
         while outcome.inputs < inputs and time.monotonic() - began < seconds and cluster.target.alive:
             await caller.play(channels[number % len(channels)])
             outcome.seconds = time.monotonic() - began

@@ -1,10 +1,12 @@
-"""Streams over the Unix socket of a host, whose frames are damaged now and then."""
+"""Streams over the Unix socket and the TCP port of a host, whose frames are damaged now and then."""
 
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AsyncExitStack, suppress
+from typing import NamedTuple
 
 import grpc
 
@@ -14,23 +16,39 @@ from stampede_rt.v1 import rpc_status_pb2, socket_stream_pb2
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, frame_of
 from tests.robustness.fuzz.drawing import ByteSource
-from tests.support.raw_stream import raw_stream
+from tests.support.raw_stream import RawStream, raw_stream
 
 DAMAGED_PERCENT = 30
+NO_TLS_PERCENT = 10  # of the streams to a port with TLS
+CONNECT_SECONDS = 20.0  # a host takes 300 handshakes a second at most, and hundreds may wait
 NO_STATUS = (grpc.StatusCode.CANCELLED, "the connection ended without a status")
 _CODES = {code.value[0]: code for code in grpc.StatusCode}
 
 
-async def socket_target(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> str:
-    """Ask the gatekeeper of a host for its Unix socket."""
+class SocketPort(NamedTuple):
+    """A socket of a host, and the TLS of its connections."""
+
+    target: str
+    tls: ssl.SSLContext | None = None
+    percent: int = 100
+    """The share of the streams that go there. The others go over gRPC."""
+
+
+async def socket_targets(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> list[str]:
+    """Ask the gatekeeper of a host for its sockets. Each is "unix:PATH" or "tcp:PORT"."""
     stub = GatekeeperServiceStub(channel)
     request = pb.ListDataEndpointsRequest(machine=this_machine())
     response = await stub.ListDataEndpoints(request, metadata=metadata)  # type: ignore[misc]
-    return str(response.endpoints[0].target)
+    return list(dict.fromkeys(one.target for one in response.endpoints))
+
+
+async def socket_target(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> str:
+    """Ask the gatekeeper of a host for its Unix socket."""
+    return (await socket_targets(channel, metadata))[0]
 
 
 async def called_over_socket(
-    target: str,
+    port: SocketPort,
     path: str,
     requests: Sequence[bytes],
     metadata: tuple[tuple[str, str], ...],
@@ -38,16 +56,40 @@ async def called_over_socket(
     seconds: float,
 ) -> tuple[grpc.StatusCode, str]:
     """Return the status; CANCELLED if none comes within `seconds`, as after damage that asks for more bytes."""
+    frames = _damaged(_frames(path, requests, metadata), source)
+    if port.tls is not None and source.chance(NO_TLS_PERCENT):
+        return await _sent_without_tls(port.target, frames, seconds)
     try:
-        async with asyncio.timeout(seconds), raw_stream(target) as stream:
-            with suppress(ConnectionError):  # the host may have ended the stream
-                await stream.send_bytes(_damaged(_frames(path, requests, metadata), source))
-            while (frame := await stream.frame()) is not None:
-                if frame[0] == FrameKind.STATUS:
-                    return _status(frame[1])
-            return NO_STATUS
+        async with AsyncExitStack() as stack:
+            async with asyncio.timeout(CONNECT_SECONDS):
+                stream = await stack.enter_async_context(raw_stream(port.target, port.tls))
+            async with asyncio.timeout(seconds):
+                with suppress(ConnectionError):  # the host may have ended the stream
+                    await stream.send_bytes(frames)
+                return await _status_of(stream)
     except (TimeoutError, OSError):
         return grpc.StatusCode.CANCELLED, "by the caller"
+
+
+async def _status_of(stream: RawStream) -> tuple[grpc.StatusCode, str]:
+    while (frame := await stream.frame()) is not None:
+        if frame[0] == FrameKind.STATUS:
+            return _status(frame[1])
+    return NO_STATUS
+
+
+async def _sent_without_tls(target: str, data: bytes, seconds: float) -> tuple[grpc.StatusCode, str]:
+    """Send bytes that are no handshake to a port with TLS."""
+    host, _, port = target.removeprefix("tcp:").rpartition(":")
+    with suppress(TimeoutError, OSError):
+        async with asyncio.timeout(CONNECT_SECONDS):
+            reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(data)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await reader.read()
+        writer.transport.abort()
+    return grpc.StatusCode.CANCELLED, "by the caller"
 
 
 def _status(body: bytes) -> tuple[grpc.StatusCode, str]:

@@ -7,8 +7,8 @@ import pytest
 from tests.robustness.fuzz.ports.methods import PORTS
 from tests.robustness.fuzz.ports.run import run
 
-INPUTS = {"host": 4000, "supernode": 3000, "frontend": 1000}
-WITH_CERTIFICATES = ("frontend",)  # the others bring the secret here; `--tls` has all bring certificates
+INPUTS = {"host": 4000, "data": 2000, "supernode": 2000, "frontend": 1000}
+WITH_CERTIFICATES = ("data", "frontend")  # the others bring the secret here; `--tls` has all bring certificates
 
 
 @pytest.mark.parametrize("port", PORTS)
