@@ -119,10 +119,21 @@ async def test_the_loop_takes_a_few_steps_of_handshakes_and_then_pauses(monkeypa
     steps, taken = tls_stream.HandshakeSteps(), list[int]()
     monkeypatch.setattr(tls_stream, "PAUSE_SECONDS", 3600.0)
     for number in range(10):
-        steps.add(lambda number=number: taken.append(number))  # type: ignore[misc]
+        steps.add("10.0.0.3", lambda number=number: taken.append(number))  # type: ignore[misc]
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     assert taken == list(range(tls_stream.STEPS_AT_ONCE))
+
+
+async def test_a_machine_with_many_handshakes_delays_that_of_another_by_one_step_only() -> None:
+    steps, taken = tls_stream.HandshakeSteps(), list[str]()
+    for number in range(10):
+        steps.add("10.0.0.3", lambda number=number: taken.append(f"flood {number}"))  # type: ignore[misc]
+    for machine in ("10.0.0.4", "10.0.0.5"):
+        steps.add(machine, lambda machine=machine: taken.append(machine))  # type: ignore[misc]
+    await until(lambda: len(taken) == 12)
+    assert taken[:4] == ["flood 0", "10.0.0.4", "10.0.0.5", "flood 1"]
+    assert taken[4:] == [f"flood {number}" for number in range(2, 10)]
 
 
 async def test_the_port_uses_renewed_certificates(port: Open) -> None:

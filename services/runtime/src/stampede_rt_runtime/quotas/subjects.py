@@ -18,7 +18,7 @@ def subject_of(caller: Caller, peer: str) -> str | None:
     """
     if caller.kind in _NAMED:
         return caller.name if caller.is_judged else None
-    return "@" + _address(peer)
+    return "@" + machine_of(peer)
 
 
 def creator_of(caller: Caller) -> str | None:
@@ -29,7 +29,8 @@ def creator_of(caller: Caller) -> str | None:
     return None if caller.kind in _NAMED and not caller.is_judged else caller.name
 
 
-def _address(peer: str) -> str:
+def machine_of(peer: str) -> str:
+    """The machine of the other side, which is in gRPC's form."""
     kind, _, rest = peer.partition(":")
     if kind not in ("ipv4", "ipv6"):
         return "localhost" if kind == "unix" else kind or "unknown"

@@ -35,6 +35,7 @@ from stampede_rt_runtime.sockets.tcp_socket import peer_of
 from stampede_rt_runtime.sockets.tickets import SocketTickets
 from stampede_rt_runtime.sockets.tls_stream import HandshakeSteps, TlsStream
 from stampede_rt_runtime.sockets.unix_socket import listen_at_new_path
+from stampede_rt_runtime.sockets.unopened import UnopenedStreams
 
 logger = logging.getLogger(__name__)
 
@@ -82,7 +83,8 @@ class SocketServer:
         self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
         # Connections without an opening. Those over TCP count apart: other machines must not keep local callers out.
-        self._unopened: dict[bool, set[StreamSocket]] = {True: set(), False: set()}
+        most = limits.refusals_max
+        self._unopened = {True: UnopenedStreams(most, most), False: UnopenedStreams(most, -(-most * 3 // 4))}
         # one line for each credential: a caller with a thousand openings delays other callers by one opening only
         self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
         self._changed = asyncio.Event()
@@ -190,7 +192,7 @@ class SocketServer:
 
         If it has an error, or is beyond the limits, refuse it before the service reads any of its bytes.
         """
-        error = error or self._too_many(made.is_local)
+        error = error or self._too_many(made)
         if error is not None:  # gives the peer no time to read, because there may be many
             with contextlib.suppress(OSError), accepted:
                 if secured is None:
@@ -212,13 +214,13 @@ class SocketServer:
             accepted.close()  # a task that was cancelled before its first step has not closed it
             self.lost(connection)
 
-    def _too_many(self, is_local: bool) -> StampedeError | None:
-        unopened = len(self._unopened[is_local])
-        if unopened < self._limits.refusals_max and len(self._streams) < connections_max() // 2:
+    def _too_many(self, made: StreamSocket) -> StampedeError | None:
+        unopened = self._unopened[made.is_local]
+        if unopened.has_room_for(made.machine) and len(self._streams) < connections_max() // 2:
             return None
         error = Overloaded(
-            f"{len(self._streams)} sockets are open at this service, {unopened} of them without a StreamOpening, and "
-            "more than it serves; close some streams, or go to another host"
+            f"{len(self._streams)} sockets are open at this service, {len(unopened)} of them without a StreamOpening, "
+            "and more than it serves; close some streams, or go to another host"
         )
         self._refused.note(error)
         return error

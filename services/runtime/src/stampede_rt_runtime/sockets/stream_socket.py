@@ -16,6 +16,7 @@ from stampede_rt.v1 import socket_stream_pb2 as pb
 from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, Frame, FrameKind, FrameReader, frame_of, head_of
 from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.quotas.subjects import machine_of
 from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers, FramePlace
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
 from stampede_rt_runtime.sockets.openings import opening_in, unfinished, unread_by_peer
@@ -61,7 +62,7 @@ class StreamSocket(asyncio.BufferedProtocol):
     ) -> None:
         """`peer`: the other side, as gRPC names it."""
         self.socket: Any = None
-        self.peer, self.is_local = peer, peer == LOCAL_PEER
+        self.peer, self.is_local, self.machine = peer, peer == LOCAL_PEER, machine_of(peer)
         self.proof: Proof = {}
         """The certificate of the connection; nothing without TLS."""
         self.is_opened = False

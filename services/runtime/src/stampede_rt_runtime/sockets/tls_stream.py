@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Any
 
@@ -21,23 +21,32 @@ PAUSE_SECONDS = 0.003
 
 
 class HandshakeSteps:
-    """Takes the steps of all handshakes of a service, in the order in which their bytes came."""
+    """Takes the steps of all handshakes of a service, one of each machine in turn.
+
+    So a machine with hundreds of handshakes delays that of another machine by one step only.
+    """
 
     def __init__(self) -> None:
-        self._waiting: deque[Callable[[], object]] = deque()
+        self._lines: OrderedDict[str, deque[Callable[[], object]]] = OrderedDict()
         self._is_due = False
 
-    def add(self, step: Callable[[], object]) -> None:
-        """Call `step` soon, after those that wait."""
-        self._waiting.append(step)
+    def add(self, machine: str, step: Callable[[], object]) -> None:
+        """Call `step` soon, after the earlier ones of its machine."""
+        self._lines.setdefault(machine, deque()).append(step)
         if not self._is_due:
             self._is_due = True
             asyncio.get_running_loop().call_soon(self._take_some)
 
     def _take_some(self) -> None:
-        for _ in range(min(STEPS_AT_ONCE, len(self._waiting))):
-            self._waiting.popleft()()
-        self._is_due = bool(self._waiting)
+        for _ in range(STEPS_AT_ONCE):
+            if not self._lines:
+                break
+            machine, line = self._lines.popitem(last=False)
+            step = line.popleft()
+            if line:
+                self._lines[machine] = line  # after the others
+            step()
+        self._is_due = bool(self._lines)
         if self._is_due:
             asyncio.get_running_loop().call_later(PAUSE_SECONDS, self._take_some)
 
@@ -78,7 +87,7 @@ class TlsStream(asyncio.BufferedProtocol):
             self._open_some()
         else:
             self._transport.pause_reading()
-            self._steps.add(self._shake)
+            self._steps.add(self._stream.machine, self._shake)
 
     def eof_received(self) -> bool:
         """Note that the peer has gone."""

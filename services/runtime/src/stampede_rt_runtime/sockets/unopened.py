@@ -1,0 +1,37 @@
+"""The connections of a port that have sent no opening yet. Anybody may hold such connections."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+
+
+class UnopenedStreams:
+    """Bounded together, and for each machine (decision 0153). So one machine leaves room for the others."""
+
+    def __init__(self, most: int, of_machine_max: int) -> None:
+        self._most, self._of_machine_max = most, of_machine_max
+        self._all: set[StreamSocket] = set()
+        self._of_machine: Counter[str] = Counter()
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def has_room_for(self, machine: str) -> bool:
+        """Whether the service may take another connection of this machine."""
+        return len(self._all) < self._most and self._of_machine[machine] < self._of_machine_max
+
+    def add(self, connection: StreamSocket) -> None:
+        """Note a new connection."""
+        self._all.add(connection)
+        self._of_machine[connection.machine] += 1
+
+    def discard(self, connection: StreamSocket) -> None:
+        """Note that a connection has sent its opening, or has ended. Idempotent."""
+        if connection not in self._all:
+            return
+        self._all.remove(connection)
+        self._of_machine[connection.machine] -= 1
+        if not self._of_machine[connection.machine]:
+            del self._of_machine[connection.machine]
