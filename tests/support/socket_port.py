@@ -121,8 +121,13 @@ async def until(condition: Callable[[], object]) -> None:
 
 async def paused(one: Port) -> StreamSocket:
     """Wait until the only connection reads no more messages, and return it."""
-    await until(lambda: [made for made in one.server.sockets._streams if made._is_paused])
-    [made] = one.server.sockets._streams
+    return await paused_by(one.server)
+
+
+async def paused_by(server: ServiceServer) -> StreamSocket:
+    """Wait until the only connection of a server reads no more messages, and return it."""
+    await until(lambda: [made for made in server.sockets._streams if made._is_paused])
+    [made] = server.sockets._streams
     return made
 
 
