@@ -31,6 +31,7 @@ LIMITS: Mapping[str, System] = {
 SYSTEMS: Mapping[str, System] = {
     "stampede": StampedeRt(),
     "stampede-socket": StampedeRt("Stampede RT, sockets", "socket"),
+    "stampede-tcp": StampedeRt("Stampede RT, TCP", "tcp"),
     "stampede-shared": StampedeRt("Stampede RT, shared memory", "shared"),
     "redis": RedisStreams("tcp"),
     "redis-unix": RedisStreams("unix"),

@@ -38,7 +38,7 @@ class StampedeRt:
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
         """Run a cluster of one supernode and one host for the duration of the context. Raises ServerFailed."""
-        cluster = LocalCluster(hosts=1, supernodes=1, durable=False)
+        cluster = LocalCluster(hosts=1, supernodes=1, durable=False, data_ports=True)
         try:
             cluster.start()
         except ServiceFailed as error:
