@@ -21,17 +21,18 @@ from stampede_rt.transports import (
     socket_connecting_async,
     socket_connecting_sync,
     socket_sync,
-    tcp_route,
 )
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_routes import opening_of
 from stampede_rt.transports.tcp_route import TcpRoute
+from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.namespaces import unavailable_because
 from stampede_rt_runtime import roles
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import ServiceServer, serving
 from stampede_rt_runtime.sockets import server as socket_server
+from stampede_rt_runtime.sockets import tcp_socket
 from stampede_rt_runtime.sockets.tcp_socket import listen_over_tcp
 from stampede_rt_runtime.tls import load_tls
 from tests.robustness.real_cluster.network import Network
@@ -40,8 +41,9 @@ from tests.support.socket_port import FLOOD, HOLD, READ_LATER, SERVICE, Streams,
 
 WHY_NOT = unavailable_because()
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
-SILENCE_S, ALIVE_S, UNACKNOWLEDGED_MILLIS = 0.4, 0.05, 900  # in production 7.5 s, 2.5 s and 20 s
+SILENCE_S, ALIVE_S, UNACKNOWLEDGED_MILLIS = 0.4, 0.05, 900  # in production 7.5 s, 2.5 s and 30 s
 PATIENCE_S = 15.0
+PIECES = 100  # of a message, for each of which a client could wait
 
 
 class FarCaller:
@@ -108,7 +110,7 @@ async def far(
     callers = frozenset({Role.CLIENT, Role.OPERATOR})
     monkeypatch.setitem(roles._FOREIGN, f"/{SERVICE}/", callers)  # type: ignore[arg-type]
     monkeypatch.setattr(socket_server, "ALIVE_SECONDS", ALIVE_S)
-    monkeypatch.setattr(tcp_route, "UNACKNOWLEDGED_MILLIS_MAX", UNACKNOWLEDGED_MILLIS)
+    monkeypatch.setattr(tcp_socket, "UNACKNOWLEDGED_MILLIS_MAX", UNACKNOWLEDGED_MILLIS)
     for client in (socket_sync, socket_async):
         monkeypatch.setattr(client, "SILENCE_S_MAX", SILENCE_S)
     streams, is_secured = Streams(), request.param == "tls"
@@ -148,8 +150,7 @@ def sends_more_than_the_host_takes(route: TcpRoute, number: int) -> None:
     connected = socket_connecting_sync._tcp_connected(route, route.host, number, PATIENCE_S)
     method = method_of(READ_LATER)
     call = socket_sync.SocketCall(connected.socket, method, opening(READ_LATER), in_turn=True, tls=connected.tls)
-    for _ in range(1000):
-        call.send(bytes(2**17))
+    call.send(bytes(PIECES * SOCKET_MESSAGE_BYTES_MAX))
     next(call)
 
 

@@ -159,6 +159,8 @@ class SocketCall:
 
         Send the rest on this thread or on another one. The caller holds the mutex.
         """
+        if self._failure is not None:  # each further piece would wait for the host again
+            return
         try:
             left: Buffers = buffers if self._tls is None else (self._tls.seal(buffers),)
             if not self._backlog.writes:

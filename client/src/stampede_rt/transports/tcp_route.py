@@ -19,8 +19,6 @@ HEAD_START_S = 0.05
 """How long the first stream to a host waits for a TCP connection before it uses gRPC."""
 REACH_S_MAX = 5.0
 """How long a client tries to reach a port in the background, while its streams use gRPC."""
-UNACKNOWLEDGED_MILLIS_MAX = 20_000
-"""After this time without an acknowledgement of sent bytes, the system ends a connection."""
 _OF_HOSTS = re.compile(r"tcp:([1-9][0-9]{0,4})")
 
 
@@ -117,6 +115,9 @@ def _all_of(tls: TlsLayer) -> bytes:
 
 
 def prepare(connected: socket.socket) -> None:
-    """Let a TCP socket send at once, and end a connection whose peer has vanished."""
+    """Let a TCP socket send at once.
+
+    A client needs no TCP_USER_TIMEOUT: the signs of life tell it that the host is there. The system would also end the
+    connection of a client whose host lives, and takes no bytes for so long because a put waits for room.
+    """
     connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNACKNOWLEDGED_MILLIS_MAX)

@@ -76,6 +76,8 @@ async def test_a_host_that_greets_gets_the_stream(connect: Connect, listening: s
     with connected.socket, await greeting:
         assert route.tcp.address == "127.0.0.1"
         assert connected.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        timeout_millis = connected.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+        assert timeout_millis == 0, "it would end the stream of a put that waits for room, although the host lives"
 
 
 async def test_a_port_that_does_not_greet_delays_no_stream_and_is_used_once_it_greets(

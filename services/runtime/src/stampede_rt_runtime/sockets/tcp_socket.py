@@ -8,9 +8,13 @@ from collections.abc import Sequence
 
 from stampede_rt.transports.tcp_route import prepare
 from stampede_rt_runtime.listen import CannotListen, check_listen
+from stampede_rt_runtime.sockets.stream_socket import STALL_SECONDS_MAX
 from stampede_rt_runtime.sockets.unix_socket import BACKLOG
 from stampede_rt_runtime.values import Address
 
+UNACKNOWLEDGED_MILLIS_MAX = int(STALL_SECONDS_MAX * 1000)
+"""After this time without an acknowledgement of sent bytes, the system ends a connection. The peer has vanished, or it
+takes no bytes."""
 _NOT_HERE = (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL)
 
 
@@ -40,7 +44,8 @@ def _listening(family: int, address: Sequence[object]) -> socket.socket | None:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if family == socket.AF_INET6:
             made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        prepare(made)  # accepted connections inherit it
+        prepare(made)  # accepted connections inherit these options
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNACKNOWLEDGED_MILLIS_MAX)
         made.bind(tuple(address))
         made.listen(BACKLOG)
         made.setblocking(False)
