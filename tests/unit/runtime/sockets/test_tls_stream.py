@@ -16,12 +16,13 @@ from stampede_rt.transports import socket_async, socket_connecting_async, socket
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_routes import opening_of
 from stampede_rt.transports.tcp_route import TcpRoute
+from stampede_rt.wire.stream_frames import FrameKind
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
-from stampede_rt_runtime.sockets import tls_stream
+from stampede_rt_runtime.sockets import server, tls_stream
 from tests.support.raw_stream import SECURED, raw_stream
-from tests.support.socket_port import ECHO, TLS, Open, Port, certificates, port_fixture, until
+from tests.support.socket_port import ECHO, HOLD, TLS, Open, Port, certificates, port_fixture, until
 
 port = port_fixture(TLS)
 ECHOES = BidiMethod(ECHO, None, None, lambda: None)
@@ -113,6 +114,21 @@ async def test_a_caller_that_does_not_finish_the_handshake_is_let_go(port: Open,
                 pass
         writer.close()
         await until(lambda: not one.server.sockets._streams)
+
+
+async def test_an_unfinished_handshake_takes_the_signs_of_life_from_nobody(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fixed fault: one connection without a handshake ended all signs of life of the host."""
+    monkeypatch.setattr(server, "ALIVE_SECONDS", 0.01)
+    async with port() as one:
+        _, unfinished = await asyncio.open_connection("localhost", int(one.target.rpartition(":")[2]))
+        await until(lambda: one.server.sockets.streams_open == 1)
+        async with raw_stream(one.target) as stream:
+            await stream.begin(HOLD)
+            for _ in range(3):
+                assert await stream.frame() == (FrameKind.ALIVE, b"")
+        unfinished.transport.abort()
 
 
 async def test_the_loop_takes_a_few_steps_of_handshakes_and_then_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
