@@ -25,7 +25,7 @@ from tests.property.paths.values import Followed, Run, Started
 
 WAIT_SECONDS_MAX = 20.0
 THREADS_MAX = 24
-TRANSPORTS = ("grpc", "socket", *(("shared",) if futexes.is_supported() else ()))
+TRANSPORTS = ("grpc", "socket", "tcp", *(("shared",) if futexes.is_supported() else ()))
 
 
 class Surface(Protocol):

@@ -14,12 +14,13 @@ import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
+from stampede_rt.errors import ChannelNotFound
 from stampede_rt.transports import futexes
 from tests.property.paths.core_surface import core_surface
 from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.steered_rings import steered_rings
 from tests.property.paths.steps import play
-from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
+from tests.property.paths.surfaces import TRANSPORTS, Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 
 # The clients draw the delays of their retries in their own threads, whatever hypothesis is doing.
@@ -55,6 +56,22 @@ def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
         play(surface, host, numbers, note)
 
     every_scenario()
+
+
+def test_a_retry_creates_no_channel_again_that_the_story_has_deleted(surface: Surface) -> None:
+    """A fixed fault of these tests: a get that had to look for its channel waited in a new one for ever."""
+    for connection in surface.connections:
+        with pytest.raises(ChannelNotFound):
+            surface.do(lambda connection=connection: connection.channel("deleted", create=False))
+
+
+def test_each_client_of_the_stories_uses_its_own_transport(surface: Surface) -> None:
+    used: list[str | None] = []
+    for connection in surface.connections:
+        channel = surface.do(lambda connection=connection: connection.channel("transports", max_items=1))
+        surface.do(lambda channel=channel: channel.put(b"x"))
+        used.append(surface.do(channel.stats).transport)
+    assert used == list(TRANSPORTS)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)

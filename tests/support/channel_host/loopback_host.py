@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from stampede_rt.errors import ChannelNotFound
+from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
@@ -84,6 +86,8 @@ class Directory(FakeDirectory):
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:  # noqa: N802
         await self._begin("OpenChannel", context)
         found = [record for record in self.channels.values() if record.name == request.name]
+        if not found and not request.create:
+            await abort(context, ChannelNotFound(f"no channel is called {request.name!r}"))
         record = found[0] if found else self.add_channel(request.name, HOST_ID, request.spec)
         return pb.OpenChannelResponse(channel=record, host=self.hosts[HOST_ID])
 
@@ -132,7 +136,8 @@ async def serve() -> None:
         host.add_to(server.grpc)
         server.sockets.register(host.add_to)
         await server.start()
-        await host.enter(target, local_target=await server.sockets.listen_locally())
+        local = await server.sockets.listen_locally()
+        await host.enter(target, local_target=local, tcp_target=f"tcp:{server.bind_sockets(0)}")
         print(directory.target, target, flush=True)
         await _obey_lines(Steered(host, clock))
         await server.stop(host.leave)
