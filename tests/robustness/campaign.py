@@ -25,6 +25,7 @@ from tests.robustness.faults import (
     kills_and_cuts,
     malformed_traffic,
     membership,
+    vanished,
     wrong_certificates,
 )
 from tests.robustness.faults.scene import Fault, Outcome, Scene
@@ -49,6 +50,7 @@ RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
     **host_faults.FAULTS,
+    **vanished.FAULTS,
     **malformed_traffic.FAULTS,
     **wrong_certificates.FAULTS,
     **{name: fault for name, fault in OPEN_FAULTS.items() if name in OF_THE_DIRECTORY},
@@ -250,7 +252,7 @@ class _Campaign:
         gap_s, moment = longest_gap(self._probe.served, self._scene.outcomes)
         around = (one.kind for one in self._scene.outcomes if one.began - 1 <= moment <= one.ended + 1)
         return Findings(
-            title=title,
+            title=title if self._traffic is None else f"{title}; its clients use {self._traffic.transport!r}",
             outcomes=self._scene.outcomes,
             operations=self._recorder.operations,
             names=names,

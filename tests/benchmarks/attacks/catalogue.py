@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.benchmarks.attacks import members, memory, neighbours, over_sockets, quotas, readers, without_credential
+from tests.benchmarks.attacks import (
+    members,
+    memory,
+    neighbours,
+    over_sockets,
+    over_tcp,
+    quotas,
+    readers,
+    without_credential,
+)
 from tests.benchmarks.attacks.ground import Attack
 
 Part = Literal["host", "supernode"]
@@ -16,11 +25,14 @@ class Case:
     """One attack.
 
     `before`: the finding of a review before the defence. `watched`: the part whose memory the table shows.
+    `transport`: of the good clients; empty: the usual one. `secured`: whether the cluster has certificates.
     """
 
     attack: Attack
     before: str = "not tried"
     watched: Part = "host"
+    transport: str = ""
+    secured: bool = False
 
     @property
     def text(self) -> str:
@@ -69,6 +81,14 @@ CASES: dict[str, Case] = {
     "silent-sockets": Case(over_sockets.silent_sockets),
     "unfinished-frames": Case(over_sockets.unfinished_frames),
     "malformed-frames": Case(over_sockets.malformed_frames),
+    "tcp-silent": Case(over_tcp.tcp_silent, transport="tcp"),
+    "tcp-unfinished": Case(over_tcp.tcp_unfinished, transport="tcp"),
+    "tcp-malformed": Case(over_tcp.tcp_malformed, transport="tcp"),
+    "tcp-silent-gets": Case(over_tcp.tcp_silent_gets, transport="tcp"),
+    "tcp-half-closed": Case(over_tcp.tcp_half_closed, transport="tcp"),
+    "tls-unfinished": Case(over_tcp.tls_unfinished, transport="tcp", secured=True),
+    "tls-hellos": Case(over_tcp.tls_hellos, transport="tcp", secured=True),
+    "tls-malformed": Case(over_tcp.tls_malformed, transport="tcp", secured=True),
     "raft-claims": Case(members.raft_claims, "no leader for ever; the leader's process ended", "supernode"),
     "join-tokens": Case(members.join_tokens, "a new member with a forged token", "supernode"),
     "cut-floors": Case(members.cut_floors, "the cut at the end of time"),

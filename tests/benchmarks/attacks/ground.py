@@ -33,16 +33,23 @@ CHANNELS: list[grpc.aio.Channel] = []  # channels without a reference would be c
 class Ground:
     """The addresses of a cluster with one host and one supernode, and the attacker's token or secret.
 
-    `flooded`: a bare server that gets the calls of an attack instead of the host, see `bare.py`; empty: the host.
-    `member_secret`: the secret of the cluster; empty: its services ask nobody for one.
+    `data_port`: the address of the host's TCP port for streams. `flooded`: a bare server that gets the calls of an
+    attack instead of the host, see `bare.py`; empty: the host. `member_secret`: the secret of the cluster; empty: its
+    services ask nobody for one.
     """
 
     frontend: str
     supernode: str
     host: str
     secret: str
+    data_port: str = ""
     flooded: str = ""
     member_secret: str = ""
+
+    @property
+    def data_target(self) -> str:
+        """The host's TCP port, as `raw_stream` takes it."""
+        return f"tcp:{self.data_port}"
 
     @property
     def thing(self) -> str:

@@ -143,8 +143,7 @@ async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) ->
 async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
     """60 streams with 16 gets of all items each, whose answers no reader reads."""
     async with ground.connect() as rt:
-        await _held(await rt.channel(NAME, max_age="1h"))
-        known = await ground.bound(NAME)
+        known = await held_channel(ground, rt)
         calls = [stub(ground, ChannelServiceStub).Get(metadata=ground.metadata) for _ in range(STREAMS)]
         under_way()
         for call_id in range(1, 17):
@@ -186,6 +185,12 @@ async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
         ]
         await all_of(*(call.write(raw) for call in calls))
         await for_ever()
+
+
+async def held_channel(ground: Ground, rt: Any) -> dict[str, Any]:
+    """The fields that name a channel with 16 MiB in requests to its host."""
+    await _held(await rt.channel(NAME, max_age="1h"))
+    return await ground.bound(NAME)
 
 
 async def _held(channel: Any) -> None:

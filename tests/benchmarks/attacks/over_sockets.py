@@ -24,10 +24,7 @@ PAUSE_SECONDS = 0.05  # between the end of a socket and the next one in its plac
 async def silent_sockets(ground: Ground, under_way: Callable[[], None]) -> None:
     """1100 sockets that send nothing, not even the first frame. When a socket ends, the attacker opens another one."""
 
-    async def nothing(stream: RawStream) -> None:
-        await stream.has_ended()
-
-    await _again_and_again(ground, SILENT, nothing, under_way)
+    await again_and_again(await _target(ground), SILENT, RawStream.has_ended, under_way)
 
 
 async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> None:
@@ -38,11 +35,16 @@ async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> No
         await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
         await stream.has_ended()
 
-    await _again_and_again(ground, UNFINISHED, begin, under_way)
+    await again_and_again(await _target(ground), UNFINISHED, begin, under_way)
 
 
 async def malformed_frames(ground: Ground, under_way: Callable[[], None]) -> None:
     """200 sockets at a time that send no frames, or messages that are not puts."""
+    await again_and_again(await _target(ground), UNREAD, garbage(ground), under_way)
+
+
+def garbage(ground: Ground) -> Callable[[RawStream], Awaitable[None]]:
+    """Send no frames on the one connection, and messages that are not puts on the next one."""
     numbers = itertools.count()
 
     async def send(stream: RawStream) -> None:
@@ -53,23 +55,28 @@ async def malformed_frames(ground: Ground, under_way: Callable[[], None]) -> Non
             await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"\xff" * 77) * UNREAD_MESSAGES)
         await stream.has_ended()
 
-    await _again_and_again(ground, UNREAD, send, under_way)
+    return send
 
 
-async def _again_and_again(
-    ground: Ground, sockets: int, play: Callable[[RawStream], Awaitable[None]], under_way: Callable[[], None]
+async def again_and_again(
+    target: str, sockets: int, play: Callable[[RawStream], Awaitable[None]], under_way: Callable[[], None]
 ) -> None:
-    target = await _target(ground)
+    """Play so many connections at a time. After the end of one the attacker opens another one."""
 
     async def one() -> None:
-        while True:
-            with suppress(OSError, TimeoutError):
-                async with raw_stream(target) as stream:
-                    await play(stream)
-            await asyncio.sleep(PAUSE_SECONDS)
+        async with raw_stream(target) as stream:
+            await play(stream)
 
     under_way()
-    await all_of(*(one() for _ in range(sockets)))
+    await all_of(*(keep_on(one, PAUSE_SECONDS) for _ in range(sockets)))
+
+
+async def keep_on(play: Callable[[], Awaitable[None]], pause_s: float) -> None:
+    """Play again and again, whatever the host does."""
+    while True:
+        with suppress(OSError, TimeoutError):
+            await play()
+        await asyncio.sleep(pause_s)
 
 
 async def _target(ground: Ground) -> str:

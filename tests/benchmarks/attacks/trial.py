@@ -23,7 +23,9 @@ import stampede_rt as st
 from stampede_rt.v1 import access_service_pb2 as access_pb
 from stampede_rt.v1.access_service_pb2_grpc import AccessServiceStub
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
+from stampede_rt_runtime.values import Address, parse_address
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.competitor import SLOT_SECONDS
@@ -118,10 +120,13 @@ class Field:
     def __init__(self, name: str, setup: Setup) -> None:
         self.found = Found(name)
         self.setup = setup
-        self.cluster = LocalCluster(hosts=1, supernodes=1, on_line=self._hear)
+        self.case = CASES[name]
+        self.cluster = LocalCluster(hosts=1, supernodes=1, tls=self.case.secured, on_line=self._hear)
         assert self.cluster.folder is not None, "a cluster that keeps its state has a folder"
         archive = ["--archive", str(self.cluster.folder / "archive"), "--archive-bytes-max", MEMORY_BUDGET]
-        self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET, *archive]
+        self._data_port = free_ports(1)[0]
+        arguments = ["--data-port", str(self._data_port), "--memory-bytes-max", MEMORY_BUDGET, *archive]
+        self.cluster.hosts[0].arguments += arguments
 
     def _hear(self, _: ServiceProcess, line: str) -> None:
         self.found.log_bytes += len(line) + 1
@@ -130,17 +135,21 @@ class Field:
     @property
     def ground(self) -> Ground:
         """For the attacker."""
+        host = self.cluster.hosts[0].address
         return Ground(
             frontend=self.cluster.address,
             supernode=self.cluster.supernodes[0].address,
-            host=self.cluster.hosts[0].address,
+            host=host,
+            data_port=str(Address(parse_address(host).host, self._data_port)),
             secret=self.token("attacker"),
             flooded=self.setup.bare,
             member_secret=self.cluster.secret.text,
         )
 
     def token(self, name: str) -> str:
-        """Proves a name, by which quotas tell callers of one machine apart."""
+        """Proves a name, by which quotas tell callers of one machine apart. Empty in a cluster with certificates."""
+        if self.case.secured:
+            return ""
         bearer = (("authorization", f"Bearer {self.cluster.secret.text}"),)
         request = access_pb.CreateClientTokenRequest(
             request_id=secrets.token_bytes(16), name=name, roles=["client"], valid_nanos=TOKEN_NANOS
@@ -151,8 +160,11 @@ class Field:
 
     async def good(self) -> Any:
         """Opens the connection of a good client."""
+        transport, address = self.case.transport or self.setup.transport, self.cluster.address
+        if (files := self.cluster.tls_files("good")) is not None:
+            return st.aio.connect(address, tls=files, transport=transport)
         token = await asyncio.to_thread(self.token, "good")
-        return st.aio.connect(self.cluster.address, secret=token, transport=self.setup.transport)
+        return st.aio.connect(address, secret=token, transport=transport)
 
     def memory_mib(self) -> float:
         """Resident now, of the watched process."""

@@ -37,6 +37,19 @@ async def test_a_caller_without_credential_costs_others_no_call_no_lease_and_no_
     assert found.after_mib < found.before_mib + MARGIN_MIB
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        *rare("tcp-silent", "tcp-malformed", "tcp-unfinished", "tcp-silent-gets", "tcp-half-closed"),
+        *rare("tls-unfinished", "tls-hellos", "tls-malformed"),
+    ],
+)
+async def test_a_caller_of_a_data_port_costs_others_no_call_no_lease_and_little_memory(name: str) -> None:
+    """The good clients use the port, too."""
+    found = await attacked(name)
+    assert found.after_mib < found.before_mib + BUDGET_MIB + MARGIN_MIB
+
+
 async def test_bytes_that_are_no_request_leave_nothing_in_the_logs() -> None:
     assert (await attacked("malformed")).log_bytes < 10_000
 

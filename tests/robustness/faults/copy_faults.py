@@ -248,7 +248,7 @@ async def cut_off_owner(scene: Scene) -> None:
 async def slow_links(scene: Scene) -> None:
     """Put a slow link before the hosts of the owner and of the replica, and kill the owner behind it."""
     async with _prepare(scene) as (found, owner, replica):
-        relays = [one.relay for one in (owner, replica) if one.relay is not None]
+        relays = [relay for one in (owner, replica) for relay in one.relays]
         kind = scene.rng.choice([*SLOW_LINKS])
         began = time.monotonic()
         for relay in relays:

@@ -43,7 +43,7 @@ class Pinned:
 
 async def kill_host(scene: Scene) -> None:
     """Kill a host. Its channels get a new owner when its lease has ended."""
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
     recovery = await _put_again(scene, pinned, began)
@@ -58,7 +58,7 @@ async def restart_host(scene: Scene) -> None:
 
     Its channels stay at this host, empty, with a new incarnation.
     """
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
     await started(pinned.host)
@@ -71,7 +71,7 @@ async def restart_host(scene: Scene) -> None:
 
 async def kill_all_hosts(scene: Scene) -> None:
     """Kill all hosts together, and start them again at once."""
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     began = time.monotonic()
     for host in scene.cluster.hosts:
         await host.kill()
@@ -97,7 +97,7 @@ async def kill_frontend(scene: Scene) -> None:
     assert frontend is not None
     began = time.monotonic()
     await frontend.kill()
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     recovery = time.monotonic() - began
     await started(frontend)
     note = f"a channel was made and a put acknowledged at {pinned.host.name} without it"
@@ -106,7 +106,7 @@ async def kill_frontend(scene: Scene) -> None:
 
 async def kill_everything(scene: Scene) -> None:
     """Kill supernodes, front-end and hosts together, and start them at once, as after a power failure."""
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     began = time.monotonic()
     for one in scene.cluster.processes():
         one.signal(signal.SIGKILL)
@@ -124,7 +124,7 @@ async def kill_everything(scene: Scene) -> None:
 
 async def freeze_host(scene: Scene) -> None:
     """Stop a host for longer than its lease. When it goes on, it must refuse the puts that wait in its inbox."""
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     async with _direct(scene, pinned.host) as connection:
         if not await _accepted(connection, pinned):
             raise FaultHadNoEffect(f"{pinned.host.name} takes no put under the epoch that is in force")
@@ -151,7 +151,7 @@ async def cut_off_host(scene: Scene) -> None:
 
     It must fence itself before its channels get a new owner.
     """
-    pinned = await _pin(scene)
+    pinned = await pin(scene)
     namespaces = [one.namespace for one in scene.cluster.supernodes]
     pairs = [(pinned.host.namespace, namespace) for namespace in namespaces] + [
         (namespace, pinned.host.namespace) for namespace in namespaces
@@ -179,7 +179,7 @@ def _traffic(scene: Scene) -> Traffic:
     return scene.traffic
 
 
-async def _pin(scene: Scene) -> Pinned:
+async def pin(scene: Scene) -> Pinned:
     """Make a channel at one host, with an item. Raises StampedeError if the cluster has no such host."""
     traffic = _traffic(scene)
     host = scene.rng.choice(scene.cluster.hosts)

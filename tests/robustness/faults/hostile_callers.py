@@ -193,6 +193,7 @@ def _ground(scene: Scene) -> Ground:
         frontend=cluster.frontend.address,
         supernode=cluster.supernodes[0].address,
         host=cluster.hosts[0].address,
+        data_port=cluster.hosts[0].data_address,
         secret=token,
     )
 
@@ -252,6 +253,6 @@ async def _forget(scene: Scene, thing: str) -> None:
 
 
 FAULTS: dict[str, Fault] = {
-    **{f"attack_{name}": partial(attack, name=name) for name in CASES},
+    **{f"attack_{name}": partial(attack, name=name) for name, case in CASES.items() if not case.secured},
     **{f"quota_{quota}": partial(attack, name=name, quota=quota) for quota, (name, _) in QUOTAS.items()},
 }

@@ -25,7 +25,7 @@ from tests.robustness.real_cluster.supernode import PORT, Supernode
 from tests.support.supernode.processes import clean_environment
 
 SUPERNODES, SPARE_NAMESPACES = 3, 1
-FRONTEND_PORT, HOST_PORT, INNER_HOST_PORT = 7580, 7570, 7571
+FRONTEND_PORT, HOST_PORT, INNER_HOST_PORT, DATA_PORT = 7580, 7570, 7571, 7572
 OPERATOR = "operator"
 COMMAND_SECONDS = 40.0
 
@@ -50,7 +50,7 @@ ARCHIVE, MEMORY = "64MiB", "64MiB"
 
 
 class Host(PlacedProcess):
-    """One channel host. With `relayed` all others reach it through a relay."""
+    """One channel host. With `relayed` all others reach it through a relay, and its TCP port through another one."""
 
     package = "stampede_rt_channel_host"
 
@@ -60,13 +60,20 @@ class Host(PlacedProcess):
     ) -> None:  # fmt: skip
         super().__init__(name, namespace, folder, HOST_PORT, tls)
         self._frontend = frontend
+        self.data_address = f"{namespace.address}:{DATA_PORT}"
         self.relay = RelayProcess(namespace, self.address, INNER_HOST_PORT) if relayed else None
+        self.data_relay = RelayProcess(namespace, self.data_address, DATA_PORT) if relayed else None
+
+    @property
+    def relays(self) -> Sequence[RelayProcess]:
+        """The relays before both ports; none if callers reach the host directly."""
+        return [one for one in (self.relay, self.data_relay) if one is not None]
 
     def flags(self) -> Sequence[str]:
         """A name that stays over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
         archive = ["--archive", str(self.data_dir / "archive"), "--archive-bytes-max", ARCHIVE]
-        return [*words, *archive, "--memory-bytes-max", MEMORY, *self._where()]
+        return [*words, *archive, "--memory-bytes-max", MEMORY, "--data-port", str(DATA_PORT), *self._where()]
 
     def _where(self) -> list[str]:
         if self.relay is None:
@@ -74,16 +81,16 @@ class Host(PlacedProcess):
         return ["--listen", f"localhost:{INNER_HOST_PORT}", "--advertise", self.address, *self.tls_flags()]
 
     async def start(self) -> bool:
-        """Start the host, and its relay if it has one."""
-        if self.relay is not None:
-            await self.relay.start()
+        """Start the host, and its relays if it has some."""
+        for relay in self.relays:
+            await relay.start()
         return await super().start()
 
     async def close(self) -> None:
-        """End the process and its relay."""
+        """End the process and its relays."""
         await super().close()
-        if self.relay is not None:
-            await self.relay.close()
+        for relay in self.relays:
+            await relay.close()
 
 
 class Cluster:

@@ -15,6 +15,7 @@ from tests.robustness.histories.ownership_model import Accepted, Found, Listed, 
 from tests.robustness.real_cluster.cluster import Cluster
 
 CLIENT = "traffic"
+TRANSPORTS = ("best", "grpc", "tcp")
 NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 3, 10.0
 PAUSE_SECONDS = 0.05
 KEPT_SECONDS = "1h"  # longer than any campaign, so that retention collects nothing
@@ -28,6 +29,8 @@ class Traffic:
         """`policy`: of all channels, beside their limits."""
         self._cluster, self.recorder, self._policy = cluster, recorder, policy
         self._random_source = random.Random(f"traffic-{seed}")
+        self.transport = self._random_source.choice(TRANSPORTS)
+        """The transport of the connection."""
         self._numbers = 0
         self._handles: dict[str, aio.Channel] = {}
         self._rt: aio.Connection | None = None
@@ -36,8 +39,8 @@ class Traffic:
     async def __aenter__(self) -> Traffic:
         assert self._cluster.frontend is not None
         files = self._cluster.caller_files(Role.CLIENT, CLIENT)
-        transport = self._random_source.choice(("best", "grpc"))
-        self._rt = await aio.connect(self._cluster.frontend.address, tls=files, transport=transport).__aenter__()
+        address = self._cluster.frontend.address
+        self._rt = await aio.connect(address, tls=files, transport=self.transport).__aenter__()
         return self
 
     async def __aexit__(self, *exc_info: object) -> None:
