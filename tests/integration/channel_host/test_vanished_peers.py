@@ -60,6 +60,19 @@ class FarCaller:
         """Cut the link of the callers."""
         self._network.plug(self._namespace, in_=False)
 
+    async def reach(self) -> None:
+        """Wait until callers reach the service: for a moment the system may remember that the link was down."""
+        while True:
+            try:
+                (await asyncio.wrap_future(self.start(self._connected))).close()
+            except OSError:
+                continue
+            await until(lambda: not self.server.sockets.streams_open)
+            return
+
+    def _connected(self) -> socket.socket:
+        return socket.create_connection((self._network.address, self.port), PATIENCE_S)
+
     def start(self, work: Callable[[], Any]) -> Future[Any]:
         """Begin the work on a thread of the namespace."""
         return self._threads.submit(work)
@@ -73,8 +86,7 @@ class FarCaller:
     async def raw_stream(self) -> RawStream:
         """A stream of a caller that sends its own frames."""
         address, context = self._network.address, self._context()
-        connecting = self.start(partial(socket.create_connection, (address, self.port)))
-        connected = await asyncio.wrap_future(connecting)
+        connected = await asyncio.wrap_future(self.start(self._connected))
         named = None if context is None else address
         made = RawStream(*await asyncio.open_connection(sock=connected, ssl=context, server_hostname=named))
         await made.take_greeting()
@@ -122,6 +134,7 @@ async def far(
         made = FarCaller(network, streams, server, listening[0].getsockname()[1])
         made.certificates = certificates if is_secured else None
         try:
+            await made.reach()
             yield made
         finally:
             made.close()
@@ -190,7 +203,9 @@ async def test_a_client_ends_a_stream_to_a_host_whose_link_is_gone(
     far: FarCaller, client: Callable[[TcpRoute, int], None]
 ) -> None:
     running = asyncio.wrap_future(far.start(partial(client, far.route, far.port)))
-    await far.streams.held.acquire()
+    held = asyncio.ensure_future(far.streams.held.acquire())
+    await asyncio.wait({held, running}, return_when=asyncio.FIRST_COMPLETED)
+    assert held.done(), running.exception()
     if client in (sends_more_than_the_host_takes, awaits_room_at_the_host):
         await paused_by(far.server)
     far.vanish()
