@@ -277,4 +277,18 @@ MUTANTS = (
         edits=(("place.owner_epoch < since_epoch and (", "False and ("),),
         noticed_by="takeovers",
     ),
+    Mutant(
+        name="items_of_another_reader",
+        file="client/src/stampede_rt/multicast/sealing.py",
+        edits=(
+            ("except InvalidSignature:\n            return None", "except InvalidSignature:\n            return bare"),
+        ),
+        noticed_by="tests/property/test_multicast_against_stream.py",
+    ),
+    Mutant(
+        name="a_message_twice",
+        file="client/src/stampede_rt/multicast/merging.py",
+        edits=(("[item for item in one.items if item.seq >= self.next_seq]", "one.items"),),
+        noticed_by="tests/unit/client/multicast/test_merging.py",
+    ),
 )

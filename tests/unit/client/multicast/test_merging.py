@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt.multicast.merging import SeqMerge
+
+
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    seq: int
+
+
+def items(first: int, end: int) -> list[Numbered]:
+    return [Numbered(seq) for seq in range(first, end)]
+
+
+def seqs(taken: list[Numbered]) -> list[int]:
+    return [one.seq for one in taken]
+
+
+def merge_from(next_seq: int) -> SeqMerge[Numbered]:
+    merge = SeqMerge[Numbered](1, 100)
+    merge.pass_to(next_seq)
+    return merge
+
+
+def test_items_wait_for_earlier_ones() -> None:
+    merge = merge_from(3)
+    assert merge.add(5, 7, items(5, 7), 10)
+    assert (merge.take(), merge.missing_items, merge.is_missing, merge.is_level) == ([], 2, True, False)
+    assert merge.add(3, 5, items(3, 5), 10)
+    assert merge.is_level
+    assert seqs(merge.take()) == [3, 4, 5, 6]
+    assert (merge.next_seq, merge.held_bytes, merge.is_missing) == (7, 0, False)
+
+
+def test_the_answer_of_the_host_and_datagrams_give_each_item_once() -> None:
+    merge = merge_from(1)
+    merge.add(3, 6, items(3, 6), 10)
+    assert seqs(merge.fill(items(1, 5))) == [1, 2, 3, 4]
+    assert seqs(merge.take()) == [5]
+    assert not merge.add(3, 6, items(3, 6), 10)
+    assert merge.fill(items(1, 6)) == []
+
+
+def test_held_items_inside_a_gap_are_not_lost_with_it() -> None:
+    """The host collected items that datagrams had brought before."""
+    merge = merge_from(1)
+    merge.add(3, 5, items(3, 5), 10)
+    merge.add(7, 12, items(7, 12), 10)
+    assert seqs(merge.take_up_to(9)) == [3, 4, 7, 8, 9, 10, 11]
+    assert (merge.next_seq, merge.held_bytes) == (12, 0)
+
+
+def test_beyond_the_bound_the_latest_items_are_dropped_and_asked_for_later() -> None:
+    merge = merge_from(1)
+    for first in (2, 4, 3):
+        merge.add(first, first + 1, items(first, first + 1), 40)
+    assert merge.held_bytes == 80
+    assert seqs(merge.fill(items(1, 2))) == [1]
+    assert seqs(merge.take()) == [2, 3]
+    assert (merge.missing_items, merge.announced_seq) == (1, 5)
+
+
+def test_a_passed_place_drops_the_messages_before_it() -> None:
+    merge = merge_from(1)
+    merge.add(2, 4, items(2, 4), 10)
+    merge.add(5, 6, items(5, 6), 10)
+    merge.pass_to(4)
+    assert (merge.held_bytes, merge.is_level) == (10, False)
+    merge.announce(9)
+    assert (merge.missing_items, merge.is_missing) == (1, True)
