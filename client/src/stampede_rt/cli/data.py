@@ -44,6 +44,11 @@ def add_verbs(subparsers: Any) -> None:
     )
     echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest one")
     echo.add_argument("--count", type=parse_count, metavar="N", help="stop after N items")
+    echo.add_argument(
+        "--via",
+        choices=("multicast",),
+        help="take the items from UDP multicast where it is heard",
+    )
     add_item_options(echo)
 
 
@@ -171,7 +176,7 @@ def run_echo(arguments: argparse.Namespace) -> int:
     with (
         connected(arguments) as rt,
         existing(rt, arguments.channel).subscribe(
-            arguments.start, arguments.mode, payloads=not arguments.no_payloads
+            arguments.start, arguments.mode, payloads=not arguments.no_payloads, via=arguments.via
         ) as subscription,
     ):
         line = item_printer(arguments)

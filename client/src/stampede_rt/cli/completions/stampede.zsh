@@ -562,6 +562,7 @@ _shtab_stampede_echo_options=(
   "--from[begin with the held items from this time on]:TIME:"
   "--mode[every item, or always the newest one]:mode:(all newest)"
   "--count[stop after N items]:N:"
+  "--via[take the items from UDP multicast where it is heard]:via:(multicast)"
   "--no-payloads[print times and lengths only]"
   "--format[how to print an item, such as \'\{time\} \{seq\:06d\} \{payload\}\\t\{attributes\[enc\]\}\'\; the fields are time, time_ns, end_ns, duration_ns, seq, channel, payload, length, content_type and attributes\[KEY\]\; \\n and \\t count as in Python]:FORMAT:"
   ":the channel\'s name:"
