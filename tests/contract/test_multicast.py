@@ -112,6 +112,9 @@ async def test_a_callback_gets_its_items_from_datagrams(surface: Surface) -> Non
     put = [(await channel.put(b"%d" % number)).seq for number in range(ITEMS)]
     await until(lambda: len(seqs) >= ITEMS, channel)
     assert seqs == put
+    async with asyncio.timeout(45):
+        while not handle.multicast.following:
+            await channel.put(b"until it is heard")
     handle.cancel()
     joined = handle.join(10) if inspect.iscoroutinefunction(handle.join) else asyncio.to_thread(handle.join, 10)
     assert await joined

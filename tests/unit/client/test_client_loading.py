@@ -91,3 +91,18 @@ def test_an_interrupt_while_the_command_is_being_loaded_ends_it_in_silence(
     monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
     assert main(["ls"]) == 130
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_client_without_cryptography_says_which_extra_multicast_needs() -> None:
+    without = """
+import sys
+sys.modules["cryptography"] = None
+from stampede_rt._sync.subscription_kinds import kind_of_subscription
+from stampede_rt.errors import InvalidArgument
+kind_of_subscription(None)
+try:
+    kind_of_subscription("multicast")
+except InvalidArgument as error:
+    print("told:", error)
+"""
+    assert "pip install 'stampede-rt[multicast]'" in said_by(without).partition("told:")[2]

@@ -11,6 +11,7 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt.errors import IncarnationLost, StampedeError
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_async import BackgroundStart, BackgroundTask, Signal, call_back, check_callback
+from stampede_rt.values.statistics import MulticastStats
 
 END_TIMEOUT_S = 1.0  # the longest wait for a call under way when the connection closes
 _log = logging.getLogger("stampede_rt")
@@ -69,6 +70,11 @@ class Listener(BackgroundStart, BoundToProcess):
     def reconnects(self) -> int:
         """How many times the client has opened the subscription again after a break."""
         return self._reconnects_before + self._subscription.reconnects
+
+    @property
+    def multicast(self) -> MulticastStats | None:
+        """The counts of datagrams of the present subscription with `via="multicast"`; None for another one."""
+        return self._subscription.multicast
 
     @property
     def connected(self) -> bool:
