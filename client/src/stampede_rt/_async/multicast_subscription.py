@@ -128,8 +128,13 @@ class MulticastSubscription(Subscription):
             return
         step, wait_s = receiving.pace.next_step(now_s, is_missing=receiving.merge.is_missing)
         if step is Step.LEAVE:
+            await self._repair(receiving)
+            if self._receiving is not receiving:  # the host serves the channel no more
+                return
             _log.info("the datagrams of channel %r do not come any more", self._state.info.name)
             self._leave()
+        elif step is Step.REOPEN:
+            self._reopen()
         elif step is Step.REPAIR:
             await self._repair(receiving)
         else:
@@ -197,6 +202,10 @@ class MulticastSubscription(Subscription):
     def _leave(self) -> None:
         """Continue on another stream, without multicast."""
         self._not_before_s = monotonic_s() + AGAIN_S
+        self._reopen()
+
+    def _reopen(self) -> None:
+        """Continue on another stream, at the present host of the channel."""
         if self._stream is not None:
             self._stream.cancel()
         self._resume()

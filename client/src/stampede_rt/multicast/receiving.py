@@ -99,5 +99,5 @@ class Receiving:
         self._last_beat = beat
         self.merge.announce(message.first_seq)
         if message.kind is MessageKind.END:
-            self.pace.ask_soon()
+            self.pace.ended()
         return True

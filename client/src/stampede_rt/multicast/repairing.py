@@ -16,6 +16,7 @@ class Step(Enum):
 
     WAIT = "wait"
     REPAIR = "repair"
+    REOPEN = "reopen"
     LEAVE = "leave"
 
 
@@ -31,7 +32,7 @@ class RepairPace:
         self._missing_since_s: float | None = None
         self._vain = 0
         self._key_asked_s = now_s - KEY_ASKED_S
-        self._must_ask = False
+        self._must_ask = self._has_ended = False
 
     def heard(self, now_s: float) -> None:
         """Note a message of the host."""
@@ -41,9 +42,9 @@ class RepairPace:
         """Note that items came by multicast, in time."""
         self._vain = 0
 
-    def ask_soon(self) -> None:
-        """Note that the host has news that only its stream tells."""
-        self._must_ask = True
+    def ended(self) -> None:
+        """Note that the host sends no more. Only a new stream tells the reason, or leads to the channel's new host."""
+        self._has_ended = True
 
     def ask_for_key(self, now_s: float) -> None:
         """Note a datagram that names another key."""
@@ -58,6 +59,8 @@ class RepairPace:
 
     def next_step(self, now_s: float, *, is_missing: bool) -> tuple[Step, float]:
         """Return the next step, and for Step.WAIT the longest wait in seconds."""
+        if self._has_ended:
+            return Step.REOPEN, 0.0
         if now_s - self._heard_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
             return Step.LEAVE, 0.0
         if self._must_ask:

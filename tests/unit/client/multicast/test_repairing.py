@@ -40,6 +40,12 @@ def test_a_reader_whose_questions_bring_all_items_leaves() -> None:
     assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
 
 
+def test_a_reader_opens_another_stream_at_once_after_the_end_of_the_datagrams() -> None:
+    pace = RepairPace(0.0)
+    pace.ended()
+    assert pace.next_step(0.0, is_missing=True)[0] is Step.REOPEN
+
+
 def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     pace = RepairPace(0.0)
     pace.ask_for_key(0.0)

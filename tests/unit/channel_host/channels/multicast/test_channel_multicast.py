@@ -125,6 +125,19 @@ async def test_readers_hear_that_the_host_serves_the_channel_no_more() -> None:
         found = await rig.group.parts(opener, 1)
         while found[-1].kind is not MessageKind.END:
             found = await rig.group.parts(opener, len(found) + 1)
+        async with rig.reader() as again:  # the host serves the channel again, before the first reader has left
+            rig.group.sent.clear()
+            rig.put(b"two")
+            assert (await rig.group.parts(again, 1))[0].first_seq == 2
+
+
+async def test_the_end_is_told_although_the_streams_of_all_readers_end_with_the_channel() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        for _ in rig.hosted.ending(ChannelNotFound("deleted")):
+            pass
+    assert (await rig.group.parts(opener, 1))[-1].kind is MessageKind.END
+    assert len(rig.multicasts) == 0
 
 
 async def test_an_item_that_is_too_large_is_only_announced() -> None:

@@ -49,6 +49,7 @@ class ChannelMulticast:
     """Order of use, on one event loop: make it, `run` as a task, `join` and `leave` for each reader, `stop`.
 
     `readers`: the subscriptions whose readers may hear the datagrams. `repairs`: their requests for missing items.
+    `has_ended`: it sends no more, and new readers need another one.
     """
 
     def __init__(self, hosted: HostedChannel, group: MulticastGroup, now: Callable[[], int]) -> None:
@@ -57,7 +58,7 @@ class ChannelMulticast:
         self._signer = Signer(self._stream_id, secrets.token_bytes(KEY_BYTES))
         self._key_number = self._beats = self.readers = self.repairs = self.datagrams = self.bytes = 0
         self._news = asyncio.Event()
-        self._has_ended = self._owes_key = False
+        self.has_ended = self._owes_key = False
         self._beat_s = BEAT_S_MIN
         self._renew_key()
 
@@ -72,7 +73,7 @@ class ChannelMulticast:
 
     def end(self, error: StampedeError) -> None:
         """See `ChannelObserver`. Readers hear that there is news on their streams."""
-        self._has_ended = True
+        self.has_ended = True
         self._news.set()
 
     def join(self) -> None:
@@ -89,7 +90,7 @@ class ChannelMulticast:
         cursor = AllCursor(iter(()), self._hosted.channel.next_seq)
         self._hosted.group_observers[self] = None
         try:
-            while not self._has_ended:
+            while not self.has_ended:
                 await self._step(cursor)
             await self._send(MessageKind.END, cursor.next_seq, cursor.next_seq, self._next_beat())
         finally:

@@ -23,6 +23,7 @@ class Multicasts:
     def __init__(self, group: MulticastGroup, now: Callable[[], int]) -> None:
         self.group, self._now = group, now
         self._channels: dict[HostedChannel, tuple[ChannelMulticast, asyncio.Task[None]]] = {}
+        self._ending: set[asyncio.Task[None]] = set()
         self.repairs = 0
 
     def __len__(self) -> int:
@@ -36,7 +37,7 @@ class Multicasts:
     def find(self, hosted: HostedChannel) -> ChannelMulticast | None:
         """How this channel is multicast; None: it is not."""
         found = self._channels.get(hosted)
-        return None if found is None else found[0]
+        return None if found is None or found[0].has_ended else found[0]
 
     @contextmanager
     def reading(self, hosted: HostedChannel) -> Iterator[ChannelMulticast]:
@@ -61,11 +62,15 @@ class Multicasts:
         found = self._channels.get(hosted)
         if found is not None and found[0] is one:
             del self._channels[hosted]
-            found[1].cancel()
+            if one.has_ended:
+                self._ending.add(found[1])  # it still tells readers so, and ends by itself
+                found[1].add_done_callback(self._ending.discard)
+            else:
+                found[1].cancel()
 
     def close(self) -> None:
         """End all of them, and close the socket."""
-        for _, task in self._channels.values():
+        for task in (*self._ending, *(task for _, task in self._channels.values())):
             task.cancel()
         self._channels.clear()
         self.group.close()
