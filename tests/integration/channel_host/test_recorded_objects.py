@@ -164,8 +164,7 @@ def test_a_host_that_starts_while_the_store_is_away_serves_what_it_has_and_catch
         found = channel.get(began + (ITEMS + 20) * MS, st.NEWEST)
         assert numbers(found) == list(range(ITEMS + 20, ITEMS + 30))
         assert (found.reason == "LOST") == (end == "kill")  # some items may have come shortly before the kill
-        with pytest.raises(st.Unavailable, match="the object store s3://archives/rig says"):
-            channel.get(began, began + 5 * MS)
+        wait_until(lambda: "the object store s3://archives/rig says" in refusal(channel, began), "the reason is told")
         new = rt.channel(f"rig/new-{end}", host="h2", archive="7d")
         new.put(b"recorded", ack="disk")
     finally:
@@ -174,6 +173,13 @@ def test_a_host_that_starts_while_the_store_is_away_serves_what_it_has_and_catch
     assert channel.get(began, began + 5 * MS).reason is None
     moved(server, folder, channel, "h2")
     assert numbers(channel.get(began, began + (ITEMS + 29) * MS)) == list(range(ITEMS + 30))
+
+
+def refusal(channel: st.Channel, began: int) -> str:
+    """Why the host cannot read moved items. On a busy machine the last try of the client may end at the directory."""
+    with pytest.raises(st.Unavailable) as caught:
+        channel.get(began, began + 5 * MS)
+    return str(caught.value)
 
 
 def answers(channel: st.Channel, began: int) -> list[int]:
