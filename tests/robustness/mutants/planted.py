@@ -245,7 +245,7 @@ MUTANTS = (
         name="flags_survive_a_loss",
         file=f"{SUPERNODE}/core/replicas/transitions.py",
         edits=(("in_sync=one.in_sync and one.acknowledged and goes_on", "in_sync=one.in_sync"),),
-        noticed_by="takeovers",
+        noticed_by="tests/unit/supernode/core/replicas/test_transitions.py",
     ),
     Mutant(
         name="lag_is_not_looked_at",
@@ -269,12 +269,6 @@ MUTANTS = (
         name="no_wait_for_a_replica_that_joins",
         file=f"{HOST}/core/replication/in_sync.py",
         edits=(("return self.state is not ReplicaState.OUT", "return self.state is ReplicaState.IN"),),
-        noticed_by="takeovers",
-    ),
-    Mutant(
-        name="former_owners_items_are_kept",
-        file=f"{HOST}/copies/feed_stream.py",
-        edits=(("place.owner_epoch < since_epoch and (", "False and ("),),
         noticed_by="takeovers",
     ),
     Mutant(
