@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import socket
 import ssl
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -16,11 +18,13 @@ from stampede_rt.transports import socket_async, socket_connecting_async, socket
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_routes import opening_of
 from stampede_rt.transports.tcp_route import TcpRoute
+from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.stream_frames import FrameKind
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets import server, tls_stream
+from stampede_rt_runtime.sockets.tls_stream import TlsStream
 from tests.support.raw_stream import SECURED, raw_stream
 from tests.support.socket_port import ECHO, HOLD, TLS, Open, Port, certificates, port_fixture, until
 
@@ -114,6 +118,51 @@ async def test_a_caller_that_does_not_finish_the_handshake_is_let_go(port: Open,
                 pass
         writer.close()
         await until(lambda: not one.server.sockets._streams)
+
+
+async def ended_stream(one: Port) -> None:
+    async with raw_stream(one.target) as stream:
+        await stream.begin(ECHO)
+        await stream.send(FrameKind.MESSAGE, b"hello")
+        assert await stream.frame() == (FrameKind.MESSAGE, b"hello")
+
+
+async def ended_handshake(one: Port) -> None:
+    _, writer = await asyncio.open_connection("localhost", int(one.target.rpartition(":")[2]))
+    writer.write(b"\x16\x03\x01")
+    await until(lambda: one.server.sockets.streams_open == 1)
+    writer.transport.abort()
+
+
+async def malformed_handshake(one: Port) -> None:
+    reader, writer = await asyncio.open_connection("localhost", int(one.target.rpartition(":")[2]))
+    writer.write(b"GET / HTTP/1.1\r\n\r\n")
+    async with asyncio.timeout(20):
+        while await reader.read(2**16):  # an alert
+            pass
+    writer.close()
+
+
+@pytest.mark.parametrize("connect", [ended_stream, ended_handshake, malformed_handshake])
+async def test_the_tls_of_an_ended_connection_is_freed_without_the_garbage_collector(
+    port: Open, connect: Callable[[Port], Awaitable[None]]
+) -> None:
+    """Each connection kept 30 KB until a collection of all garbage, and any caller could open thousands."""
+
+    def kept() -> int:
+        return sum(isinstance(one, TlsStream | TlsLayer) for one in gc.get_objects())
+
+    async with port() as one:
+        gc.collect()
+        before = kept()
+        gc.disable()
+        try:
+            for _ in range(3):
+                await connect(one)
+                await until(lambda: not one.server.sockets._streams)
+            await until(lambda: kept() == before)
+        finally:
+            gc.enable()
 
 
 async def test_an_unfinished_handshake_takes_the_signs_of_life_from_nobody(
