@@ -48,10 +48,9 @@ class MulticastReader:
         self._multicasts.repairs += 1
         self._asked_seq, self.asked_bytes = max(1, request.repair_next_seq), max(1, request.credit_bytes)
 
-    def take_asked(self, incarnation: int) -> pb.SubscribeOpen | None:
-        """The place from which the reader wants items now; None: it has not asked anew."""
-        if self._asked_seq is None:
-            return None
+    def take_asked(self, incarnation: int) -> pb.SubscribeOpen:
+        """The place from which the reader wants items now. Call this only if it `has_asked`."""
+        assert self._asked_seq is not None, "the reader has asked"
         self._owed_seq, self._asked_seq = self._asked_seq, None
         cursor = pb.SubscriptionCursor(incarnation=incarnation, next_seq=self._owed_seq)
         return pb.SubscribeOpen(mode=pb.SUBSCRIBE_MODE_ALL, cursor=cursor)
@@ -60,6 +59,11 @@ class MulticastReader:
     def is_joined(self) -> bool:
         """Whether the reader has an offer."""
         return self._channel is not None
+
+    @property
+    def has_asked(self) -> bool:
+        """Whether the reader has asked for a place at which the cursor is not yet."""
+        return self._asked_seq is not None
 
     @property
     def is_owed(self) -> bool:

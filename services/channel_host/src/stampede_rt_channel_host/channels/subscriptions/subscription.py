@@ -155,9 +155,9 @@ class Subscription(ChangeObserver):
 
     async def _asked_place(self, cursor: Cursor) -> Cursor:
         """The place from which a reader of datagrams wants items, if it has asked for some; else `cursor`."""
-        asked = self._multicast.take_asked(self._hosted.channel.incarnation)
-        if asked is None:
+        if not self._multicast.has_asked or (saved := cursor.saved) is None:
             return cursor
+        asked = self._multicast.take_asked(saved.incarnation)  # a former one until the reader has heard of its loss
         self._owes_progress = True  # answers if there is no item
         self._credit.left = self._multicast.asked_bytes
         return await self._store.scheduler.do(open_cursor(self._hosted, asked, self._store.now()))
@@ -249,6 +249,8 @@ class Subscription(ChangeObserver):
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
         """Wait for news. Returns True when news comes, False at the loop time `until_s`. None: waits without limit."""
+        if self._multicast.has_asked:  # the reader asked while nobody waited
+            return True
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()
         self._news = news
