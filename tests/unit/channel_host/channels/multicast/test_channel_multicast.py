@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, cast
@@ -32,11 +33,13 @@ class Group:
 
     def __init__(self) -> None:
         self.sent = list[bytes]()
-        self.has_news = asyncio.Event()
+        self.has_news, self.may_send = asyncio.Event(), asyncio.Event()
+        self.may_send.set()
 
     async def send(self, datagrams: Sequence[bytes]) -> None:
         self.sent += datagrams
         self.has_news.set()
+        await self.may_send.wait()
 
     def close(self) -> None:
         pass
@@ -146,3 +149,40 @@ async def test_an_item_that_is_too_large_is_only_announced() -> None:
         rig.put(bytes(2**20 + 1))
         part = (await rig.group.parts(opener, 1))[0]
         assert (part.kind, part.first_seq) == (MessageKind.BEAT, 2)
+
+
+async def test_a_multicast_that_is_too_slow_leaves_items_out_and_a_beat_announces_them() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        rig.group.may_send.clear()
+        for _ in range(3):
+            rig.put(bytes(5000))
+        assert (await rig.group.parts(opener, 1))[0].end_seq == 3  # the first two
+        one = rig.multicasts.find(rig.hosted)
+        assert one is not None
+        one._goal_s -= channel_multicast.LATE_S_MAX
+        rig.group.sent.clear()
+        rig.group.may_send.set()
+        part = (await rig.group.parts(opener, 1))[0]
+        assert (part.kind, part.first_seq) == (MessageKind.BEAT, 4)
+        rig.group.sent.clear()
+        rig.put(b"four")
+        found = await rig.group.parts(opener, 1)
+        assert (MessageKind.ITEMS, 4) in {(part.kind, part.first_seq) for part in found}
+
+
+async def test_a_multicast_that_is_never_at_the_end_of_a_busy_channel_but_keeps_up_leaves_nothing_out() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        one = rig.multicasts.find(rig.hosted)
+        assert one is not None
+        for seq in range(1, 30):
+            rig.group.may_send.clear()
+            rig.put(b"x")
+            await rig.group.parts(opener, seq)
+            rig.put(b"x")  # during the sending
+            one._goal_s -= channel_multicast.LATE_S_MAX / 2
+            rig.group.may_send.set()
+            await asyncio.sleep(0)
+        found = [one for one in await rig.group.parts(opener, 30) if one.kind is MessageKind.ITEMS]
+        assert all(one.end_seq == other.first_seq for one, other in itertools.pairwise(found))

@@ -30,6 +30,8 @@ from stampede_rt_channel_host.core.channel import AllCursor, SubscriptionBatch
 ITEMS_BYTES = 8192
 """About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
 BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last one. Grows up to BEAT_S_MAX
+LATE_S_MAX = 1.0
+"""A multicast that is behind its channel for longer leaves items out. Else readers would be late without a limit."""
 KEY_SECONDS_MIN = 10.0  # a reader that has left can open datagrams at most this long
 KEY_NUMBERS_MAX = 2**16 - 1
 
@@ -60,6 +62,8 @@ class ChannelMulticast:
         self._news = asyncio.Event()
         self.has_ended = self._owes_key = False
         self._beat_s = BEAT_S_MIN
+        # the channel's next seq at a loop time, until all items before it are sent
+        self._goal_seq, self._goal_s = 0, 0.0
         self._renew_key()
 
     @property
@@ -91,10 +95,23 @@ class ChannelMulticast:
         self._hosted.group_observers[self] = None
         try:
             while not self.has_ended:
+                cursor = self._in_time(cursor)
                 await self._step(cursor)
             await self._send(MessageKind.END, cursor.next_seq, cursor.next_seq, self._next_beat())
         finally:
             self._hosted.group_observers.pop(self, None)
+
+    def _in_time(self, cursor: AllCursor) -> AllCursor:
+        """The cursor, or one at the end of the channel if this one has been behind for too long.
+
+        Readers ask the host for the items between, or go on without datagrams.
+        """
+        next_seq, now_s = self._hosted.channel.next_seq, asyncio.get_running_loop().time()
+        if cursor.next_seq < self._goal_seq and now_s - self._goal_s > LATE_S_MAX:
+            cursor = AllCursor(iter(()), next_seq)
+        if cursor.next_seq >= self._goal_seq:
+            self._goal_seq, self._goal_s = next_seq, now_s
+        return cursor
 
     async def _step(self, cursor: AllCursor) -> None:
         """Send the next items, or wait for some. Sends a beat after a silence."""
@@ -119,6 +136,7 @@ class ChannelMulticast:
         await asyncio.sleep(0)
 
     async def _wait(self, cursor: AllCursor) -> None:
+        """Wait for items. Sends a beat after a silence."""
         with suppress(TimeoutError):
             async with asyncio.timeout(self._beat_s):
                 await self._news.wait()
