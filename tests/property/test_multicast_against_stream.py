@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from stampede_rt.multicast.assembling import Assembler
 from stampede_rt.multicast.layout import (
     DATA_BYTES_MAX,
     DATAGRAM_BYTES_MAX,
@@ -15,6 +16,7 @@ from stampede_rt.multicast.layout import (
     SIGNATURE_BYTES,
     MessageKind,
     MulticastMessage,
+    Part,
     parts_of,
 )
 from stampede_rt.multicast.receiving import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, Receiving
@@ -194,6 +196,24 @@ def test_a_reader_that_gets_nothing_but_first_parts_keeps_a_bounded_amount() -> 
         reader.hear(parts[:-1], 0.0)
     assert reader._assembler.kept_bytes <= ASSEMBLED_BYTES_MAX
     assert reader._assembler.given_up > 0
+
+
+def test_a_reader_that_gets_small_parts_of_many_messages_counts_the_messages_too() -> None:
+    assembler = Assembler(ASSEMBLED_BYTES_MAX)
+    for seq in range(1, 20_000):
+        assembler.add(Part(MessageKind.ITEMS, seq, seq + 1, 1, 2, b"x"))
+    assert assembler.kept_bytes <= ASSEMBLED_BYTES_MAX
+    assert len(assembler._parts) < 10_000
+
+
+def test_a_reader_counts_the_memory_of_held_items_without_payloads() -> None:
+    rng = random.Random(3)
+    key = rng.randbytes(KEY_BYTES)
+    host = Sending(rng, key)
+    reader = Hearing(host, key).receiving
+    empty = encoded([Numbered(seq, b"") for seq in range(2, 130)])
+    reader.hear(host.sealed(MessageKind.ITEMS, 2, 130, empty), 0.0)
+    assert reader.merge.held_bytes > 128 * 200
 
 
 def test_a_reader_that_lacks_one_item_keeps_a_bounded_amount_of_later_ones() -> None:

@@ -6,6 +6,8 @@ from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
 
 PART_OVERHEAD_BYTES = 160
 """The approximate memory of a kept part besides its data."""
+MESSAGE_OVERHEAD_BYTES = 320
+"""The approximate memory of a message of which there is a part, besides its parts."""
 
 _Key = tuple[MessageKind, int, int, int]
 
@@ -26,7 +28,10 @@ class Assembler:
         key = part.kind, part.first_seq, part.end_seq, part.count
         if part.count == 1:
             return MulticastMessage(*key[:3], part.data)
-        parts = self._parts.setdefault(key, {})
+        if key not in self._parts:
+            self._parts[key] = {}
+            self.kept_bytes += MESSAGE_OVERHEAD_BYTES
+        parts = self._parts[key]
         if part.index in parts:
             self.repeated += 1
             return None
@@ -50,4 +55,4 @@ class Assembler:
 
     def _forget(self, key: _Key) -> None:
         parts = self._parts.pop(key)
-        self.kept_bytes -= sum(len(data) + PART_OVERHEAD_BYTES for data in parts.values())
+        self.kept_bytes -= MESSAGE_OVERHEAD_BYTES + sum(len(data) + PART_OVERHEAD_BYTES for data in parts.values())

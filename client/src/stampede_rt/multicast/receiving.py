@@ -16,7 +16,9 @@ from stampede_rt.values.statistics import MulticastStats
 ASSEMBLED_BYTES_MAX = 4 * 2**20
 """The most memory of the parts of messages that are not complete."""
 HELD_BYTES_MAX = 4 * 2**20
-"""The most bytes of messages that wait for earlier ones."""
+"""The most memory of the items that wait for earlier ones."""
+ITEM_MEMORY_BYTES = 256
+"""The approximate memory of a decoded item besides its bytes in the message."""
 
 
 class Receiving:
@@ -91,7 +93,9 @@ class Receiving:
     def _take_message(self, message: MulticastMessage) -> bool:
         """Take a message of the host. Returns False if it is an old one."""
         if message.kind is MessageKind.ITEMS:
-            is_new = self.merge.add(message.first_seq, message.end_seq, self._decode(message.body), len(message.body))
+            items = self._decode(message.body)
+            size = len(message.body) + ITEM_MEMORY_BYTES * len(items)
+            is_new = self.merge.add(message.first_seq, message.end_seq, items, size)
             return is_new or not self.has_heard
         beat = int.from_bytes(message.body, "big")
         if beat <= self._last_beat:

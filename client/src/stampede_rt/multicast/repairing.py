@@ -54,7 +54,8 @@ class RepairPace:
     def asked(self) -> None:
         """Note that the reader has asked the host, and has its answer."""
         self.repairs += 1
-        self._vain += 1
+        if not self._must_ask:  # a question for a key says nothing about the network
+            self._vain += 1
         self._missing_since_s, self._must_ask = None, False
 
     def next_step(self, now_s: float, *, is_missing: bool) -> tuple[Step, float]:

@@ -7,8 +7,9 @@ import socket
 from contextlib import suppress
 
 from stampede_rt.multicast.layout import DATAGRAM_BYTES_MAX
+from stampede_rt.transports import forking
 
-DATAGRAMS_PER_POLL = 128
+DATAGRAMS_PER_POLL = 32  # a reader opens and checks them in about 2 ms, also if each is a whole message
 RECEIVED_BYTES_MAX = 8 * 2**20  # the kernel allows less, unless net.core.rmem_max is raised
 
 
@@ -34,6 +35,7 @@ def join_group(group: str, target: str) -> socket.socket:
     except BaseException:
         made.close()
         raise
+    forking.keep_out_of_children(made)  # else this machine stays in the group as long as a child runs
     return made
 
 

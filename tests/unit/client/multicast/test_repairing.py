@@ -55,3 +55,13 @@ def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is Step.WAIT
     pace.ask_for_key(KEY_ASKED_S)
     assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is Step.REPAIR
+
+
+def test_questions_for_a_key_do_not_make_a_reader_leave() -> None:
+    pace = RepairPace(0.0)
+    for second in range(2 * VAIN_REPAIRS_MAX):
+        pace.heard(second)
+        pace.ask_for_key(second)
+        assert pace.next_step(second, is_missing=False)[0] is Step.REPAIR
+        pace.asked()
+    assert pace.next_step(second, is_missing=False)[0] is Step.WAIT

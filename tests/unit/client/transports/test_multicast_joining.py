@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import errno
+import os
+
+from stampede_rt.transports.multicast_joining import join_group
+
+
+def test_a_forked_child_does_not_stay_in_the_group() -> None:
+    with join_group("239.255.7.9:7589", "127.0.0.1:1") as joined:
+        number = joined.fileno()
+        child = os.fork()
+        if not child:
+            os._exit(0 if _is_closed(number) else 1)
+        assert os.waitpid(child, 0)[1] == 0
+        assert not _is_closed(number)
+
+
+def _is_closed(number: int) -> bool:
+    try:
+        os.fstat(number)
+    except OSError as error:
+        return error.errno == errno.EBADF
+    return False
