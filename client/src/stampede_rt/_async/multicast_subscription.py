@@ -10,6 +10,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from stampede_rt._async.channel_state import ChannelState
@@ -19,15 +20,16 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.multicast.receiving import Receiving
-from stampede_rt.multicast.repairing import Step
+from stampede_rt.multicast.repairing import BEAT_S_MAX, Step
 from stampede_rt.multicast.sealing import DatagramOpener, Verifier
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
-from stampede_rt.transports.concurrency_async import in_thread, monotonic_s
+from stampede_rt.transports.concurrency_async import in_thread, monotonic_s, sleep
 from stampede_rt.transports.multicast_async import GroupSocket
 from stampede_rt.transports.multicast_joining import join_group
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 from stampede_rt.values.statistics import MulticastStats
+from stampede_rt.wire.decoding import ItemDecoder
 
 _log = logging.getLogger("stampede_rt")
 
@@ -96,15 +98,14 @@ class MulticastSubscription(Subscription):
             _log.info("the subscription to channel %r does without multicast: %s", self._state.info.name, error)
             self._leave()
             return
+        except BaseException:  # the step is cancelled: without another stream nobody would hear the datagrams
+            self._reopen()
+            raise
+        assert self._decoder is not None, "the stream is open"
         self._socket = GroupSocket(joined)
-        self._receiving = Receiving(opener, verifier, monotonic_s(), self._decode)
+        self._receiving = Receiving(opener, verifier, monotonic_s(), partial(_decoded, self._decoder))
         if self._closed:  # somebody called `close` meanwhile
             self._socket.close()
-
-    def _decode(self, body: bytes) -> Sequence[Item]:
-        response = channel_pb.SubscribeResponse.FromString(body)
-        assert self._decoder is not None, "the stream is open"
-        return [*self._decoder.decode_each(response.runs)]
 
     async def _listen_in(self, receiving: Receiving, socket: GroupSocket) -> None:
         """While the stream brings the items: look whether the datagrams bring the next ones, and then follow them."""
@@ -123,8 +124,12 @@ class MulticastSubscription(Subscription):
     async def _follow(self, receiving: Receiving, socket: GroupSocket) -> None:
         """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
         now_s = monotonic_s()
+        if self._session.closed:  # only the stream tells it, and nobody reads the stream
+            self._reopen()
+            return
         if items := receiving.take(socket.poll(), now_s):
             self._add(items, receiving)
+            await sleep(0)  # if datagrams come faster than the program takes them, other tasks have turns, too
             return
         step, wait_s = receiving.pace.next_step(now_s, is_missing=receiving.merge.is_missing)
         if step is Step.LEAVE:
@@ -138,7 +143,7 @@ class MulticastSubscription(Subscription):
         elif step is Step.REPAIR:
             await self._repair(receiving)
         else:
-            await socket.wait(wait_s)
+            await socket.wait(min(wait_s, BEAT_S_MAX))
 
     async def _repair(self, receiving: Receiving) -> None:
         """Ask the host for the first missing items, and wait for its answer."""
@@ -148,18 +153,25 @@ class MulticastSubscription(Subscription):
         if stream is not None:
             with suppress(Unavailable):  # the next response raises the reason of a broken stream
                 await stream.send(request)
-        while self._asked_seq and self._receiving is receiving and not self._closed:
-            await self._receive()
+        try:
+            while self._asked_seq and self._receiving is receiving and not self._closed:
+                await self._receive()
+        except BaseException:  # a cancelled step ends the stream. Nobody who follows datagrams would notice
+            self._reopen()
+            raise
         receiving.pace.asked()
 
     def _add(self, items: Sequence[Item], receiving: Receiving) -> None:
         """Give the items to the reader next, and note the place after them."""
         self._ready.extend(items)
-        if items:
-            self._item_bytes += (items[-1].payload_length_bytes + ITEM_OVERHEAD_BYTES - self._item_bytes) / 8
+        self._note_size(items)
         if self._cursor is not None:
             incarnation, next_seq = self._cursor.incarnation, receiving.merge.next_seq
             self._cursor = channel_pb.SubscriptionCursor(incarnation=incarnation, next_seq=next_seq)
+
+    def _note_size(self, items: Sequence[Item]) -> None:
+        if items:
+            self._item_bytes += (items[-1].payload_length_bytes + ITEM_OVERHEAD_BYTES - self._item_bytes) / 8
 
     def _take(self, response: channel_pb.SubscribeResponse) -> None:
         if response.HasField("multicast"):
@@ -169,17 +181,22 @@ class MulticastSubscription(Subscription):
             super()._take(response)
             return
         if response.gap.items:
-            held = receiving.merge.take_up_to(response.gap.last_seq + 1)
-            response.gap.items -= min(
-                len(held), response.gap.items
-            )  # datagrams brought these before they were collected
-            self._ready.extend(held)
+            self._take_gap(response.gap, receiving)
         super()._take(response)
         if response.HasField("cursor"):
             receiving.merge.pass_to(response.cursor.next_seq)
         self._add(receiving.merge.take(), receiving)
         if response.repair_next_seq == self._asked_seq:
             self._asked_seq = 0
+
+    def _take_gap(self, gap: channel_pb.SubscriptionGap, receiving: Receiving) -> None:
+        """Take the held items up to the end of the gap. The gap then counts only items that the reader did not get."""
+        merge, end_seq = receiving.merge, gap.last_seq + 1
+        new = end_seq - max(gap.first_seq, merge.next_seq)  # the host may have told a part of the gap before
+        held = merge.take_up_to(end_seq)
+        had = sum(gap.first_seq <= item.seq < end_seq for item in held)  # they came before they were collected
+        gap.items = max(0, min(gap.items, new) - had)
+        self._ready.extend(held)
 
     def _take_offer(self, offer: channel_pb.MulticastOffer) -> None:
         self._offer = offer
@@ -190,7 +207,9 @@ class MulticastSubscription(Subscription):
         if self._receiving is None or not self._is_following:
             yield from super()._unseen(items)
         else:
-            yield from self._receiving.merge.fill(items)
+            new = self._receiving.merge.fill(items)
+            self._note_size(new)
+            yield from new
 
     def _take_ready(self) -> Item:
         return self._ready.popleft() if self._is_following else super()._take_ready()
@@ -223,3 +242,8 @@ class MulticastSubscription(Subscription):
         socket: Any = self._socket
         if socket is not None:
             socket.close()
+
+
+def _decoded(decoder: ItemDecoder, body: bytes) -> Sequence[Item]:
+    """The items of a message. No method: the subscription would reference itself, and not end when it is dropped."""
+    return decoder.decode_each(channel_pb.SubscribeResponse.FromString(body).runs)
