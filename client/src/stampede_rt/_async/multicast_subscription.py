@@ -33,7 +33,8 @@ from stampede_rt.wire.decoding import ItemDecoder
 
 _log = logging.getLogger("stampede_rt")
 
-AGAIN_S = 60.0  # after datagrams did not reach this reader, its next streams do without them for this time
+AGAIN_S = 60.0  # after datagrams did not reach this reader, it does without them for this time; it doubles each time
+AGAIN_S_MAX = 3600.0
 REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, beside the last item
 COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
 
@@ -55,7 +56,7 @@ class MulticastSubscription(Subscription):
         self._receiving: Receiving | None = None
         self._is_following = False  # whether the items come from datagrams
         self._asked_seq = 0  # of the repair that the host has still to answer; 0: none
-        self._not_before_s = 0.0
+        self._not_before_s, self._again_s = 0.0, AGAIN_S
         self._item_bytes = 1.0  # about the bytes of one item
         self._before = MulticastStats()  # the counts of earlier streams
 
@@ -69,6 +70,8 @@ class MulticastSubscription(Subscription):
         return replace(now, **{name: getattr(now, name) + getattr(self._before, name) for name in COUNTS})
 
     async def _advance(self) -> None:
+        if self._stream is not None and not self._begun.multicast and monotonic_s() >= self._not_before_s:
+            self._reopen()  # try multicast again
         await self._open()
         receiving, socket = self._receiving, self._socket
         if receiving is not None and socket is not None and self._is_following:
@@ -219,8 +222,9 @@ class MulticastSubscription(Subscription):
         super()._resume()
 
     def _leave(self) -> None:
-        """Continue on another stream, without multicast."""
-        self._not_before_s = monotonic_s() + AGAIN_S
+        """Continue on another stream, without multicast for a time."""
+        self._not_before_s = monotonic_s() + self._again_s
+        self._again_s = min(2 * self._again_s, AGAIN_S_MAX)
         self._reopen()
 
     def _reopen(self) -> None:

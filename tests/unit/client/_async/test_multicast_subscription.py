@@ -66,6 +66,8 @@ class Stream:
 
     async def send(self, request: pb.SubscribeRequest) -> None:
         self.requests.append(request)
+        if request.HasField("open") and not request.open.multicast:
+            self.responses[0].ClearField("multicast")
         if request.HasField("repair_next_seq") and self.answers:
             self.responses += self.answers
             self.responses[-1].repair_next_seq = request.repair_next_seq
@@ -220,6 +222,22 @@ async def test_other_tasks_have_turns_although_datagrams_come_as_fast_as_the_rea
     assert [(await anext(subscription)).seq for _ in range(100)] == [*range(1, 101)]
     task.cancel()
     assert turns >= 99
+
+
+async def test_a_reader_that_has_left_multicast_tries_it_again_after_a_time(session: Session) -> None:
+    subscription, _ = await followed(session)
+    subscription._leave()
+    await subscription._open()
+    session.streams[1].responses.append(pb.SubscribeResponse())
+    await subscription._advance()
+    assert (len(session.streams), subscription._receiving) == (2, None)
+    subscription._not_before_s = 0.0
+    advancing = asyncio.create_task(subscription._advance())
+    while subscription._receiving is None:
+        await asyncio.sleep(0)
+    advancing.cancel()
+    assert [stream.requests[0].open.multicast for stream in session.streams] == [True, False, True]
+    assert subscription._again_s == 2 * module.AGAIN_S
 
 
 async def test_a_reader_ends_with_its_connection_although_datagrams_still_come(session: Session) -> None:
