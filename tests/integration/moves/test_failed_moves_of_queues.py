@@ -132,7 +132,7 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", waits)
     move = pair.moves()
     await reached.wait()
-    with pytest.raises(grpc.aio.AioRpcError, match="takes long"):
+    with pytest.raises(grpc.aio.AioRpcError, match="takes too long"):
         await pair.queue.status()
     goes_on.set()
     await move

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import HealthCheck, given, note, settings
+from hypothesis import HealthCheck, given, note, seed, settings
 from hypothesis import strategies as st
 
 from stampede_rt.errors import ChannelNotFound
@@ -28,6 +28,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module i
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "50"))
 RING_ANSWERS = ("get", "newest", "subscription")
+ROUNDS_MAX = 10  # a round seldom lacks one of these answers
 SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
 
 
@@ -49,7 +50,8 @@ def surface(request: pytest.FixtureRequest, host: LoopbackHost, ring_answers: Co
         yield connected
 
 
-def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
+def play_stories(surface: Surface, host: SteeredHost, examples: int, first: int = 0) -> None:
+    @seed(first)
     @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.lists(st.integers(0, 2**96), min_size=20, max_size=40))
     def every_scenario(numbers: list[int]) -> None:
@@ -79,8 +81,11 @@ def test_a_client_agrees_with_the_oracle_in_every_scenario(
     surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
 ) -> None:
     ring_answers.clear()
-    play_stories(surface, host, EXAMPLES)
-    assert not futexes.is_supported() or min(ring_answers[kind] for kind in RING_ANSWERS) > 0, ring_answers
+    for turn in range(ROUNDS_MAX):
+        play_stories(surface, host, EXAMPLES, first=turn)
+        if not futexes.is_supported() or all(ring_answers[kind] for kind in RING_ANSWERS):
+            return
+    raise AssertionError(f"no story read everything from shared memory: {ring_answers}")
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
