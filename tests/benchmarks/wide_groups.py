@@ -1,8 +1,8 @@
 """The cost of a wide group for its hosts: `python -m tests.benchmarks.wide_groups`.
 
-64 channels at 100 items/s each, spread over 1, 2, 3, 4 and 6 hosts, without a group and in one group on `oldest`. Each
-host is a process (see `fed_host`), a supernode and a front-end stand beside them. The difference of CPU time is the
-group's alone: following the channels, exchanging times, computing cuts.
+64 channels at 100 items/s each, spread over 1, 2, 3, 4 and 6 hosts, without a group and in one group with
+`reference="oldest"`. Each host is a process of its own (see `fed_host`). One supernode and one front-end run beside the
+hosts. The difference in CPU time is the cost of the group: following the channels, exchanging times, computing cuts.
 """
 
 from __future__ import annotations

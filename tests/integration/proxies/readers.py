@@ -1,4 +1,4 @@
-"""Subscriptions of a test, each in a thread, and a producer; and the items that all readers must have at the end.
+"""Readers and a producer for tests, each in its own thread, and a check that all readers got every item.
 
 The tests of this folder connect over gRPC. On one machine readers would otherwise follow the owner's shared memory, and
 use no proxy.
@@ -78,7 +78,7 @@ def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) ->
 
 
 class AwaitedReading:
-    """As `Reading`, with the awaited client, on an event loop in a thread of its own."""
+    """Like `Reading`, with the asyncio client, on an event loop in a thread of its own."""
 
     def __init__(self, address: str, channel: str, transport: Any) -> None:
         self.subscription: Any = None
@@ -111,7 +111,7 @@ class AwaitedReading:
 
 @contextmanager
 def awaited_reading(address: str, channel: str, transport: Any) -> Iterator[AwaitedReading]:
-    """Begin a subscription of the awaited client."""
+    """Begin a subscription of the asyncio client."""
     reader = AwaitedReading(address, channel, transport)
     try:
         yield reader
@@ -138,7 +138,7 @@ def all_saw(readers: list[Reading], last: int) -> None:
 
 
 def passes(producing: Producing, items: int) -> None:
-    """Let the producers put this number of further items."""
+    """Wait until the producer has put this many further items."""
     goal = producing.last + items
     wait_until(lambda: producing.last >= goal, f"{items} further items")
 

@@ -1,4 +1,4 @@
-"""Streams over a host's socket end with the credential or the right of their caller, whatever the caller does."""
+"""The host ends a socket stream as soon as its caller's credential or right ends, whatever the caller is doing."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 @asynccontextmanager
 async def streams(cluster: LocalCluster, token: str) -> AsyncIterator[dict[str, RawStream]]:
-    """Streams of a caller with `token`. Each waits for another thing, and the host serves all of them."""
+    """Streams of a caller with `token`. Each stream is in a different state, and the host serves all of them."""
     secret = cluster.secret.text
     with st.connect(cluster.address, secret=secret) as rt:
         channel = rt.channel(NAME, max_items=ITEMS)
@@ -120,14 +120,14 @@ async def test_a_revoked_token_ends_all_streams_of_its_caller(
             assert "revoked" in await told(found[name]), name
 
 
-async def test_a_token_that_ends_ends_all_streams_of_its_caller(cluster: LocalCluster, operator: Operator) -> None:
+async def test_an_expired_token_ends_all_streams_of_its_caller(cluster: LocalCluster, operator: Operator) -> None:
     async with streams(cluster, operator.new_token("brief", 3 * 10**9)) as found:
         await ended(found, ALL)
         for name in ALL - {"reads nothing"}:
             assert "the token of client brief has ended" in await told(found[name]), name
 
 
-async def test_a_lost_right_ends_the_subscriptions_that_need_it_and_refuses_the_rest(
+async def test_after_a_lost_right_subscriptions_end_and_waiting_gets_are_refused(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     operator.add("reader", "read,put", "sockets/*")

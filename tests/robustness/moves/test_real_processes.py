@@ -42,7 +42,7 @@ LATE = ("destination: has removed the heir", "destination: releases the source",
 
 
 class Hosts:
-    """Two hosts with a plan each. The channel of a test is at `source`."""
+    """Two hosts. Each has a file, its plan, with a step, a signal and a process. The channel of a test is at `source`."""
 
     def __init__(self, cluster: LocalCluster, folder: Path) -> None:
         self.cluster, self.folder = cluster, folder
@@ -64,7 +64,7 @@ class Hosts:
             one.wait_ready(READY_S)
 
     def plan(self, step: str, victim: ServiceProcess, number: signal.Signals, source: str, destination: str) -> Path:
-        """Plan the signal to the victim at this step of the move. Returns the file, which is removed at that step."""
+        """Plan the signal to the victim at this step of the move. Returns the file. The host removes it at that step."""
         plan = self.folder / (source if step in SOURCE_STEPS else destination)
         plan.write_text(f"{step}|{victim.pid}|{int(number)}")
         return plan
@@ -89,7 +89,7 @@ def hosts(cluster: LocalCluster, tmp_path_factory: pytest.TempPathFactory) -> It
 
 
 class Producer:
-    """Puts numbers, each once, and notes those that were acknowledged. A reader follows."""
+    """Puts each number once, and notes the acknowledged ones. A thread reads the channel meanwhile."""
 
     def __init__(self, channel: Any) -> None:
         self.acknowledged: list[tuple[int, int]] = []  # with the incarnation
@@ -140,9 +140,12 @@ def victim_of(rt: Any, hosts: Hosts, victim: str, source: str, destination: str)
 
 
 def may_lose(victim: str, step: str) -> bool:
-    """Whether only the victim has the items at that step, as any owner."""
+    """Whether the victim is the only host with the items at that step.
+
+    Its death may lose them then, as the death of any owner without a replica.
+    """
     if victim == "source":
-        return step in (*STEPS[:3], *SOURCE_STEPS)  # the commit races with what the source hears
+        return step in (*STEPS[:3], *SOURCE_STEPS)  # the source may still be the owner
     return victim == "destination" and step in (*LATE, "destination: tells the source", "source: hears of the commit")
 
 

@@ -1,4 +1,4 @@
-"""Divides the items of a cut event at the captions. Each span has one caption and all items in it. Pure."""
+"""Divides the items of a cut event at the captions. A span has one caption, and all items until the next one. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Span = Mapping[str, Sequence[st.Item]]
 def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[StepFigures, Span]]:
     """Return the spans of a cut event, each with the figures to report.
 
-    Late items belong to an earlier span, which was reported as incomplete. They are in no other span.
+    Late items are left out: their own span was reported earlier, as incomplete.
     """
     event = {stream.name: cut[stream.channel] for stream in STREAMS}
     complete = not cut.incomplete and not any(items.truncated for items in event.values())
@@ -29,8 +29,8 @@ def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[
 def spans_of(event: Span, cut: int) -> list[tuple[int, Span]]:
     """Return the spans in one event, each with its end: the next caption, or `cut`.
 
-    As a rule an event has one caption. It has none when the cut comes to the first caption, because no items lie before
-    it. It has several if the reader was slower than the captions.
+    As a rule an event has one caption. The event that ends at the first caption has none. An event has several if the
+    reader was slower than the captions.
     """
     bounds = [*sorted({caption.time for caption in event[CAPTIONS.name]}), cut]
     return [

@@ -107,7 +107,7 @@ def test_a_role_that_cannot_be_started_is_named():
         roles.start("ghost", ["/nowhere/at/all"])
 
 
-def test_a_role_that_ignores_the_kind_signal_is_ended_by_force(monkeypatch):
+def test_a_role_that_ignores_sigterm_is_killed(monkeypatch):
     monkeypatch.setattr("stampede_rt_demos.staging.role_processes.END_SECONDS", 0.2)
     with RoleProcesses() as roles:
         roles.start("deaf one", program(DEAF))
@@ -128,7 +128,7 @@ def test_a_role_with_unread_output_is_ended_too():
     assert is_gone(pid)
 
 
-def test_the_roles_environment_is_added_to_this_ones():
+def test_a_role_gets_the_environment_of_this_process_and_the_added_variables():
     source = """
         import json, os
         print(json.dumps({"event": "result", "secret": os.environ["SECRET"], "path": os.environ["PATH"]}), flush=True)

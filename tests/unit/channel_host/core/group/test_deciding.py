@@ -32,7 +32,7 @@ def test_after_max_wait_the_event_comes_and_names_the_missing_members() -> None:
     assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
 
 
-def test_with_a_lateness_every_member_must_be_past_the_cut_by_it_or_have_advanced_to_the_cut() -> None:
+def test_with_a_lateness_each_member_must_be_that_far_past_the_cut_or_promise_it_by_an_advance() -> None:
     decider = EventDecider(0, WAIT, 20)
     decider.note(50, now=7)
     assert decider.wake_at() == 127
@@ -182,7 +182,7 @@ def test_a_resumed_subscription_reports_items_that_were_consumed_meanwhile() -> 
     assert (loss.before, loss.is_exact) == (21, False)
 
 
-def test_the_reported_loss_covers_items_lost_between_the_return_and_the_first_step() -> None:
+def test_the_reported_loss_covers_items_lost_between_resuming_and_its_first_take() -> None:
     made = channel(10, 20, 30, policy=Policy(max_items=2))
     follower = CutFollower(made, 5, NOW, next_seq=1, incarnation=INCARNATION)
     for time in (40, 50):
@@ -193,7 +193,7 @@ def test_the_reported_loss_covers_items_lost_between_the_return_and_the_first_st
     assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)
 
 
-def test_by_end_an_event_waits_for_items_or_max_wait_because_a_duration_promises_no_item() -> None:
+def test_with_bound_end_an_event_trusts_no_duration_and_waits_for_an_item_or_max_wait() -> None:
     """Durations may be wrong: if deciders trusted them, an item before the stated end would count as late."""
     until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
@@ -205,7 +205,7 @@ def test_by_end_an_event_waits_for_items_or_max_wait_because_a_duration_promises
 
 
 def test_each_of_many_waiting_cuts_has_its_event_after_its_max_wait() -> None:
-    """The decider once merged many cuts into one, whose wait each further cut restarted. Items came twice as late."""
+    """In an earlier version each further cut restarted the wait of merged cuts, so items came after up to twice `wait`."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
     told: list[int] = []
@@ -218,7 +218,7 @@ def test_each_of_many_waiting_cuts_has_its_event_after_its_max_wait() -> None:
     assert len(told) > PENDING_MAX / 2
 
 
-def test_the_span_of_an_items_value_ends_at_the_next_visible_item_alone() -> None:
+def test_only_a_visible_item_ends_the_span_of_an_earlier_item() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 0, NOW)
     follower.begin(30)
