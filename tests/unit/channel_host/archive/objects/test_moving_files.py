@@ -88,16 +88,36 @@ async def test_the_new_host_of_a_moved_channel_takes_over_the_last_files_of_the_
     new = host(tmp_path, "b", store, 2)
     new.write([[ArchivedRun(9, decode(cut(b"7", 1, 2)))]], ArchiveLimits(None, None))  # memory began amid a run
     assert found_by(new) == [1, 2, 3, 4, 8, 9]
-    assert new.lacks_items()
+    assert new.lacks_items(10)
     window = new.load(new.segments, ALL, decode, lambda: None)
     assert window.holes == [Hole(5, 7, 3)]
     former.close(None)
     await move(former, store)
-    assert seqs(new, new.find_again(new.stored.find(2))) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
-    assert not new.lacks_items()
+    assert seqs(new, new.find_again(new.stored.find(2), 10)) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert not new.lacks_items(10)
     new.close(None)
     await move(new, store)
     assert found_by(host(tmp_path, "c", store, 3)) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+
+
+@pytest.mark.asyncio
+async def test_the_new_host_of_an_idle_channel_gets_the_last_files_of_the_former_one_and_none_of_its_lost_items(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    former = host(tmp_path, "a", store, 1)
+    write_closed(former, 1)
+    await move(former, store)
+    write_closed(former, 5)
+    write_closed(former, 9)  # the owner does not know of these items
+    new = host(tmp_path, "b", store, 2)
+    assert new.lacks_items(9)
+    await move(former, store)
+    assert seqs(new, new.find_again(new.stored.find(2), 9)) == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert not new.lacks_items(9)
+    assert len(store.objects) == 3
+    write_closed(new, 9)
+    assert found_by(new) == [*range(1, 13)]
 
 
 @pytest.mark.asyncio
@@ -112,7 +132,7 @@ async def test_limits_remove_objects_and_only_those_of_the_channel(tmp_path: Pat
     files.look(10**18, 10**18, ArchiveLimits(10, None))
     assert len(files.stored.outdated) == 2
     assert found_by(files) == [9, 10, 11, 12]
-    again = files.find_again(files.stored.find(1))  # the objects are still there
+    again = files.find_again(files.stored.find(1), 13)  # the objects are still there
     assert seqs(files, again) == [9, 10, 11, 12]
     store.delete(files.stored.outdated)
     assert len(store.objects) == len(foreign) + 1

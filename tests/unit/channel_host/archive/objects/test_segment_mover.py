@@ -55,11 +55,12 @@ class Host:
         self.archive = HostArchive(folder, decode, self.disk, lambda: self.clock, objects)
         self.mover = objects.mover
 
-    async def serve(self, epoch: int) -> ChannelRecorder:
-        """Record the channel here from now on."""
+    async def serve(self, epoch: int, next_seq: int = 1) -> ChannelRecorder:
+        """Record the channel here from now on. `next_seq`: of a channel that has moved here without items."""
         files, found = await self.archive.open(record(epoch))
         channel = ChannelCore(Policy(max_items=4), incarnation=epoch)
-        channel.restore((), after=None, next_seq=max((one.end_seq for one in found.segments), default=1), loss=(0, 0))
+        next_seq = max(next_seq, *(one.end_seq for one in found.segments), 1)
+        channel.restore((), after=None, next_seq=next_seq, loss=(0, 0))
         disk = self.disk.of_channel(CHANNEL, "")
         recorder = ChannelRecorder(channel, files, found.segments, disk)
         self.archive.record(recorder)
@@ -206,7 +207,7 @@ async def test_a_channel_that_moved_here_gets_the_last_files_of_its_former_owner
     async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
         await former.serve(1)
         await former.write()
-        recorder = await new.serve(2)
+        recorder = await new.serve(2, next_seq=2)
         new.mover.expect_former(recorder)
         new.archive.start()
         former.archive.forget(former.recorder)
@@ -214,6 +215,25 @@ async def test_a_channel_that_moved_here_gets_the_last_files_of_its_former_owner
         assert not await former.mover.move_all()
         await until(lambda: recorder.segments)
         assert new.read()[:1] == [1]
+
+
+@pytest.mark.asyncio
+async def test_an_idle_channel_that_moved_here_gets_files_that_come_after_the_first_look(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write()
+        assert not await former.mover.move_all()
+        await former.write()
+        recorder = await new.serve(2, next_seq=3)
+        new.mover.expect_former(recorder)
+        new.mover._former.hurry()
+        assert not await new.mover.move_all()
+        assert new.read() == [1]
+        assert not await former.mover.move_all()
+        new.mover._former.hurry()
+        assert not await new.mover.move_all()
+        assert new.read() == [1, 2]
 
 
 @pytest.mark.asyncio

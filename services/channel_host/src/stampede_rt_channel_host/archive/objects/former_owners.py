@@ -47,10 +47,10 @@ class FormerOwners:
             self._expected[files] = one._replace(due=_clock() + wait_s, wait_s=wait_s)
         return found
 
-    def found(self, files: MovingFiles) -> None:
+    def found(self, files: MovingFiles, *, lacks_items: bool) -> None:
         """Note that the caller has looked. If the former owner has no more items, this was the last look."""
         one = self._expected.get(files)
-        if one is not None and not (one.is_former and files.lacks_items()):
+        if one is not None and not (one.is_former and lacks_items):
             self.forget(files)
 
 

@@ -82,21 +82,22 @@ class MovingFiles(SegmentFiles):
                 self.stored.remove(number)
         return self._segments
 
-    def find_again(self, found: Mapping[int, StoredSegment]) -> tuple[Segment, ...]:
+    def find_again(self, found: Mapping[int, StoredSegment], archived_to: int) -> tuple[Segment, ...]:
         """Take over segments of the former owner, which came to the store after this host took the channel.
 
-        `found`: a listing. Returns all segments. Raises OSError.
+        `found`: a listing. `archived_to`: the archive of this owner begins with this seq, or has all seqs below it.
+        Returns all segments. Raises OSError.
         """
         kept = {one.number: one for one in self._segments}
-        latest = max(kept, default=0)
+        latest = max(*kept, first_number(self._epoch)) if kept else 2**63
         self.is_listed = True
         new = self.stored.adopt({number: one for number, one in found.items() if number not in kept})
         self.stored.note_more(new)
         for one in new:
-            if one.number < latest or not kept:
+            if one.number < latest and one.first_seq < archived_to:  # else this owner does not have its items
                 kept[one.number] = one
         ordered: list[Segment] = []
-        following: int | None = None
+        following = max([archived_to, *(one.end_seq for one in self._segments)])
         for number in sorted(kept, reverse=True):
             segment = self._below(kept[number], following)
             if segment is not None:
@@ -115,12 +116,16 @@ class MovingFiles(SegmentFiles):
         """The epoch of the channel at this host."""
         return self._epoch
 
-    def lacks_items(self) -> bool:
-        """Whether segments may be missing: there is a hole between two segments, or all segments are this owner's."""
+    def lacks_items(self, archived_to: int) -> bool:
+        """Whether segments may be missing: there is a hole between two segments, or behind the last one, or all
+        segments are this owner's. `archived_to`: see `find_again`.
+        """
         pairs = pairwise(self._segments)
         own = first_number(self._epoch)
         is_alone = not self._segments or self._segments[0].number >= own
-        return is_alone or any(before.end_seq < after.first_seq for before, after in pairs)
+        if is_alone or self._segments[-1].end_seq < archived_to:
+            return True
+        return any(before.end_seq < after.first_seq for before, after in pairs)
 
     def local_bytes(self) -> int:
         """The bytes of the segments in the folder."""

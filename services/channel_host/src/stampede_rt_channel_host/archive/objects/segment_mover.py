@@ -239,11 +239,12 @@ class SegmentMover:
         """Look for files of the former owner. Raises OSError."""
         epoch = files.epoch
         found = await self.in_thread(lambda: files.stored.find(epoch))
-        segments = await self.in_writer(lambda: files.find_again(found))
         recorder = self._recorders.get(files)
-        if recorder is not None:
-            recorder.keep(segments)
-            self._former.found(files)
+        if recorder is None:  # the host has given the channel up meanwhile
+            return
+        archived_to = recorder.archived_to
+        recorder.keep(await self.in_writer(lambda: files.find_again(found, archived_to)))
+        self._former.found(files, lacks_items=files.lacks_items(archived_to))
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
         names = files.stored.outdated[:DELETED_AT_ONCE]
