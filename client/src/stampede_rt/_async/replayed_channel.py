@@ -189,8 +189,9 @@ class ReplayedSubscription:
         async with self._steps:
             while not self._closed:
                 if self._ready:
-                    instant, item = self._ready.popleft()
+                    instant, item = self._ready[0]
                     await self._clock.reach(instant)
+                    self._ready.popleft()  # after the wait, which a caller may cancel
                     return item
                 if not await self._fetch():
                     break

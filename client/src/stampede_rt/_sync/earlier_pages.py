@@ -35,7 +35,11 @@ class EarlierPages:
         self._page_items = PAGE_ITEMS_FIRST
 
     def begin(self) -> PastState | None:
-        """Find the items. Returns the facts about the channel of then. Raises Overloaded beyond KEYS_MAX."""
+        """Find the items. Returns the facts about the channel of then. Raises Overloaded beyond KEYS_MAX.
+
+        After an error or a cancel it begins anew.
+        """
+        del self._times[:], self._seqs[:]
         query = replace(self._query, payloads=False, limit=KEYS_PER_PAGE)
         while True:
             page = self._read_as_of(query, self._as_of)
@@ -52,10 +56,18 @@ class EarlierPages:
             query = replace(query, interval=fixed(query.interval, page.interval), after=page[-1])
 
     def take(self) -> list[Item]:
-        """Return the next items; none after the last one."""
-        places = self._next_places()
-        if not places:
-            return []
+        """Return the next items; none after the last one. Leaves out items that the archive does not have any more.
+
+        After an error or a cancel the next call returns the same items.
+        """
+        while places := self._next_places():
+            items = self._page(places)
+            self._at += len(places)
+            if items:
+                return items
+        return []
+
+    def _page(self, places: list[int]) -> list[Item]:
         window = parse_interval(self._times[places[0]], self._times[places[-1]])
         query = ReadQuery(window, match=Match.START, payloads=self._query.payloads)
         wanted = {self._seqs[place] for place in places}
@@ -68,8 +80,9 @@ class EarlierPages:
     def _next_places(self) -> list[int]:
         """The places of the next items as long as each is beside the one before."""
         order, first = self._order, self._at
-        while self._at < len(order) and self._at - first < self._page_items:
-            if self._at > first and order[self._at] != order[self._at - 1] + 1:
+        end = first
+        while end < len(order) and end - first < self._page_items:
+            if end > first and order[end] != order[end - 1] + 1:
                 break
-            self._at += 1
-        return order[first : self._at]
+            end += 1
+        return order[first:end]

@@ -190,8 +190,9 @@ class ReplayedSubscription:
         with self._steps:
             while not self._closed:
                 if self._ready:
-                    instant, item = self._ready.popleft()
+                    instant, item = self._ready[0]
                     self._clock.reach(instant)
+                    self._ready.popleft()  # after the wait, which a caller may cancel
                     return item
                 if not self._fetch():
                     break
