@@ -88,6 +88,26 @@ def test_while_one_call_tries_a_store_that_hangs_the_others_do_not_wait() -> Non
 
 
 @pytest.mark.asyncio
+async def test_a_store_that_refuses_to_make_or_delete_objects_still_gives_them() -> None:
+    class ReadOnly(FakeStore):
+        def _call(self, what: str) -> None:
+            super()._call(what)
+            if not what.startswith("read"):
+                raise StoreError("AccessDenied", is_refusal=True)
+
+    store = ReadOnly()
+    store.objects["a"] = b"1"
+    guarded = GuardedStore(store, Times())
+    with pytest.raises(StoreError):
+        guarded.delete(["b"])
+    assert guarded.read("a", 0, 1) == b"1"
+    with pytest.raises(StoreError):
+        await guarded.create("c", b"1")
+    assert guarded.failure == "AccessDenied"
+    assert guarded.read("a", 0, 1) == b"1"
+
+
+@pytest.mark.asyncio
 async def test_an_upload_always_tries_and_its_end_tells_the_readers(monkeypatch: pytest.MonkeyPatch) -> None:
     class Hanging(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:

@@ -16,7 +16,8 @@ PAUSE_SECONDS = 1.0
 class GuardedStore:
     """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail at once.
 
-    So a store that answers nothing does not hold all threads of the archive. Any thread may use it.
+    So a store that answers nothing does not hold all threads of the archive. A store that refuses a call has answered:
+    it may refuse to delete objects, and still give them. Any thread may use it.
     """
 
     def __init__(self, store: SegmentStore, clock: Callable[[], float] = time.monotonic) -> None:
@@ -27,17 +28,17 @@ class GuardedStore:
         self._store, self._clock = store, clock
         self._lock = Lock()
         self._failed_at = 0.0
-        self._is_tried = False
+        self._is_away = self._is_tried = False
 
     async def create(self, name: str, content: bytes | bytearray) -> bool:
         """See `SegmentStore`. Always tries: the caller has pauses of its own."""
         try:
             made = await self._store.create(name, content)
         except StoreError as error:
-            self._note(str(error.strerror))
+            self._note(str(error.strerror), is_away=not error.is_refusal)
             raise
         except asyncio.CancelledError:
-            self._note(f"the object store {self.url} does not answer in time")
+            self._note(f"the object store {self.url} does not answer in time", is_away=True)
             raise
         self._note("")
         return made
@@ -63,7 +64,7 @@ class GuardedStore:
         try:
             yield
         except StoreError as error:
-            self._note(str(error.strerror))
+            self._note(str(error.strerror), is_away=not error.is_refusal)
             raise
         except FileNotFoundError:  # the store works
             self._note("")
@@ -71,18 +72,19 @@ class GuardedStore:
         else:
             self._note("")
         finally:
-            self._is_tried = self._is_tried and not is_trial
+            if is_trial:
+                self._is_tried = False
 
     def _enter(self) -> bool:
         """Whether this call tries a store that has failed. Raises StoreError if another call does."""
         with self._lock:
-            if not self.failure:
+            if not self._is_away:
                 return False
             if self._is_tried or self._clock() < self._failed_at + PAUSE_SECONDS:
                 raise StoreError(self.failure)
             self._is_tried = True
             return True
 
-    def _note(self, failure: str) -> None:
+    def _note(self, failure: str, *, is_away: bool = False) -> None:
         with self._lock:
-            self.failure, self._failed_at = failure, self._clock()
+            self.failure, self._is_away, self._failed_at = failure, is_away, self._clock()
