@@ -6,9 +6,10 @@ import random
 
 import pytest
 
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Position
-from stampede_rt_channel_host.core.group import FoundMatch, LocalTrack, Matcher
+from stampede_rt_channel_host.core.group import FoundMatch, LocalTrack, Matcher, recorded_track
 from stampede_rt_channel_host.core.group.recorded_track import (
     NotLoaded,
     RecordedOwn,
@@ -50,7 +51,7 @@ class Pair:
             after, next_seq, partners,
         )  # fmt: skip
         small = {name: one.channel for name, one in self.small.items()}
-        tracks = {name: RecordedTrack(small[name], name) for name in (OTHER, THIRD)}
+        tracks = {name: RecordedTrack(small[name], name, is_ascending=partners is None) for name in (OTHER, THIRD)}
         own = RecordedOwn(small[OWN], OWN)
         self.archived = Matcher(small[OWN], tracks, self.tolerance, self.now, after, next_seq, partners, recorded=own)
 
@@ -120,3 +121,30 @@ def test_matches_over_archives_equal_those_of_memory_alone(seed: int) -> None:
             at = pair.memory
             partners = dict(at.partners) if at._partners is not None else None
             pair.begin(at.position, at.next_seq, partners)
+
+
+def recorded(times: range) -> ArchivedChannel:
+    """A channel with items at these times, of which memory has the last three."""
+    channel = ArchivedChannel(Policy(max_items=3, archive_nanos=10**18), runs_per_block=4, blocks_per_segment=8)
+    for time in times:
+        channel.put(Offer(times=[time], durations=None, lengths=[3]), time)
+        channel.archive()
+    return channel
+
+
+@pytest.mark.parametrize("step", [3, 150])
+def test_without_unique_a_track_holds_few_keys_however_large_the_tolerance_is(
+    monkeypatch: pytest.MonkeyPatch, step: int
+) -> None:
+    monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)
+    own, other = recorded(range(0, 400, step)), recorded(range(400))
+    tracks = {OTHER: RecordedTrack(other.channel, OTHER, is_ascending=True)}
+    recorded_own = RecordedOwn(own.channel, OWN)
+    matcher = Matcher(own.channel, tracks, 1000, 500, Position(-1), recorded=recorded_own)
+    found: list[FoundMatch] = []
+    while len(found) < len(range(0, 400, step)):
+        try:
+            found += matcher.take(lambda member, instant: True, 500, 3)
+        except NotLoaded as missing:
+            {OWN: own, OTHER: other}[missing.channel_id].load(missing.reads())
+    assert [one.matched[OTHER].time for one in found] == [*range(0, 400, step)]

@@ -120,7 +120,8 @@ class MatchStream:
             if generation != group.generation:
                 generation = group.generation
                 group.check_incarnation(incarnation)
-                matcher.set_tracks(self._tracks_of(group, member_of(group, hosted), matcher.earliest))
+                member = member_of(group, hosted)
+                matcher.set_tracks(self._tracks_of(group, member, matcher.earliest, unique=request.unique))
             found = await self._take(matcher, group, request)
             if matcher.has_more and not found:
                 await asyncio.sleep(0)  # there is much to look at: let others run first
@@ -140,7 +141,7 @@ class MatchStream:
             )
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
-    def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
+    def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int, *, unique: bool) -> dict[bytes, Track]:
         """Follow the present members of the group. Returns the tracks of all members but the matched channel.
 
         A member at this host is read in memory. A subscription (`RemoteMember`) follows a member at another host.
@@ -155,7 +156,7 @@ class MatchStream:
         self._near = near
         for channel_id in [one for one in self._remote if one in near or one not in members]:
             self._remote.pop(channel_id)[1].cancel()
-        tracks = {one: _track_of(own) for one, own in near.items() if one != matched}
+        tracks = {one: _track_of(own, unique=unique) for one, own in near.items() if one != matched}
         return tracks | {one: self._follow(group, one, since).track for one in members - near.keys()}
 
     def _follow(self, group: HostedGroup, channel_id: bytes, since: int) -> RemoteMember:
@@ -254,11 +255,11 @@ def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) 
     )
 
 
-def _track_of(hosted: HostedChannel) -> Track:
-    """The track of a member at this host."""
+def _track_of(hosted: HostedChannel, *, unique: bool) -> Track:
+    """The track of a member at this host. Only `unique` searches again at earlier times."""
     if hosted.recording is None:
         return LocalTrack(hosted.channel)
-    return RecordedTrack(hosted.channel, hosted.record.channel_id)
+    return RecordedTrack(hosted.channel, hosted.record.channel_id, is_ascending=not unique)
 
 
 def _cursor(matcher: Matcher, group: HostedGroup) -> pb.MatchCursor:

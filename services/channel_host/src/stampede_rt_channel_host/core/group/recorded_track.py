@@ -43,9 +43,11 @@ class RecordedTrack:
     No item comes below the floor any more, so a loaded stretch stays right.
     """
 
-    def __init__(self, channel: ChannelCore, channel_id: bytes) -> None:
+    def __init__(self, channel: ChannelCore, channel_id: bytes, *, is_ascending: bool = False) -> None:
+        """`is_ascending`: no search is for an earlier time than the search before. Then a page or two are enough."""
         self._channel = channel
         self._channel_id = channel_id
+        self._is_ascending = is_ascending
         self._keys: list[ItemKey] = []
         self._low, self._end = LAST_KEY, FIRST_KEY  # `_keys` are all keys from `_low` up to `_end`, exclusive
 
@@ -57,6 +59,8 @@ class RecordedTrack:
         middle = time, SEQ_END
         earlier = self._last_below(held, min(high, middle), max(low, (time - tolerance, 0)))
         later = self._first_from(held, max(low, middle), min(high, (time + tolerance + 1, 0)))
+        if self._is_ascending and earlier is not None:
+            self.forget_before(earlier[0])
         found = nearer(time, earlier and earlier[0], later and later[0], tolerance)
         key = None if found is None else self._first_from(held, max(low, (found, 0)), high)
         if key is None:
@@ -100,8 +104,11 @@ class RecordedTrack:
     def _load(self, high: ItemKey, low: ItemKey, floor: ItemKey) -> Reads:
         """Load the last bucket from `low` on before the time of `high`, and all keys from there up to `high`.
 
-        If the track has a stretch, it grows. So the searches for one item, which go to and fro, come to an end.
+        If the track has a stretch, it grows, unless the searches are ascending. So the searches for one item, which go
+        to and fro, come to an end.
         """
+        if self._is_ascending:
+            self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
         if self._low <= self._end < high:
             while self._end < min(high, floor):
                 yield from self._extend(floor)
