@@ -213,10 +213,10 @@ class MatchStream:
     def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, lateness_nanos: int, now: int) -> bool:
         """Whether a member has passed `instant`. An idle member counts as having passed it."""
         member = group.cut.member(channel_id, now)
+        if channel_id in self._remote:
+            return self._remote[channel_id][0].has_passed(instant, lateness_nanos, is_idle=member.is_idle)
         if member.is_idle:
             return True
-        if channel_id in self._remote:
-            return self._remote[channel_id][0].has_passed(instant, lateness_nanos)
         return member.known is not None and member.known.times.has_passed(instant, lateness_nanos)
 
     async def _send(

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.groups.peers import Dial
 logger = logging.getLogger(__name__)
 
 PAUSE_SECONDS = 0.2
+UNANSWERED_SECONDS_MAX = 5.0  # how long matches wait for an idle member whose host does not answer
 AHEAD_ITEMS = TRACK_ITEMS_MAX // 4
 """The member's host may send about this number of keys ahead. So an archive does not fill the track."""
 
@@ -46,17 +47,26 @@ class RemoteMember:
         self._credit = 0  # the granted bytes that the member's host has left
         self._item_bytes = ITEM_OVERHEAD_BYTES  # the least that an item of the last run has cost
         self._wants_more = asyncio.Event()
+        self._had_all = False  # the track once had all items that the member had
+        self._begun_s = asyncio.get_running_loop().time()
 
-    def has_passed(self, instant: int, lateness_nanos: int) -> bool:
+    def has_passed(self, instant: int, lateness_nanos: int, *, is_idle: bool) -> bool:
         """Whether the member has passed the instant, judged only by the messages of this subscription.
 
         So the track already has all items that the member got before it passed the instant. If the member has not
-        passed it, its host may send more.
+        passed it, its host may send more. An idle member (`is_idle`) has passed each instant once the track has had all
+        of its items, which may come from an archive.
         """
-        passed = self._times.has_passed(instant, lateness_nanos)
+        passed = self._times.has_passed(instant, lateness_nanos) or (is_idle and not self._owes_items)
         if self._credit <= 0 or not passed:
             self._ask_for_more(must=not passed)
         return passed
+
+    @property
+    def _owes_items(self) -> bool:
+        """Whether earlier items of the member may still come. Not if its host has not answered for a while."""
+        waited_s = asyncio.get_running_loop().time() - self._begun_s
+        return not self._had_all and (self.is_followed or waited_s < UNANSWERED_SECONDS_MAX)
 
     def _ask_for_more(self, *, must: bool) -> None:
         """Let the member's host send more, if the track has room or the matches cannot go on without it."""
@@ -108,8 +118,8 @@ class RemoteMember:
         self._credit = self._ahead_bytes
         yield channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=self._credit)
         while True:  # the call ends it
-            self._wants_more.clear()
             await self._wants_more.wait()
+            self._wants_more.clear()
             granted = self._ahead_bytes - self._credit
             if granted > 0:
                 self._credit += granted
@@ -136,6 +146,8 @@ class RemoteMember:
             self._credit -= sum(lengths) + ITEM_OVERHEAD_BYTES * len(lengths)
             self._item_bytes = ITEM_OVERHEAD_BYTES + min(lengths, default=0)
             self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
+        # progress alone comes when there is credit, and nothing to send
+        self._had_all |= response.HasField("progress") and not (response.runs or response.HasField("gap"))
         self._ask_for_more(must=False)
         if response.HasField("cursor"):
             self._cursor = response.cursor
