@@ -78,3 +78,14 @@ async def test_a_wait_for_something_from_before_a_break_ends_however_late_it_beg
     assert (period.ended, replicas.period.ended) == (FENCED, None)
     replicas.join()
     assert await replicas.replicated(NEXT, None, period)
+
+
+async def test_a_wait_that_begins_after_the_host_has_given_the_thing_up_ends_at_once() -> None:
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    replicas.close()
+    replicas.end(FENCED)
+    period = replicas.period
+    async with asyncio.timeout(10):
+        assert not await replicas.replicated(NEXT, None, period)
+    assert period.ended is FENCED

@@ -45,6 +45,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self.since_epoch = epoch
         """This host has been the owner since this epoch."""
         self.period = ServingPeriod()
+        self._is_last_period = False
         self._in_sync = in_sync
         self._steady_nanos = steady_nanos
         self._feeds: dict[bytes, Feed] = {}
@@ -150,8 +151,13 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def end(self, error: StampedeError) -> None:
         """End the waits: the host stops serving the channel or queue, for good or until it has its lease again."""
         self.period.ended = error
-        self.period = ServingPeriod()
+        if not self._is_last_period:
+            self.period = ServingPeriod()
         self.wake_waits()
+
+    def close(self) -> None:
+        """Note that the host gives the channel or queue up for good. After `end` each wait ends at once. Idempotent."""
+        self._is_last_period = True
 
     def wake_waits(self) -> None:
         """Let all waits look at their conditions."""

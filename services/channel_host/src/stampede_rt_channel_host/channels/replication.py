@@ -181,6 +181,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def close(self) -> None:
         """End the replication, because the host gives the channel up. Idempotent."""
+        super().close()
         if self._view is not None:
             self._view.close()
 

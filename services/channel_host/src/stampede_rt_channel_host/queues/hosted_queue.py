@@ -294,6 +294,8 @@ class HostedQueue(ReplicatedQueue):
         if self.moving is not None:
             self.moving.elsewhere = error
             self.moving.over.set()
+        if self.replication is not None:
+            self.replication.close()
         yield from self.ending(error)
         yield  # afterwards the interrupted streams do not use the queue any more
         while self.moving is not None and self.moving.is_exporting:
