@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.objects import former_owners, guarded_store, object_archive, segment_mover
-from stampede_rt_channel_host.archive.objects.segment_store import StoreError
+from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, StoreError
 from stampede_rt_channel_host.channels.recording import open_archive
 from stampede_rt_channel_host.core.channel import FIRST_KEY
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
@@ -147,3 +149,43 @@ async def test_objects_of_a_later_owner_refuse_the_channel_even_if_the_disk_know
     async with host(tmp_path, store) as one:
         with pytest.raises(Unavailable, match="later owner"):
             await open_archive(one.archive, record(2))
+
+
+@pytest.mark.asyncio
+async def test_a_file_that_moves_during_the_listing_of_its_channel_is_not_lost(tmp_path: Path) -> None:
+    listed, moved = threading.Event(), threading.Event()
+
+    class Slow(FakeStore):
+        def find(self, prefix: str) -> Iterator[FoundObject]:
+            found = [*super().find(prefix)]
+            listed.set()
+            moved.wait(10)
+            yield from found
+
+    store = Slow()
+    moved.set()
+    await left(tmp_path, store, moved=1, local=2)
+    listed.clear()
+    moved.clear()
+    async with host(tmp_path, store) as one:
+        serving = asyncio.create_task(one.serve(2))
+        await asyncio.to_thread(listed.wait, 10)
+        assert not await one.mover.move_all()
+        moved.set()
+        await serving
+        assert one.channel.next_seq == 4
+        assert one.read() == [1, 2, 3]
+
+
+@pytest.mark.asyncio
+async def test_the_files_of_a_channel_that_cannot_be_opened_still_move_to_the_store(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path, store, moved=1, local=2)
+    async with host(tmp_path, store) as one:
+        store.failure = "away"
+        with pytest.raises(Unavailable):
+            await open_archive(one.archive, record(3))
+        store.failure = ""
+        assert not await one.mover.move_all()
+        assert not await one.mover.move_all()
+        assert one.local() == []

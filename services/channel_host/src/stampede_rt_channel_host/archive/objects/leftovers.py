@@ -46,6 +46,12 @@ class Leftovers:
         """Note that the host serves the channel from now on."""
         self._taken.add(channel_id)
 
+    def give_back(self, channel_id: bytes) -> None:
+        """Note that the host does not serve the channel after all."""
+        self._taken.discard(channel_id)
+        if channel_id not in (*self._found, *self._condemned):
+            self._found.append(channel_id)
+
     def is_taken(self, channel_id: bytes) -> bool:
         """Whether the host has served the channel since it started."""
         return channel_id in self._taken

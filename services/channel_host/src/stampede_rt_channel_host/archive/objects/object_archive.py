@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from typing import NamedTuple
 
@@ -58,6 +58,20 @@ class ObjectArchive:
 
         Raises OSError, also if the store is away and the disk does not know what it has.
         """
+        # before the listing: a leftover that moved during the listing would be neither in it nor on the disk
+        self.mover.reopening(record.channel_id)
+        try:
+            found, files.is_listed = await self._found(files, record, readers, writer)
+            loop = asyncio.get_running_loop()
+            return await loop.run_in_executor(writer, files.open_found, record.epoch, record.incarnation, found)
+        except BaseException:
+            self.mover.not_reopened(record.channel_id)
+            raise
+
+    async def _found(
+        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor
+    ) -> tuple[Mapping[int, StoredSegment], bool]:
+        """The segments in the store, and whether a listing of the store tells them. Raises OSError."""
         loop = asyncio.get_running_loop()
         listing = loop.run_in_executor(readers, files.stored.find, record.epoch)
         listing.add_done_callback(_look)
@@ -68,10 +82,7 @@ class ObjectArchive:
         known = None
         if failure is not None or not listing.done():
             known = await loop.run_in_executor(writer, files.known, record.epoch, record.incarnation)
-        found = await listing if known is None else known
-        self.mover.reopening(record.channel_id)
-        files.is_listed = known is None
-        return await loop.run_in_executor(writer, files.open_found, record.epoch, record.incarnation, found)
+        return (await listing, True) if known is None else (known, False)
 
 
 def _look(listing: asyncio.Future[dict[int, StoredSegment]]) -> None:

@@ -104,6 +104,11 @@ class SegmentMover:
             files.is_left = True
             del self._leaving[files]
 
+    def not_reopened(self, channel_id: bytes) -> None:
+        """Note that the folder could not be opened. Its closed files go on to the store."""
+        self._leftovers.give_back(channel_id)
+        self._wake.set()
+
     def delete(self, channel_id: bytes) -> None:
         """Delete the files and objects of a deleted channel, now or after the next start of the host."""
         for files in (*self._recorders, *self._leaving):
