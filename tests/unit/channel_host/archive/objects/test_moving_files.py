@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_channel_host.archive.objects import stored_segments
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
@@ -137,6 +138,25 @@ async def test_limits_remove_objects_and_only_those_of_the_channel(tmp_path: Pat
     store.delete(files.stored.outdated)
     assert len(store.objects) == len(foreign) + 1
     assert {name: store.objects[name] for name in foreign} == foreign
+
+
+@pytest.mark.asyncio
+async def test_the_list_of_objects_on_the_disk_does_not_grow_with_the_objects_that_have_left_the_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored_segments, "CHANGES_LEAST", 5)
+    store = FakeStore()
+    files = moving_files(tmp_path / "a", store, cut)
+    files.open_found(1, 0, {})
+    for first in range(1, 80, 4):
+        write_closed(files, first)
+        await move(files, store)
+        files.look(10**18, 10**18, ArchiveLimits(10, None))
+    [lines] = [path.read_text().splitlines() for path in (tmp_path / "a").rglob("objects")]
+    assert len(lines) < 10
+    known = files.known(1, 0)
+    assert known is not None
+    assert [one.name for one in known.values()] == [*store.objects.keys() - {*files.stored.outdated}]
 
 
 @pytest.mark.asyncio

@@ -32,6 +32,8 @@ class KnownObjects:
     def __init__(self, folder: Path, url: str) -> None:
         """`url`: of the object store. A list of another store does not count."""
         self._path, self._url = folder / _FILE, url
+        self.changes = 0
+        """The changes since `replace`: so many lines the list may be longer than the objects need."""
 
     def read(self) -> Known | None:
         """The list, or None if there is none, it is damaged, or it is of another store. Raises OSError."""
@@ -55,6 +57,7 @@ class KnownObjects:
 
     def replace(self, known: Known) -> None:
         """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
+        self.changes = 0
         content = "".join([_encoded(known.epoch, self._url), *_lines(known.objects)]).encode()
         if self._path.exists() and self._path.read_bytes() == content:
             return
@@ -72,6 +75,7 @@ class KnownObjects:
         """Add objects to the list, if there is one. Raises OSError as `replace`."""
         if not objects or not self._path.exists():
             return
+        self.changes += len(objects)
         try:
             _append(self._path, "".join(_lines(objects)).encode())
         except OSError:

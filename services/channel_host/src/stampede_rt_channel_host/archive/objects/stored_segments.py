@@ -23,6 +23,7 @@ from stampede_rt_channel_host.core.archive.stored_segment import (
 )
 
 OBJECTS = "channels"
+CHANGES_LEAST = 1000  # the list on the disk is written anew after this many changes, or twice as many as objects
 
 
 class Packed(NamedTuple):
@@ -49,6 +50,7 @@ class StoredSegments(SegmentFolder):
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
         self._stored: dict[int, StoredSegment] = {}
+        self._epoch = 0
         self._dropped_to = 0  # all segments up to this number have left the archive
 
     @property
@@ -93,6 +95,7 @@ class StoredSegments(SegmentFolder):
 
     def note(self, epoch: int) -> None:
         """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
+        self._epoch = epoch
         self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}))
 
     def note_more(self, segments: Iterable[Segment]) -> None:
@@ -159,6 +162,8 @@ class StoredSegments(SegmentFolder):
         if stored is not None:
             self.stored_bytes -= stored.bytes
             self.outdated.append(stored.name)
+            if self._epoch and self._known.changes >= max(CHANGES_LEAST, 2 * len(self._stored)):
+                self.note(self._epoch)
 
     @contextmanager
     def opened(self, number: int) -> Iterator[ReadAt]:
