@@ -99,8 +99,9 @@ def facts(item: DeliveredSlice | None) -> Match:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_matches_over_archives_equal_those_of_memory_alone(seed: int) -> None:
+def test_matches_over_archives_equal_those_of_memory_alone(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = random.Random(seed)
+    monkeypatch.setattr(recorded_track, "PAGE_KEYS_MAX", 2 + 2**13 * (seed % 2))
     pair = Pair(draw)
     for _ in range(4):
         most = draw.choice([0, 1, 3, 1000])
@@ -148,3 +149,19 @@ def test_without_unique_a_track_holds_few_keys_however_large_the_tolerance_is(
         except NotLoaded as missing:
             {OWN: own, OTHER: other}[missing.channel_id].load(missing.reads())
     assert [one.matched[OTHER].time for one in found] == [*range(0, 400, step)]
+
+
+def test_a_page_of_tiny_items_is_no_reason_to_refuse_a_match(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archived_read, "ANSWER_BYTES", 10**6)
+    monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)
+    monkeypatch.setattr(recorded_track, "PAGE_KEYS_MAX", 20)
+    other = recorded(range(400))
+    track = RecordedTrack(other.channel, OTHER)
+    for _ in range(100):
+        try:
+            near = track.nearest(100, 2, 500)
+            break
+        except NotLoaded as missing:
+            other.load(missing.reads())
+    assert near is not None
+    assert near.time == 100

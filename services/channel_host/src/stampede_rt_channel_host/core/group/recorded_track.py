@@ -22,6 +22,8 @@ from stampede_rt_channel_host.core.group.tracks import Nearest, nearer, ones
 
 KEYS_MAX = 2**18
 """The most keys that a track holds, about 25 MB. Only `unique` with a large tolerance needs more than a page or two."""
+PAGE_KEYS_MAX = 2**13
+"""The most keys that a track takes from one read: about 3 ms of work. A page of 4 MiB may have 300,000 tiny items."""
 Reads = Generator[Query, ArchivedRead, None]
 """Reads of an archive: the caller performs each query, and sends the performed read."""
 
@@ -129,11 +131,11 @@ class RecordedTrack:
     def _extend(self, floor: ItemKey) -> Reads:
         """Load the next keys after the stretch, up to `floor`. Raises Overloaded if there are too many."""
         after = Position(self._keys[-1][0], self._keys[-1][1]) if self._keys and self._end > self._keys[-1] else None
-        read = yield replace(_up_to(self._end[0], floor), after=after)
-        slices = [split_at(part, floor)[0] for part in read.answer().slices]
+        answer = (yield replace(_up_to(self._end[0], floor), after=after, limit=PAGE_KEYS_MAX)).answer()
+        slices = [split_at(part, floor)[0] for part in answer.slices]
         found = ((part.run.times[at], part.run.first_seq + at) for part in slices for at in range(part.lo, part.hi))
         self._keys += [key for key in found if key >= self._end]
-        self._end = (self._keys[-1][0], self._keys[-1][1] + 1) if read.continues and self._keys else floor
+        self._end = (self._keys[-1][0], self._keys[-1][1] + 1) if answer.more and self._keys else floor
         if len(self._keys) > KEYS_MAX:
             self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
             raise Overloaded(
