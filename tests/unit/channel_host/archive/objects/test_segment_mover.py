@@ -202,6 +202,23 @@ async def test_the_files_of_a_channel_that_moved_away_follow_it_now_or_after_a_r
 
 
 @pytest.mark.asyncio
+async def test_a_channel_that_moved_away_leaves_no_folder_behind(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write()
+        one.archive.forget(one.recorder)
+        del one.recorder
+        assert not await one.mover.move_all()
+        assert not await one.mover.move_all()
+        assert len(store.objects) == 1
+        assert [*(tmp_path / "channels").iterdir()] == []
+        await one.serve(3)
+        await one.write()
+        assert one.read() == [1, 2]
+
+
+@pytest.mark.asyncio
 async def test_a_channel_that_moved_here_gets_the_last_files_of_its_former_owner(tmp_path: Path) -> None:
     store = FakeStore()
     async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:

@@ -81,6 +81,10 @@ class KnownObjects:
         except OSError:
             self._path.unlink()
 
+    def delete(self) -> None:
+        """Delete the list. Raises OSError."""
+        self._path.unlink(missing_ok=True)
+
     def remove(self, name: str) -> None:
         """The object has left the archive. Raises OSError as `replace`."""
         self.add({name: 0})

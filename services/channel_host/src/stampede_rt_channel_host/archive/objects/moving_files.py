@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,8 +17,8 @@ from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, 
 
 
 class MovingFiles(SegmentFiles):
-    """`is_left`: another object has taken the folder over, or the channel was deleted. Only the thread of writes calls
-    the methods.
+    """`is_left`: another object has taken the folder over, or the channel was deleted. `is_given_up`: the host does not
+    record the channel any more. Only the thread of writes calls the methods.
     """
 
     def __init__(
@@ -32,7 +33,7 @@ class MovingFiles(SegmentFiles):
         super().__init__(folder, facts, kept, place)
         self.stored, self.cut = place, cut
         self.is_shared = True
-        self.is_left = False
+        self.is_left = self.is_given_up = False
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
 
@@ -81,6 +82,13 @@ class MovingFiles(SegmentFiles):
             if all(one.number != number for one in self._segments):  # the limits have dropped it meanwhile
                 self.stored.remove(number)
         return self._segments
+
+    def leave(self) -> None:
+        """Delete the folder of a channel that the host has given up, if it has no segments. Raises OSError."""
+        if self.is_given_up and not self.is_left and not self.stored.numbers():
+            self.stored.forget_known()
+            with suppress(OSError):  # it has other files
+                self._folder.rmdir()
 
     def find_again(self, found: Mapping[int, StoredSegment], archived_to: int) -> tuple[Segment, ...]:
         """Take over segments of the former owner, which came to the store after this host took the channel.

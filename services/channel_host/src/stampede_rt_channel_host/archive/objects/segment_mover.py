@@ -94,6 +94,7 @@ class SegmentMover:
         """Note that the host no longer records the channel. Its closed segments still move to the store."""
         if isinstance(recorder.files, MovingFiles) and self._recorders.pop(recorder.files, None) is not None:
             self._former.forget(recorder.files)
+            recorder.files.is_given_up = True
             self._leaving[recorder.files] = False
             self._wake.set()
 
@@ -171,7 +172,8 @@ class SegmentMover:
             if self._store_fails:  # the others would fail, too, perhaps after a long wait
                 break
             if self._leftovers_done(files):
-                del self._leaving[files]
+                failures.append(await self._tried(self.in_writer(files.leave)))
+                self._leaving.pop(files, None)
         for files in self._former.take_due():
             failures.append(await self._tried(self._find_again(files)))
         failures.append(await self._tried(self._leftovers.delete_condemned(self.in_thread)))

@@ -103,6 +103,10 @@ class StoredSegments(SegmentFolder):
         stored = [self._stored[one.number] for one in segments]
         self._known.add({one.name: one.bytes for one in stored})
 
+    def forget_known(self) -> None:
+        """Delete the list on the disk. Raises OSError."""
+        self._known.delete()
+
     def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
         """Take over the segments of a listing that are new. Returns them.
 
