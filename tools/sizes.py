@@ -37,7 +37,7 @@ class Sizes:
 
 
 def measure(modules: Iterable[tuple[str, str]]) -> Sizes:
-    """Measure modules, each given as (path, source). The name of a nested function begins with the names of the functions and classes around it."""
+    """Measure modules, each given as (path, source). The name of a nested function begins with the names around it."""
     files: dict[str, int] = {}
     functions: dict[str, int] = {}
     for path, source in modules:
@@ -78,9 +78,7 @@ def _too_long(kind: str, found: Mapping[str, int], allowed: Mapping[str, int], m
     for name in sorted(found.keys() | allowed.keys()):
         now, listed = found.get(name, 0), allowed.get(name, 0)
         if now > max(most, listed):
-            lines.append(
-                f"the {kind} {name} has {now} lines, allowed {max(most, listed)}; split it into parts with one task each"
-            )
+            lines.append(f"the {kind} {name} has {now} lines, allowed {max(most, listed)}; split it by its tasks")
         elif listed and now < listed:
             lines.append(
                 f"the {kind} {name} has {now} lines, and {LISTS.name} says {listed}; correct or delete the entry"

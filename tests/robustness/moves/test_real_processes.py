@@ -42,7 +42,7 @@ LATE = ("destination: has removed the heir", "destination: releases the source",
 
 
 class Hosts:
-    """Two hosts. Each has a file, its plan, with a step, a signal and a process. The channel of a test is at `source`."""
+    """Two hosts. The plan of each is a file with a step, a signal and a process. A test's channel is at `source`."""
 
     def __init__(self, cluster: LocalCluster, folder: Path) -> None:
         self.cluster, self.folder = cluster, folder
@@ -64,7 +64,7 @@ class Hosts:
             one.wait_ready(READY_S)
 
     def plan(self, step: str, victim: ServiceProcess, number: signal.Signals, source: str, destination: str) -> Path:
-        """Plan the signal to the victim at this step of the move. Returns the file. The host removes it at that step."""
+        """Plan a signal to the victim at this step of the move. Returns the file. The host removes it at that step."""
         plan = self.folder / (source if step in SOURCE_STEPS else destination)
         plan.write_text(f"{step}|{victim.pid}|{int(number)}")
         return plan

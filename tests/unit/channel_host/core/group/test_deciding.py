@@ -205,7 +205,7 @@ def test_with_bound_end_an_event_trusts_no_duration_and_waits_for_an_item_or_max
 
 
 def test_each_of_many_waiting_cuts_has_its_event_after_its_max_wait() -> None:
-    """In an earlier version each further cut restarted the wait of merged cuts, so items came after up to twice `wait`."""
+    """In an earlier version each further cut restarted the wait of merged cuts. Items came after up to twice `wait`."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
     told: list[int] = []
