@@ -26,7 +26,7 @@ def test_no_pair_is_lost_and_none_is_wrong(report: RoverReport) -> None:
     assert (report.pairs, report.wrong, report.dropped) == (report.pairs_possible, 0, 0), report.events
 
 
-def test_the_planner_joins_the_host_is_drained_and_another_one_killed(report: RoverReport) -> None:
+def test_a_planner_joins_and_one_host_is_drained_and_another_killed(report: RoverReport) -> None:
     told = " ".join(what for _, what in report.events)
     assert "planner joins" in told
     assert "2 channels move away" in told
@@ -45,7 +45,7 @@ def test_commands_reach_the_mailbox_of_the_rover(report: RoverReport) -> None:
 
 def test_the_run_is_described_in_words_and_drawn(report: RoverReport, tmp_path: Path) -> None:
     assert "lost: 0" in render(report)
-    from stampede_rt_demos.rover.picture import draw  # matplotlib: a second
+    from stampede_rt_demos.rover.picture import draw  # not at the top: the import of matplotlib takes a second
 
     draw(report, tmp_path / "rover.png")
     assert (tmp_path / "rover.png").read_bytes().startswith(b"\x89PNG")

@@ -273,7 +273,7 @@ def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: Loca
 @pytest.mark.parametrize(
     ("role", "name", "complaint"),
     [
-        (Role.CLIENT, "cam", "is one of client cam of cluster local, but this service is a host"),
+        (Role.CLIENT, "cam", "belongs to client cam of cluster local, but this service is a host"),
         (Role.HOST, "h7", "--name is 'h8', but the certificate"),
         (None, "foreign", "is of an authority that"),
         (None, "", "asks for certificates (TLS), and this caller has none"),

@@ -18,7 +18,7 @@ assert quick  # the fixture of the other module, which pytest finds by this name
 
 
 def steal(world: World, thief: int, permits: list[bytes], epoch: int | None = None) -> None:
-    """Have a host ask the directory for the channel, with each permit that it knows or can make."""
+    """Have a host ask for the channel, with each permit that it knows or can make. The directory must refuse all."""
     epoch = epoch or world.record.epoch
     own = move_permit(key_of(thief), world.channel_id, epoch, id_of(thief))
     for permit in (b"", bytes(32), own, *permits):
@@ -29,12 +29,12 @@ def steal(world: World, thief: int, permits: list[bytes], epoch: int | None = No
 
 
 def known_permits(world: World) -> list[bytes]:
-    """All permits that the source has given."""
-    return [feed for host in world.hosts.values() for feed in host.directory.permits]
+    """All permits that any host has given."""
+    return [permit for host in world.hosts.values() for permit in host.directory.permits]
 
 
 @pytest.mark.parametrize("thief", [DESTINATION, THIRD])
-async def test_a_host_that_no_move_names_gets_neither_the_channel_nor_a_pause(thief: int) -> None:
+async def test_a_host_that_no_move_names_neither_gets_the_channel_nor_stops_its_puts(thief: int) -> None:
     story = Story(third=True)
     hosted = await story.source.store.bind(story.world.channel_id, 1)
     story.put()
@@ -68,7 +68,7 @@ async def test_the_destination_does_not_get_the_channel_before_it_has_everything
 
 
 async def test_the_permit_of_a_failed_move_is_worth_nothing() -> None:
-    """The directory cannot be reached at the commit, and the link breaks: the source takes a new epoch."""
+    """At the commit the directory is out of reach, and the hosts' connection breaks: the source takes a new epoch."""
 
     def lose(world: World) -> None:
         world.is_cut_off = True

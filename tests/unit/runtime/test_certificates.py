@@ -203,7 +203,7 @@ def test_a_service_does_not_start_with_an_invalid_certificate(made: ClusterCerti
     with pytest.raises(PermissionDenied, match="has expired; issue it anew"):
         load_tls(late, Role.HOST)
     good = made.issue(Role.HOST, "h1")
-    with pytest.raises(PermissionDenied, match="is one of host h1 of cluster local, but this service is a supernode"):
+    with pytest.raises(PermissionDenied, match="belongs to host h1 of cluster local, but this service is a supernode"):
         load_tls(good, Role.SUPERNODE)
     foreign = ClusterCertificates(tmp_path / "foreign")
     with pytest.raises(PermissionDenied, match="is not of an authority in"):

@@ -13,7 +13,7 @@ from stampede_rt.errors import DeadlineExceeded, Overloaded, StampedeError
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
 from stampede_rt.transports.concurrency_sync import sleep
 
-TRY_S_MIN = 0.1  # the time of a try that begins at the very end, so that a host that is near can answer
+TRY_S_MIN = 0.1  # the least time of a try, also at the very end, so that a near host can answer
 
 Result = TypeVar("Result")
 
@@ -29,7 +29,7 @@ class Locator(Protocol):
         ...
 
     def is_stale(self, error: StampedeError) -> bool:
-        """Whether a service does not know the channel or queue that the cache names. Another one may have the name."""
+        """Whether `error` says that the cached channel or queue no longer exists. A new one may have its name."""
         ...
 
     def forget(self, error: StampedeError | None = None) -> None:
@@ -37,7 +37,7 @@ class Locator(Protocol):
         ...
 
     def check(self) -> None:
-        """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
+        """Raise Unavailable if the connection is closed, ForkedProcess after a fork, WrongEventLoop in another loop."""
         ...
 
     def explain(self, error: StampedeError) -> None:
@@ -53,15 +53,16 @@ class Locator(Protocol):
 def attempt(locator: Locator, operation: Callable[[Binding, float], Result], timeout_s: float) -> Result:
     """Run `operation` at the present host, and run it again after a retryable error and after DeadlineExceeded.
 
-    Blocks for `timeout_s` seconds at most. `operation` gets the binding and the seconds that it may take. At a quota of
-    open streams `attempt` begins no further try after OPEN_STREAMS_S, because often only the caller can close some.
+    Blocks for `timeout_s` seconds at most, or TRY_S_MIN longer if the last try begins at the end. `operation` gets the
+    binding and the seconds that it may take. If the caller has too many open streams for its quota, `attempt` begins no
+    try after OPEN_STREAMS_S: often only the caller itself can close a stream.
     Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if there
     was one, because the earlier error says more.
     """
     locator.check()
     deadline_s = time.monotonic() + timeout_s
     backoff = Backoff(deadline_s)
-    followed = False  # whether an error has let the operation go on at once, at another host
+    followed = False  # whether a try was repeated without a delay, because the binding was stale
     failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:

@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 from stampede_rt.cli.exit_statuses import INTERRUPTED
 
 CLOSE_S = 2.0  # how long a command may take to close its connections and end after Ctrl-C
-CLOSE_AFTER_STOP_S = 1.0  # the same for a command whose regular end is Ctrl-C, if it has not ended in time
+CLOSE_AFTER_STOP_S = 1.0  # the same, after a command with a regular end has used up its time
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
 
@@ -35,14 +35,14 @@ class Interruption:
         self.regular_end: tuple[Callable[[], object], float] | None = None
 
     def ends(self, stop: Callable[[], object], limit_s: float) -> None:
-        """Make Ctrl-C the regular end of the command: `stop` is called, and the command's own status is the status.
+        """Make Ctrl-C the regular end of the command: it calls `stop`, and the process has the command's own status.
 
-        If the command has not ended `limit_s` seconds later, it ends as any other command.
+        If the command has not ended `limit_s` seconds later, it is ended as any other command is, with INTERRUPTED.
         """
         self.regular_end = (stop, limit_s)
 
     def closes(self, close: Callable[[], object]) -> None:
-        """Keep the function `close`. After Ctrl-C a thread of its own calls it."""
+        """Keep the function `close`. After Ctrl-C a separate thread calls it."""
         self._closes.append(close)
 
     def close(self) -> None:
@@ -62,12 +62,14 @@ interruption = Interruption()
 
 
 def run_interruptibly(work: Callable[[], int]) -> int:
-    """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
+    """Run `work` on a separate thread and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
+
+    A command with a regular end (`Interruption.ends`) has its own status if it ends in time.
 
     After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
-    take at most CLOSE_S, or after the limit of `Interruption.ends` at most CLOSE_AFTER_STOP_S. A second Ctrl-C ends the
-    process immediately. Only the main thread receives signals. If the caller is another thread, or if the process
-    ignores Ctrl-C, `work` runs on the caller's thread.
+    take at most CLOSE_S. A command with a regular end first has its time for that, and then CLOSE_AFTER_STOP_S. A
+    second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is another thread,
+    or if the process ignores Ctrl-C, `work` runs on the caller's thread.
     """
     deaf = threading.current_thread() is not threading.main_thread()
     if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

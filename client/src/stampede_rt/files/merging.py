@@ -62,7 +62,7 @@ def _seqs_of(paths: Sequence[str | os.PathLike[str]]) -> Ranges:
 
 
 def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event]]:
-    """Yield the events of a file with a time that never falls, and the number of the file."""
+    """Yield each event as (time, number of the file, event). The time is the latest so far, so it never falls."""
     latest = -(2**63)
     for part in intact_contents(reader):
         for event in part.events():
@@ -80,7 +80,9 @@ def _merged(event: Event, seen: Ranges, held: Ranges) -> Iterator[Event]:
             yield event
     elif isinstance(event, RecordingGap):
         key = (event.channel, event.incarnation)
-        told = seen.setdefault((event.channel, -1 - event.incarnation), SeqRanges())  # gaps that are written
+        told = seen.setdefault(
+            (event.channel, -1 - event.incarnation), SeqRanges()
+        )  # the gaps already written; the negative number keeps them apart from seen items
         yield from _remaining(event, held.get(key, SeqRanges()), told)
     else:
         yield event

@@ -19,7 +19,7 @@ from stampede_rt_runtime.identity import Identity, Role
 logger = logging.getLogger(__name__)
 
 SOON = timedelta(days=14)  # a service warns at its start if its certificate ends within this time
-_ANYWHERE = ("0.0.0.0", "::")  # wildcard addresses, at which no caller can call the service
+_ANYWHERE = ("0.0.0.0", "::")  # wildcard addresses: no caller uses them, so no certificate names them
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class ServiceTls:
         return float(describe(self.reader.current().certificate)[0].not_after.timestamp())
 
     def server_credentials(self) -> grpc.ServerCredentials:
-        """Credentials with which every caller must bring a certificate.
+        """The server's credentials. They require a certificate of every caller.
 
         New connections use the files' present contents.
         """
@@ -75,7 +75,7 @@ class ServiceTls:
         """Raises PermissionDenied if the service's configured name differs from that in its certificate."""
         if name != self.identity.name:
             raise PermissionDenied(
-                f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} is one of "
+                f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} belongs to "
                 f"{self.identity}; give the service {flag} {self.identity.name}, or issue a certificate for {name!r}"
             )
 
@@ -108,7 +108,7 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
     if own.identity is None or own.identity.role is not role:
         who = str(own.identity) if own.identity else f"{own.subject}, without a role"
         raise PermissionDenied(
-            f"the certificate {files.certificate} is one of {who}, but this service is a {role}; "
+            f"the certificate {files.certificate} belongs to {who}, but this service is a {role}; "
             f"issue it with `stampede certs issue --role {role}`"
         )
     now = datetime.now(UTC)

@@ -96,8 +96,8 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
 def _held_policy(spec: bytes) -> Policy:
     """The policy in an encoded spec, one object for all channels with the same spec.
 
-    It takes more time to decode a policy than the rest of a record. The supernodes checked each spec before they stored
-    it, so the keys of the cache are short.
+    It takes more time to decode a policy than the rest of a record. The supernodes limited the length of each spec
+    before they stored it, so the keys of the cache are short.
     """
     return policy_from(channel_pb2.ChannelSpec.FromString(spec))
 
@@ -142,11 +142,13 @@ def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
         case AccessChange(version=version):
             message.access.version = version
         case PeerRecord(peer_id=peer_id):
-            raise AssertionError(f"peer {peer_id.hex()} is among changes that are not of peers")
+            raise AssertionError(
+                f"peer {peer_id.hex()} came to the watchers of channels; only watchers of peers get it"
+            )
     return message
 
 
 def peer_change_message(change: DirectoryChange) -> peer_pb2.PeerChange:
     """The change as watchers of peers get it."""
-    assert isinstance(change.subject, PeerRecord)  # the ring of peers holds nothing else
+    assert isinstance(change.subject, PeerRecord)  # the buffer of peers' changes holds nothing else
     return peer_pb2.PeerChange(index=change.index, kind=_CHANGE_KINDS[change.kind], peer=peer_record(change.subject))

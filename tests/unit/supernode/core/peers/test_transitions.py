@@ -181,7 +181,7 @@ def test_a_lease_that_ends_takes_the_mailbox_and_leaves_a_record(log: Log) -> No
     assert again.peer.alive, "after its lease nobody asks for a proof"
 
 
-def test_the_end_of_a_lease_that_comes_too_late_changes_nothing(log: Log) -> None:
+def test_a_stale_expiry_of_a_lease_changes_nothing(log: Log) -> None:
     index = enter(log, 7, "planner").peer.registered_index
     nothing = PeersExpired(expired=0)
     assert log.apply(expire_peers((7, index), tenure=2)) == nothing
@@ -266,7 +266,7 @@ def test_the_limit_of_peers_refuses_new_peers_and_no_registered_ones(log: Log, m
     enter(log, 8)
 
 
-def test_changes_of_peers_push_no_changes_of_channels_out(log: Log) -> None:
+def test_changes_of_peers_take_no_room_among_the_changes_of_channels(log: Log) -> None:
     before = log.directory.tables.changes.end_position
     for number in range(100, 110):
         enter(log, number)
