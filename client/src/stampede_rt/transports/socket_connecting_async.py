@@ -83,12 +83,10 @@ async def _reached(route: SocketRoute, port: int) -> SocketConnection:
     try:
         async with asyncio.timeout(wait_s):
             return await asyncio.shield(reaching)
-    except OSError:
-        route.tcp.is_slow = True
+    except BaseException as error:
+        reaching.add_done_callback(_close_unwanted)  # it may be done by now, too
+        route.tcp.is_slow = route.tcp.is_slow or isinstance(error, OSError)
         raise
-    finally:
-        if not reaching.done():
-            reaching.add_done_callback(_close_unwanted)
 
 
 async def _reach(route: SocketRoute, port: int) -> SocketConnection:
