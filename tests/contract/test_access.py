@@ -372,7 +372,7 @@ async def test_a_watch_reports_only_things_that_the_present_rules_let_the_caller
         assert (await anext(watch)).subject.name == scene.name("also-1")
 
 
-async def test_a_watch_of_peers_tells_of_those_one_may_list(scene: Scene) -> None:
+async def test_a_watch_of_peers_reports_only_peers_that_the_caller_may_list(scene: Scene) -> None:
     await scene.allow("list", "peer", "shown")
     opening = scene.rt.watch_peers(scene.name("*"))
     watch = await opening if inspect.isawaitable(opening) else opening

@@ -69,7 +69,7 @@ async def test_a_function_is_called_for_each_new_item(surface: Surface) -> None:
     assert (handle.active, handle.failures, handle.error) == (False, 0, None)
 
 
-async def test_the_calls_of_one_handle_follow_each_other_and_never_overlap(surface: Surface) -> None:
+async def test_calls_of_one_callback_never_overlap(surface: Surface) -> None:
     running, overlaps = threading.Semaphore(1), list[int]()
 
     def alone(item: st.Item) -> None:
@@ -106,7 +106,7 @@ async def test_held_items_come_first_when_a_start_is_given(surface: Surface) -> 
     assert await joined(resumed)
 
 
-async def test_an_error_of_the_callback_is_logged_and_counted_and_ends_nothing(
+async def test_an_error_in_a_callback_is_logged_and_counted_and_later_items_still_reach_it(
     surface: Surface, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(item: st.Item) -> None:
@@ -129,7 +129,7 @@ async def test_an_error_of_the_callback_is_logged_and_counted_and_ends_nothing(
     assert await joined(handle)
 
 
-async def test_after_cancel_no_call_begins(surface: Surface) -> None:
+async def test_no_call_of_a_callback_begins_after_its_cancel(surface: Surface) -> None:
     channel = await surface.channel()
     called = Called(lambda item: handle.cancel())
     handle = await channel.on_item(called, st.OLDEST)
@@ -140,7 +140,7 @@ async def test_after_cancel_no_call_begins(surface: Surface) -> None:
     assert (len(called.values), handle.active) == (1, False)
 
 
-async def test_a_slow_function_learns_how_many_items_retention_removed_meanwhile(surface: Surface) -> None:
+async def test_a_slow_callback_learns_how_many_items_retention_removed_meanwhile(surface: Surface) -> None:
     channel = await surface.channel(max_items=2)
     first = await channel.put(b"0")
     for number in range(1, 8):
@@ -153,7 +153,9 @@ async def test_a_slow_function_learns_how_many_items_retention_removed_meanwhile
     assert await joined(handle)
 
 
-async def test_a_deleted_channel_ends_it_and_says_so(surface: Surface, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_callback_ends_with_the_reason_when_its_channel_is_deleted(
+    surface: Surface, caplog: pytest.LogCaptureFixture
+) -> None:
     channel = await surface.channel()
     handle = await channel.on_item(Called())
     with caplog.at_level(logging.ERROR, "stampede_rt"):
@@ -163,7 +165,7 @@ async def test_a_deleted_channel_ends_it_and_says_so(surface: Surface, caplog: p
     assert any("has ended" in record.getMessage() for record in caplog.records)
 
 
-async def test_closing_the_connection_ends_both_quietly(
+async def test_closing_the_connection_ends_callbacks_and_samplers_without_an_error(
     request: pytest.FixtureRequest, surface: Surface, caplog: pytest.LogCaptureFixture
 ) -> None:
     def blocking(address: str) -> tuple[Any, Any]:
@@ -182,7 +184,7 @@ async def test_closing_the_connection_ends_both_quietly(
     assert not caplog.records
 
 
-async def test_a_callback_that_is_no_function_is_refused(surface: Surface) -> None:
+async def test_a_callback_must_be_a_function(surface: Surface) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InvalidArgument, match="function"):
         await channel.on_item("print")

@@ -45,7 +45,7 @@ async def test_without_a_codec_the_value_is_the_payload(surface: Surface) -> Non
 
 
 @pytest.mark.parametrize("value", [None, True, 3, "Größe", [1, {"a": [2.5]}], {"pose": [0.0, 1.0]}])
-async def test_json_values_come_back_as_they_were(surface: Surface, value: Any) -> None:
+async def test_a_json_value_is_read_as_it_was_put(surface: Surface, value: Any) -> None:
     channel = await surface.channel(codec="json")
     put = await channel.put(value)
     item = await channel.newest()
@@ -82,7 +82,7 @@ async def test_another_process_learns_the_content_type_of_the_items(
     assert found.stdout == "float32 (2, 3) 15.0 application/x-npy True\n"
 
 
-async def test_an_own_codec_decodes_lazily_and_once(surface: Surface) -> None:
+async def test_a_users_codec_decodes_an_item_at_its_first_use_and_only_once(surface: Surface) -> None:
     codec = Shout()
     channel = await surface.channel(codec=codec)
     await channel.put("hello")
@@ -127,7 +127,7 @@ async def test_a_stated_content_type_labels_the_payloads_of_the_codec(surface: S
     assert (item.content_type, item.value) == ("application/geo+json", {"type": "Point"})
 
 
-async def test_without_payloads_there_is_no_value(surface: Surface) -> None:
+async def test_an_item_read_without_its_payload_has_no_value(surface: Surface) -> None:
     channel = await surface.channel(codec="json")
     await channel.put([1])
     assert (await channel.newest(payloads=False)).value is None

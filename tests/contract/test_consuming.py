@@ -68,7 +68,7 @@ async def waiting_puts(channel: Any, count: int) -> None:
             pass
 
 
-async def test_an_item_goes_once_all_consumers_have_consumed_it_and_is_visible_until_then(team: Team) -> None:
+async def test_an_item_is_collected_when_all_consumers_have_consumed_it_and_is_visible_until_then(team: Team) -> None:
     ann, bob, cyd = await team.open(consumers=2)
     items = await put_three(ann)
     assert await ann.consume(items) == 3
@@ -80,7 +80,7 @@ async def test_an_item_goes_once_all_consumers_have_consumed_it_and_is_visible_u
     assert sorted(place.waiting for place in stats.consumers) == [0, 1]
 
 
-async def test_consuming_again_changes_nothing_and_one_item_may_come_alone(team: Team) -> None:
+async def test_consuming_an_item_again_changes_nothing(team: Team) -> None:
     ann, _, _ = await team.open(consumers=2)
     first, *_ = await put_three(ann)
     assert [await ann.consume(first), await ann.consume(first), await ann.consume([])] == [1, 0, 0]
@@ -94,7 +94,7 @@ async def test_all_handles_of_a_connection_are_one_consumer(team: Team) -> None:
     assert [await ann.consume(items[0]), await again.consume(items[0])] == [1, 0]
 
 
-async def test_one_consumer_too_many_is_refused_until_another_leaves_and_then_starts_at_the_newest(team: Team) -> None:
+async def test_a_consumer_above_the_limit_is_refused_until_another_one_leaves(team: Team) -> None:
     ann, bob, cyd = await team.open(consumers=2)
     items = await put_three(ann)
     await ann.consume(items[0])
@@ -108,13 +108,13 @@ async def test_one_consumer_too_many_is_refused_until_another_leaves_and_then_st
     assert await held(ann) == []
 
 
-async def test_a_channel_that_counts_no_consumption_says_so(team: Team) -> None:
+async def test_a_channel_without_consumers_refuses_consume(team: Team) -> None:
     ann, _, _ = await team.open(max_items=9)
     with pytest.raises(st.InvalidArgument, match="counts no consumption"):
         await ann.consume(await put_three(ann))
 
 
-async def test_items_of_another_channel_are_refused_and_the_error_says_so(team: Team) -> None:
+async def test_an_item_of_another_channel_is_refused_as_a_position(team: Team) -> None:
     (channel, *_), (other, *_) = await team.open(consumers=1), await team.open(consumers=1)
     await other.put(b"x")
     item = await other.newest()
@@ -127,9 +127,7 @@ async def test_items_of_another_channel_are_refused_and_the_error_says_so(team: 
 @pytest.mark.parametrize("change", [
     {"seq": -1}, {"seq": 2**64}, {"time": 2**63}, {"incarnation": -1}, {"seq": "1"}, {"time": None},
 ])  # fmt: skip
-async def test_a_changed_copy_of_an_item_that_no_channel_can_have_is_refused(
-    change: dict[str, Any], team: Team
-) -> None:
+async def test_an_item_with_impossible_fields_is_refused_as_a_position(change: dict[str, Any], team: Team) -> None:
     channel = (await team.open(consumers=1))[0]
     await channel.put(b"x")
     if isinstance(channel, MemoryChannel):
@@ -150,7 +148,7 @@ def subscribed(channel: Any) -> Any:
     return subscribe
 
 
-async def test_only_items_are_consumed(team: Team) -> None:
+async def test_consume_takes_only_items(team: Team) -> None:
     ann, _, _ = await team.open(consumers=1)
     with pytest.raises(st.InvalidArgument):
         await ann.consume([b"payload"])
@@ -177,7 +175,7 @@ async def test_a_producer_that_waits_for_consumers_gives_up_after_its_timeout(te
         await ann.put(b"4", timeout=0.01)
 
 
-async def test_whichever_limit_is_reached_first_takes_the_oldest(team: Team) -> None:
+async def test_the_limit_that_is_reached_first_applies(team: Team) -> None:
     ann, bob, _ = await team.open(consumers=1, max_items=2)
     await put_three(ann)
     assert await held(bob) == [b"2", b"3"]
@@ -212,7 +210,7 @@ async def test_the_number_of_consumers_changes_while_puts_wait(team: Team) -> No
 
 
 @pytest.mark.parametrize("change", [{"max_items": 4}, {"max_age": "1ms"}, {"on_full": "drop_oldest"}])
-async def test_a_changed_policy_lets_in_the_puts_that_it_has_room_for(team: Team, change: dict[str, Any]) -> None:
+async def test_a_larger_limit_admits_as_many_waiting_puts_as_fit(team: Team, change: dict[str, Any]) -> None:
     ann, _, _ = await team.open(consumers=1, max_items=3, on_full="block")
     await put_three(ann)
     put = asyncio.ensure_future(ann.put(b"4", timeout=10))

@@ -47,7 +47,7 @@ async def test_a_group_is_found_by_its_name_with_its_set_up(surface: Surface) ->
     assert [info.name for info in await surface.connection.groups(f"{name}*")] == [name]
 
 
-async def test_a_group_that_is_set_up_otherwise_is_refused(surface: Surface) -> None:
+async def test_an_argument_that_differs_from_the_policy_of_the_group_is_refused(surface: Surface) -> None:
     left, right = await two_channels(surface)
     name = group_name()
     await surface.group(name, [left, right])
@@ -61,7 +61,7 @@ async def test_an_unknown_group_is_not_found(surface: Surface) -> None:
         await surface.group("contract/none")
 
 
-async def test_members_come_and_go(surface: Surface) -> None:
+async def test_members_are_added_and_removed(surface: Surface) -> None:
     left, right = await two_channels(surface)
     name = group_name()
     group = await surface.group(name, [left])
@@ -73,7 +73,7 @@ async def test_members_come_and_go(surface: Surface) -> None:
         await group.remove(left)
 
 
-async def test_a_deleted_group_is_gone_and_its_channels_stay(surface: Surface) -> None:
+async def test_deleting_a_group_keeps_its_channels(surface: Surface) -> None:
     left, right = await two_channels(surface)
     group = await surface.group(group_name(), [left, right])
     await group.delete()
@@ -90,7 +90,7 @@ async def test_a_deleted_group_is_gone_and_its_channels_stay(surface: Surface) -
         ({"idle_after": 5}, "idle_after"),
     ],
 )
-async def test_a_set_up_that_cannot_be_is_refused_and_named(
+async def test_an_impossible_policy_of_a_group_is_refused_with_its_reason(
     surface: Surface, settings: dict[str, Any], said: str
 ) -> None:
     left, right = await two_channels(surface)
@@ -98,7 +98,7 @@ async def test_a_set_up_that_cannot_be_is_refused_and_named(
         await surface.group(group_name(), [left, right], **settings)
 
 
-async def test_a_channel_is_in_a_group_once(surface: Surface) -> None:
+async def test_a_channel_cannot_be_in_a_group_twice(surface: Surface) -> None:
     left, _ = await two_channels(surface)
     with pytest.raises(st.InvalidArgument, match="twice"):
         await surface.group(group_name(), [left, left])
@@ -117,7 +117,7 @@ async def test_a_cross_section_holds_the_items_that_are_valid_at_the_references_
     assert [item.payload for item in section[right]] == [b"r4"]
 
 
-async def test_a_cross_section_over_the_span_gives_all_that_share_an_instant_with_it(surface: Surface) -> None:
+async def test_a_cross_section_over_a_span_has_all_items_whose_spans_overlap_it(surface: Surface) -> None:
     left, right = await two_channels(surface)
     base = st.now() - 10 * SECOND
     await left.put(b"first", time=base)
@@ -142,7 +142,7 @@ async def test_a_complete_cross_section_waits_until_every_channel_has_passed(sur
     assert [item.payload for item in section[right]] == [b"at"]
 
 
-async def test_a_cross_section_of_an_empty_reference_says_why(surface: Surface) -> None:
+async def test_a_cross_section_of_an_empty_reference_gives_the_reason(surface: Surface) -> None:
     left, right = await two_channels(surface)
     section = await surface.cross_section(left, [right])
     assert section.time is None
@@ -186,7 +186,7 @@ async def test_a_get_of_the_group_takes_one_cut_on_all_hosts(surface: Surface) -
     assert [newest[channel.name].payload for channel in (left, right)] == [b"1", b"1"]
 
 
-async def test_the_newest_of_a_group_that_shows_nothing_yet_comes_with_why(surface: Surface) -> None:
+async def test_the_newest_of_a_group_without_visible_items_gives_a_reason_for_each_member(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     nothing = await group.newest()
     assert list(nothing.values()) == [None, None]
@@ -206,7 +206,9 @@ async def test_the_newest_of_a_group_that_shows_nothing_yet_comes_with_why(surfa
     assert [channel.name for channel in shown.reasons] == [right.name]
 
 
-async def test_a_subscription_through_a_group_comes_in_the_order_of_becoming_visible(surface: Surface) -> None:
+async def test_a_subscription_through_a_group_yields_items_in_the_order_in_which_they_become_visible(
+    surface: Surface,
+) -> None:
     group, left, right, base = await in_step(surface)
     async with group[left].subscribe() as items:
         for number in range(3):
@@ -215,7 +217,7 @@ async def test_a_subscription_through_a_group_comes_in_the_order_of_becoming_vis
         assert [item.payload for item in await take(items, 2)] == [b"0", b"1"]
 
 
-async def test_a_cut_event_brings_each_item_once_and_late_ones_apart(surface: Surface) -> None:
+async def test_cut_events_have_each_item_once_and_late_items_separately(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     async with group.subscribe() as cuts:
         for number in range(3):
@@ -260,7 +262,9 @@ async def test_a_match_pairs_the_nearest_items_and_names_members_without_one(sur
 
 
 @pytest.mark.parametrize("per_is_left", [True, False])
-async def test_a_match_begins_with_the_held_items_from_its_start_on(surface: Surface, per_is_left: bool) -> None:
+async def test_a_match_with_a_start_begins_with_the_held_items_from_there_on(
+    surface: Surface, per_is_left: bool
+) -> None:
     left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
     group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
     for time in (0, 20, 40, 100):
@@ -277,7 +281,7 @@ async def test_a_match_begins_with_the_held_items_from_its_start_on(surface: Sur
 
 
 @pytest.mark.parametrize("per_is_left", [True, False])
-async def test_a_unique_match_gives_each_item_once_to_the_nearest_also_after_a_break(
+async def test_a_unique_match_uses_each_item_once_even_after_a_broken_stream(
     surface: Surface, per_is_left: bool
 ) -> None:
     left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
@@ -303,9 +307,7 @@ async def test_a_unique_match_gives_each_item_once_to_the_nearest_also_after_a_b
 
 
 @pytest.mark.parametrize("per_is_left", [True, False])
-async def test_items_that_come_out_of_order_by_the_lateness_are_matched_and_not_dropped(
-    surface: Surface, per_is_left: bool
-) -> None:
+async def test_items_that_arrive_late_by_at_most_the_lateness_are_matched(surface: Surface, per_is_left: bool) -> None:
     left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
     group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
     async with group.match(left, "5ms", lateness="100ms") as matches:

@@ -45,7 +45,7 @@ async def put_all(channels: list[Any], time: int) -> None:
         await channel.put(channel.name.encode(), time=time)
 
 
-async def test_cut_events_bring_the_items_of_members_that_others_let_in(
+async def test_cut_events_have_the_items_of_members_that_another_client_has_added(
     surface: Surface, other: aio.Connection
 ) -> None:
     left, right = await channel_at_each_host(surface)
@@ -63,7 +63,7 @@ async def test_cut_events_bring_the_items_of_members_that_others_let_in(
     assert brought[0] == right.name.encode()
 
 
-async def test_cut_events_bring_the_items_of_a_member_that_another_process_has_moved(
+async def test_cut_events_have_the_items_of_a_member_that_another_process_has_moved(
     surface: Surface, other: aio.Connection
 ) -> None:
     member, base = (await channel_at_each_host(surface))[0], st.now() - 20 * SECOND
@@ -84,7 +84,7 @@ async def test_cut_events_bring_the_items_of_a_member_that_another_process_has_m
     assert brought in ([b"1"], [b"0", b"1"])  # a host that has just met the group may begin at an earlier cut
 
 
-async def test_matches_are_made_with_members_that_others_let_in_and_without_those_they_let_out(
+async def test_matches_follow_members_that_another_client_adds_and_removes(
     surface: Surface, other: aio.Connection
 ) -> None:
     left, right = await channel_at_each_host(surface)
@@ -104,7 +104,7 @@ async def test_matches_are_made_with_members_that_others_let_in_and_without_thos
     assert not matched.missing
 
 
-async def test_a_read_of_a_group_goes_by_the_members_of_now(surface: Surface, other: aio.Connection) -> None:
+async def test_a_read_of_a_group_uses_its_present_members(surface: Surface, other: aio.Connection) -> None:
     left, right = await channel_at_each_host(surface)
     group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
     await left.put(b"0", time=base)
@@ -139,7 +139,7 @@ async def test_a_descriptor_made_from_a_handle_decodes_as_the_handle_does(surfac
     assert (await group[coded].newest(timeout=10)).value == {"x": 1}
 
 
-async def test_partners_that_retention_took_before_they_were_fetched_stay_counted(surface: Surface) -> None:
+async def test_a_match_counts_partners_that_retention_removed_before_the_client_fetched_them(surface: Surface) -> None:
     left, _ = await channel_at_each_host(surface)
     hosts = [host.name for host in await surface.connection.hosts()]
     right = await surface.channel(host=hosts[-1], max_items=1)
@@ -177,7 +177,7 @@ async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) 
         (lambda group, left: anext(aiter(group.subscribe("-1s"))), "max_wait is '-1s'"),
     ],
 )
-async def test_a_channel_that_a_group_cannot_take_is_refused_and_named(
+async def test_a_channel_that_cannot_be_a_member_is_refused_and_named(
     other: aio.Connection, call: Any, said: str
 ) -> None:
     left = await other.channel(f"changing/{next(_names)}-{st.now()}")
@@ -193,7 +193,7 @@ async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface)
             await surface.cross_section(left, others)
 
 
-async def test_reads_of_a_group_go_on_over_broken_streams_without_a_gap_or_a_double(other: aio.Connection) -> None:
+async def test_reads_of_a_group_have_no_gap_and_no_duplicate_after_broken_streams(other: aio.Connection) -> None:
     left, right = [
         await other.channel(f"changing/{next(_names)}-{st.now()}", host=host.name, max_age="120s")
         for host in await other.hosts()

@@ -32,7 +32,7 @@ async def following(channel: Any, subscription: Any) -> list[bytes]:
     return payloads
 
 
-async def test_items_come_from_datagrams_once_each_in_order_and_unchanged(surface: Surface) -> None:
+async def test_datagrams_deliver_each_item_once_in_order_and_unchanged(surface: Surface) -> None:
     channel = await surface.channel()
     async with channel.subscribe(via="multicast") as subscription:
         await following(channel, subscription)
@@ -53,7 +53,7 @@ async def test_items_come_from_datagrams_once_each_in_order_and_unchanged(surfac
             pass
 
 
-async def test_held_items_come_first_and_then_those_of_datagrams(surface: Surface) -> None:
+async def test_held_items_are_delivered_before_items_of_datagrams(surface: Surface) -> None:
     channel = await surface.channel()
     held = [await channel.put(b"%d" % number) for number in range(ITEMS)]
     async with channel.subscribe(held[10].time, via="multicast") as subscription:
@@ -64,7 +64,7 @@ async def test_held_items_come_first_and_then_those_of_datagrams(surface: Surfac
         assert [item.seq for item in await take(subscription, 1)] == [last.seq]
 
 
-async def test_an_item_that_is_too_large_for_datagrams_comes_from_the_host_alone(surface: Surface) -> None:
+async def test_an_item_too_large_for_datagrams_is_fetched_from_the_host(surface: Surface) -> None:
     channel = await surface.channel()
     async with channel.subscribe(via="multicast") as subscription:
         await following(channel, subscription)
@@ -77,7 +77,7 @@ async def test_an_item_that_is_too_large_for_datagrams_comes_from_the_host_alone
         assert [item.payload for item in await take(subscription, 1)] == [b"after"]
 
 
-async def test_a_reader_that_rests_gets_the_held_items_and_learns_how_many_retention_collected(
+async def test_a_slow_reader_gets_the_held_items_and_learns_how_many_retention_collected(
     surface: Surface,
 ) -> None:
     channel = await surface.channel(max_items=10)
@@ -96,7 +96,7 @@ async def test_a_reader_that_rests_gets_the_held_items_and_learns_how_many_reten
         assert len(seqs) + subscription.dropped == 3000
 
 
-async def test_a_deleted_channel_ends_it_with_the_reason(surface: Surface) -> None:
+async def test_a_deleted_channel_ends_the_multicast_with_the_reason(surface: Surface) -> None:
     channel = await surface.channel()
     async with channel.subscribe(via="multicast") as subscription:
         await following(channel, subscription)

@@ -57,7 +57,7 @@ def is_right(clock: st.ClockOffset | None) -> bool:
     return abs(clock.offset_nanos) <= clock.uncertainty_nanos <= MINUTE_NANOS
 
 
-async def test_a_participant_knows_its_clock_once_it_is_connected_and_the_others_do_too(
+async def test_a_connected_participant_and_its_peers_know_its_clock_offset(
     connected: Connecting, cluster: LocalCluster
 ) -> None:
     async with connected(cluster.address, name=NAME) as named:
@@ -69,7 +69,7 @@ async def test_a_participant_knows_its_clock_once_it_is_connected_and_the_others
         assert found.clock.supernode in [supernode.supernode_id for supernode in await named.supernodes()]
 
 
-async def test_a_client_without_a_name_knows_its_own_clock_too(connected: Connecting, cluster: LocalCluster) -> None:
+async def test_a_client_without_a_name_knows_its_own_clock_offset(connected: Connecting, cluster: LocalCluster) -> None:
     async with connected(cluster.address) as nameless:
         assert is_right(nameless.clock)
 
@@ -140,7 +140,7 @@ async def clocks_told(connected: Connecting, address: str) -> dict[str, int | No
         return {peer.name: None if peer.clock is None else peer.clock.offset_nanos for peer in await rt.peers()}
 
 
-async def test_clocks_are_asked_of_the_leader_after_a_wrong_leader_hint(connected: Connecting) -> None:
+async def test_a_client_asks_the_leader_for_clock_offsets_after_a_wrong_hint(connected: Connecting) -> None:
     async with two_supernodes() as (follower, leader):
         address, _ = follower.members
         assert await clocks_told(connected, address) == {"peer/0": 7, "peer/1": 7}

@@ -27,7 +27,7 @@ async def test_seqs_grow_by_one(surface: Surface) -> None:
     assert seqs == [seqs[0], seqs[0] + 1, seqs[0] + 2]
 
 
-async def test_an_advance_that_is_ahead_of_the_host_makes_no_put_too_old_that_the_host_stamps(surface: Surface) -> None:
+async def test_a_put_stamped_by_the_host_is_accepted_after_an_advance_into_the_future(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", max_future="60s")
     ahead = await channel.advance(st.now() + 30_000_000_000)
     assert (await channel.put(b"stamped")).time == ahead
@@ -51,7 +51,7 @@ async def test_a_put_behind_the_window_is_too_old(surface: Surface) -> None:
     assert (await adds_up(channel)).rejected["too_old"] == 1
 
 
-async def test_a_put_far_in_the_future_names_the_offset(surface: Surface) -> None:
+async def test_the_error_of_a_put_far_in_the_future_names_the_clock_offset(surface: Surface) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InFuture) as caught:
         await channel.put(b"x", time=st.now() + 60 * SECOND)
@@ -83,7 +83,7 @@ async def test_an_item_larger_than_max_bytes_is_refused(surface: Surface) -> Non
     assert (await adds_up(channel)).rejected["too_large"] == 1
 
 
-async def test_a_full_channel_that_rejects_says_so(surface: Surface) -> None:
+async def test_a_full_channel_that_rejects_refuses_a_put(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, on_full="reject")
     await channel.put(b"first")
     with pytest.raises(st.ChannelFull):
@@ -108,14 +108,14 @@ async def test_a_put_with_no_time_to_wait_is_refused_by_a_full_channel_at_once(s
     assert (await adds_up(channel)).held == 1
 
 
-async def test_a_put_waits_for_the_age_of_an_item_whose_producer_is_ahead_and_no_longer(surface: Surface) -> None:
+async def test_a_put_waits_until_an_item_from_the_future_is_old_enough(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, max_age="100ms", on_full="block")
     ahead = await channel.put(b"ahead", time=st.now() + 300 * MS)
     late = await channel.put(b"late", timeout=LONG_S)
     assert late.time - ahead.time > 100 * MS
 
 
-async def test_puts_that_wait_for_one_place_are_let_in_one_after_the_other(surface: Surface) -> None:
+async def test_waiting_puts_are_admitted_one_by_one(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, max_age="100ms", on_full="block")
     first = await channel.put(b"first")
     handles = [await surface.channel(channel.name) for _ in range(2)]
@@ -149,7 +149,7 @@ async def test_a_producer_keeps_order_and_loses_nothing(surface: Surface) -> Non
     )
 
 
-async def test_a_producer_hears_of_refused_items(surface: Surface) -> None:
+async def test_a_producer_gets_the_errors_of_refused_items(surface: Surface) -> None:
     channel = await surface.channel(max_age="1s")
     async with channel.producer() as producer:
         await producer.put(b"good", time=st.now() - 30 * SECOND)
@@ -160,7 +160,7 @@ async def test_a_producer_hears_of_refused_items(surface: Surface) -> None:
         assert (producer.accepted, producer.rejections) == (2, 1)
 
 
-async def test_text_is_no_payload(surface: Surface) -> None:
+async def test_a_payload_must_be_bytes(surface: Surface) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InvalidArgument, match="encode"):
         await channel.put("text")

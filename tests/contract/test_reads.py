@@ -41,12 +41,12 @@ async def test_a_put_without_a_time_is_stamped_when_accepted(surface: Surface) -
     assert before - 50 * MS <= item.time <= st.now() + 50 * MS
 
 
-async def test_items_come_in_the_order_of_time_and_not_of_arrival(surface: Surface) -> None:
+async def test_items_are_ordered_by_time_and_not_by_arrival(surface: Surface) -> None:
     channel, _ = await filled(surface, 30, 10, 20, 40, 0)
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["0", "10", "20", "30", "40"]
 
 
-async def test_items_of_one_time_share_a_bucket_and_none_is_lost(surface: Surface) -> None:
+async def test_items_with_equal_times_are_all_kept_in_one_bucket(surface: Surface) -> None:
     channel, base = await filled(surface, 10, 10, 10, 20)
     items = await channel.get(base + 10 * MS, base + 10 * MS)
     assert [item.seq for item in items] == sorted(item.seq for item in items)
@@ -54,14 +54,14 @@ async def test_items_of_one_time_share_a_bucket_and_none_is_lost(surface: Surfac
     assert {item.end for item in items} == {base + 20 * MS}
 
 
-async def test_an_item_spans_until_the_next_one(surface: Surface) -> None:
+async def test_the_span_of_an_item_ends_at_the_next_item(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 100)
     assert shown(await channel.at(base)) == ["0"]
     assert shown(await channel.at(base + 99 * MS)) == ["0"]
     assert shown(await channel.at(base + 100 * MS)) == ["100"]
 
 
-async def test_the_newest_item_holds_up_to_now_and_no_longer(surface: Surface) -> None:
+async def test_the_span_of_the_newest_item_ends_at_now(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 100)
     assert shown(await channel.at(st.NOW)) == ["100"]
     assert shown(await channel.at(st.now() + 3_600_000 * MS)) == []
@@ -76,7 +76,7 @@ async def test_a_duration_ends_a_span_before_the_next_item(surface: Surface) -> 
     assert shown(await channel.at(base + 10 * MS)) == []
 
 
-async def test_a_later_item_does_not_cut_a_duration_where_items_overlap(surface: Surface) -> None:
+async def test_a_later_item_does_not_shorten_a_duration_with_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", overlap="400ms")
     base = st.now() - 2_000 * MS
     await channel.put(b"scene", time=base, duration="300ms")
@@ -95,7 +95,7 @@ async def test_a_later_item_does_not_cut_a_duration_where_items_overlap(surface:
     assert shown(await channel.get(base + 250 * MS, base + 260 * MS, limit=1, newest_first=True)) == ["talk"]
 
 
-async def test_an_item_left_out_of_an_answer_still_ends_a_span_where_items_overlap(surface: Surface) -> None:
+async def test_an_item_outside_the_answer_still_ends_the_span_before_it_with_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s", overlap="90ms")
     base = st.now() - 2_000 * MS
     await channel.put(b"open", time=base)
@@ -113,7 +113,7 @@ async def test_an_item_left_out_of_an_answer_still_ends_a_span_where_items_overl
     assert [(shown([item])[0], item.end and item.end - base) for item in found] == [("scene", 90 * MS), ("later", None)]
 
 
-async def test_ages_count_from_the_longest_possible_end_where_items_overlap(surface: Surface) -> None:
+async def test_ages_count_from_the_longest_possible_end_with_overlap(surface: Surface) -> None:
     channel = await surface.channel(max_age="1s", overlap="3600s")
     base = st.now() - 3_000 * MS
     for number in range(3):
@@ -121,7 +121,7 @@ async def test_ages_count_from_the_longest_possible_end_where_items_overlap(surf
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["0", "1", "2"]
 
 
-async def test_a_duration_of_zero_is_a_single_instant(surface: Surface) -> None:
+async def test_an_item_with_a_duration_of_zero_is_valid_at_one_instant(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     await channel.put(b"event", time=base, duration="0s")
@@ -158,7 +158,7 @@ async def test_adjoining_half_open_intervals_return_every_item_once(surface: Sur
     assert found == [str(time) for time in range(0, 100, 7)]
 
 
-async def test_meta_times_take_offsets(surface: Surface) -> None:
+async def test_a_meta_time_can_have_an_offset(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10, 20, 30)
     assert shown(await channel.get(st.NEWEST - "10ms", st.NEWEST, match="start")) == ["20", "30"]
     assert shown(await channel.get(st.OLDEST, st.OLDEST + "10ms", match="start")) == ["0", "10"]
@@ -169,13 +169,13 @@ async def test_the_last_seconds_are_an_interval_up_to_now(surface: Surface) -> N
     assert shown(await channel.get(*st.last("30s"), match="start")) == ["1900"]
 
 
-async def test_the_resolved_interval_is_returned(surface: Surface) -> None:
+async def test_a_get_returns_the_interval_with_resolved_bounds(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 30)
     items = await channel.get(st.NEWEST - "10ms", st.NEWEST)
     assert (items.interval.start, items.interval.end) == (base + 20 * MS, base + 30 * MS)
 
 
-async def test_before_gives_the_newest_older_item_and_of_a_bucket_the_last(surface: Surface) -> None:
+async def test_before_returns_the_newest_older_item_and_the_last_one_of_its_bucket(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 10, 20)
     item = await channel.before(base + 20 * MS)
     bucket = await channel.get(base + 10 * MS, base + 10 * MS)
@@ -183,13 +183,13 @@ async def test_before_gives_the_newest_older_item_and_of_a_bucket_the_last(surfa
     assert await channel.before(base) is None
 
 
-async def test_oldest_gives_the_first_of_its_bucket_and_newest_the_last(surface: Surface) -> None:
+async def test_oldest_returns_the_first_item_of_its_bucket_and_newest_the_last(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 0, 10, 10)
     items = await channel.get(st.OLDEST, st.NEWEST)
     assert (await channel.oldest(), await channel.newest()) == (items[0], items[-1])
 
 
-async def test_newest_after_wants_a_strictly_later_item(surface: Surface) -> None:
+async def test_newest_after_an_item_returns_a_strictly_later_item(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     newest = await channel.newest()
     assert await channel.newest(after=newest) is None
@@ -199,7 +199,7 @@ async def test_newest_after_wants_a_strictly_later_item(surface: Surface) -> Non
     assert (await channel.newest(after=newest)).payload == b"again"
 
 
-async def test_limit_keeps_the_earliest_and_pages_on(surface: Surface) -> None:
+async def test_a_limit_keeps_the_earliest_items_and_the_next_page_continues(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10, 10, 20, 30)
     found, after = [], None
     while True:
@@ -211,7 +211,7 @@ async def test_limit_keeps_the_earliest_and_pages_on(surface: Surface) -> None:
     assert found == ["0", "10", "10", "20", "30"]
 
 
-async def test_newest_first_turns_the_order_round_and_pages_on(surface: Surface) -> None:
+async def test_newest_first_reverses_the_order_and_the_next_page_continues(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10, 10, 20, 30)
     first = await channel.get(st.OLDEST, st.NEWEST, limit=3, newest_first=True)
     rest = await channel.get(st.OLDEST, st.NEWEST, newest_first=True, after=first[-1])
@@ -220,7 +220,7 @@ async def test_newest_first_turns_the_order_round_and_pages_on(surface: Surface)
     assert not rest.more
 
 
-async def test_reads_change_nothing(surface: Surface) -> None:
+async def test_a_read_does_not_change_the_channel(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10)
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == shown(await channel.get(st.OLDEST, st.NEWEST))
 
@@ -232,13 +232,13 @@ async def test_a_read_without_payloads_has_their_lengths(surface: Surface) -> No
     assert [item.payload_length_bytes for item in items] == [1, 2]
 
 
-async def test_an_interval_upside_down_names_both_ends(surface: Surface) -> None:
+async def test_an_interval_that_ends_before_its_start_is_refused_with_both_bounds(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     with pytest.raises(st.InvalidInterval, match=f"{base + 1}.*{base}"):
         await channel.get(base + 1, base)
 
 
-async def test_an_interval_that_meta_times_turn_upside_down_is_empty(surface: Surface) -> None:
+async def test_an_interval_is_empty_if_its_meta_times_resolve_in_reverse_order(surface: Surface) -> None:
     channel, _ = await filled(surface, 0)
     assert len(await channel.get(st.NEWEST + "1ms", st.NEWEST)) == 0
 
@@ -250,7 +250,7 @@ async def test_an_empty_channel_answers_not_yet(surface: Surface) -> None:
     assert items.reason.detail
 
 
-async def test_a_finished_interval_without_items_was_never_filled(surface: Surface) -> None:
+async def test_a_finished_interval_without_items_is_answered_with_never(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 2_000 * MS
     await channel.put(b"a", time=base, duration="1ms")

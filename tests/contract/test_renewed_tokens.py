@@ -55,7 +55,7 @@ async def opened(stream: Any) -> Any:
     return await stream if inspect.isawaitable(stream) else stream
 
 
-async def test_streams_go_on_with_the_renewed_token_without_a_gap(rig: Rig, file: TokenFile) -> None:
+async def test_open_streams_continue_with_a_renewed_token_without_a_gap(rig: Rig, file: TokenFile) -> None:
     await file.write(3 * S)
     rt = await rig.connect(secret=file.path)
     name = rig.name()
@@ -152,7 +152,7 @@ async def ticking(own: Any, rt: Any, name: str, until_unix_nano: float) -> None:
 
 
 @pytest.mark.parametrize("renewed", [True, False])
-async def test_everything_that_waits_goes_on_with_the_renewed_token_and_ends_without_one(
+async def test_waiting_calls_continue_with_a_renewed_token_and_end_without_one(
     rig: Rig, file: TokenFile, renewed: bool
 ) -> None:
     own = await rig.connect()

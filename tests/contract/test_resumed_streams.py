@@ -22,7 +22,7 @@ def cut_off(items: Any) -> None:
         items._stream.cancel()
 
 
-async def test_a_held_item_is_not_the_newest_again_after_a_break(surface: Surface) -> None:
+async def test_a_resumed_newest_subscription_does_not_repeat_an_item(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     await channel.put(b"held")
     async with channel.subscribe(mode="newest") as items:
@@ -36,7 +36,7 @@ async def test_a_held_item_is_not_the_newest_again_after_a_break(surface: Surfac
         assert items.skipped == 1
 
 
-async def test_an_item_that_came_first_of_all_while_the_stream_was_broken_is_given(surface: Surface) -> None:
+async def test_a_resumed_newest_subscription_yields_the_first_item_of_the_channel(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     async with channel.subscribe(mode="newest") as items:
         cut_off(items)
@@ -74,7 +74,7 @@ async def test_a_resumed_subscription_keeps_its_start(surface: Surface) -> None:
         assert (items.skipped, items.dropped) == (0, 0)
 
 
-async def test_a_start_that_hangs_on_the_newest_item_stays_where_it_was(surface: Surface) -> None:
+async def test_a_resumed_subscription_keeps_a_start_that_was_relative_to_the_newest_item(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 10_000 * MS
     for offset in (20, 10, 15):
@@ -85,7 +85,7 @@ async def test_a_start_that_hangs_on_the_newest_item_stays_where_it_was(surface:
         assert [item.payload for item in await take(items, 2)] == [b"20", b"40"]
 
 
-async def test_items_that_retention_takes_while_the_stream_is_broken_are_reported(surface: Surface) -> None:
+async def test_items_that_retention_removes_while_the_stream_is_broken_are_reported(surface: Surface) -> None:
     channel = await surface.channel(max_items=3)
     for number in range(3):
         await channel.put(b"%d" % number)
@@ -116,7 +116,7 @@ async def test_a_subscription_that_meets_another_incarnation_as_it_is_resumed_ra
             await anext(items)
 
 
-async def test_the_newest_of_a_descriptor_is_not_given_again_after_a_break(surface: Surface) -> None:
+async def test_a_resumed_newest_subscription_of_a_descriptor_does_not_repeat_an_item(surface: Surface) -> None:
     left, right = await surface.channel(max_age="60s"), await surface.channel(max_age="60s")
     group = await surface.group(f"resumed/{st.now()}", [left, right])
     base = st.now() - 10_000 * MS
@@ -139,7 +139,7 @@ async def test_the_newest_of_a_descriptor_is_not_given_again_after_a_break(surfa
         assert items.skipped == 1
 
 
-async def test_matches_and_cut_events_go_on_where_they_were(surface: Surface) -> None:
+async def test_resumed_matches_and_cut_events_continue_at_their_position(surface: Surface) -> None:
     left, right = await surface.channel(max_age="60s"), await surface.channel(max_age="60s")
     group = await surface.group(f"resumed/{st.now()}", [left, right])
     base = st.now() - 10_000 * MS

@@ -28,14 +28,14 @@ async def shared(things: AsyncIterator[Any], bring: Callable[[int], Awaitable[ob
         return [await step for step in steps]
 
 
-async def test_callers_of_one_subscription_get_an_item_each(surface: Surface) -> None:
+async def test_callers_that_share_a_subscription_get_different_items(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     async with channel.subscribe() as items:
         found = await shared(items, lambda number: channel.put(b"%d" % number))
     assert {item.payload for item in found} == {b"0", b"1", b"2"}
 
 
-async def test_callers_of_one_stream_of_cut_events_or_matches_get_an_event_each(surface: Surface) -> None:
+async def test_callers_that_share_a_stream_of_cut_events_or_matches_get_different_events(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     group = await surface.group(f"shared/{st.now()}", [channel])
     base = st.now() - 10_000 * MS
@@ -55,7 +55,7 @@ async def test_callers_of_one_stream_of_cut_events_or_matches_get_an_event_each(
     assert len({matched.time for matched in found}) == CALLERS
 
 
-async def test_callers_of_one_watch_get_a_change_each(surface: Surface) -> None:
+async def test_callers_that_share_a_watch_get_different_changes(surface: Surface) -> None:
     name, connection = f"shared-watch/{st.now()}", surface.connection
     if isinstance(connection, Blocking):
         watch: Any = BlockingIterator(lambda: connection._wrapped.watch(f"{name}/*"), connection._pool)
@@ -66,7 +66,7 @@ async def test_callers_of_one_watch_get_a_change_each(surface: Surface) -> None:
     assert {change.subject.name for change in found} == {f"{name}/{number}" for number in range(CALLERS)}
 
 
-async def test_the_end_of_a_subscription_ends_all_callers(surface: Surface) -> None:
+async def test_the_end_of_a_subscription_ends_the_waits_of_all_callers(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     async with channel.subscribe() as items:
         steps = [asyncio.ensure_future(anext(items)) for _ in range(CALLERS)]

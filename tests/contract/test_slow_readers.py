@@ -28,7 +28,7 @@ async def pair(request: pytest.FixtureRequest, grouped_cluster: LocalCluster) ->
         yield surface
 
 
-async def test_the_newest_is_the_newest_of_the_moment_in_which_the_reader_asks(surface: Surface) -> None:
+async def test_a_newest_subscription_yields_the_newest_item_at_the_moment_of_the_request(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     async with channel.subscribe(mode="newest") as items:
         await channel.put(b"first")
@@ -44,7 +44,7 @@ async def test_the_newest_is_the_newest_of_the_moment_in_which_the_reader_asks(s
         assert late.seq == last.seq - 1
 
 
-async def test_no_item_is_under_way_to_a_slow_reader_that_did_not_ask_for_it(surface: Surface) -> None:
+async def test_a_newest_subscription_sends_no_item_before_the_reader_asks(surface: Surface) -> None:
     channel = await surface.channel(max_items=4)
     async with channel.subscribe() as items:
         await channel.put(b"first")
@@ -56,7 +56,7 @@ async def test_no_item_is_under_way_to_a_slow_reader_that_did_not_ask_for_it(sur
         assert (items.dropped, items.skipped) == (ITEMS - 4, 0)
 
 
-async def test_the_items_under_way_to_a_stopped_reader_are_bounded(surface: Surface) -> None:
+async def test_the_unread_items_of_a_stopped_reader_are_bounded(surface: Surface) -> None:
     channel = await surface.channel(max_items=4)
     size = 2**16
     async with channel.subscribe() as items:
@@ -145,7 +145,7 @@ async def fill(left: Any, right: Any, group: Any, start: int) -> None:
             pass
 
 
-async def test_a_descriptor_gives_the_newest_that_is_visible_when_the_reader_asks(pair: Surface) -> None:
+async def test_a_descriptor_yields_the_newest_visible_item_at_the_moment_of_the_request(pair: Surface) -> None:
     left, right, group = await in_step(pair)
     t = st.now() - 10_000 * MS
     async with group[left].subscribe(mode="newest") as items:
@@ -170,7 +170,7 @@ async def test_cut_events_are_merged_for_a_reader_that_asks_late(pair: Surface) 
             assert [item.payload for item in cut[channel.name]] == merged
 
 
-async def test_matches_wait_in_the_channel_for_a_reader_that_asks_late(pair: Surface) -> None:
+async def test_a_slow_reader_of_matches_leaves_the_items_in_the_channel(pair: Surface) -> None:
     left, right, group = await in_step(pair, hosts_used=1, max_items=5)
     t = st.now() - 10_000 * MS
     async with group.match(left, "0.1ms") as matches:

@@ -12,7 +12,7 @@ from tests.contract.surfaces import Surface, take
 MS = 1_000_000
 
 
-async def test_by_default_only_new_items_come(surface: Surface) -> None:
+async def test_a_subscription_without_a_start_yields_only_new_items(surface: Surface) -> None:
     channel = await surface.channel()
     await channel.put(b"before")
     async with channel.subscribe() as items:
@@ -20,7 +20,7 @@ async def test_by_default_only_new_items_come(surface: Surface) -> None:
         assert [item.payload for item in await take(items, 1)] == [b"after"]
 
 
-async def test_from_a_start_held_items_come_first_in_seq_order(surface: Surface) -> None:
+async def test_a_subscription_with_a_start_yields_held_items_first_in_the_order_of_seqs(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     for offset in (30, 10, 20, 5):
@@ -30,7 +30,7 @@ async def test_from_a_start_held_items_come_first_in_seq_order(surface: Surface)
         assert [item.payload for item in await take(items, 4)] == [b"30", b"10", b"20", b"late"]
 
 
-async def test_every_item_comes_once_at_any_time(surface: Surface) -> None:
+async def test_a_subscription_yields_each_item_once_however_puts_and_reads_interleave(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     async with channel.subscribe() as items:
@@ -42,7 +42,7 @@ async def test_every_item_comes_once_at_any_time(surface: Surface) -> None:
     assert [item.seq for item in found] == list(range(found[0].seq, found[0].seq + 1_000))
 
 
-async def test_newest_never_goes_back_and_counts_skipped_items(surface: Surface) -> None:
+async def test_a_newest_subscription_never_goes_back_and_counts_skipped_items(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     async with channel.subscribe(mode="newest") as items:
@@ -56,7 +56,7 @@ async def test_newest_never_goes_back_and_counts_skipped_items(surface: Surface)
     assert base + 5 * MS not in times
 
 
-async def test_after_resumes_behind_an_item(surface: Surface) -> None:
+async def test_a_subscription_after_an_item_begins_with_the_next_one(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     first = await channel.put(b"1")
     await channel.put(b"2")
@@ -65,7 +65,7 @@ async def test_after_resumes_behind_an_item(surface: Surface) -> None:
         assert [item.payload for item in await take(items, 2)] == [b"2", b"3"]
 
 
-async def test_items_that_retention_took_from_a_slow_reader_are_reported(surface: Surface) -> None:
+async def test_items_that_retention_removed_before_a_slow_reader_read_them_are_reported(surface: Surface) -> None:
     channel = await surface.channel(max_items=2)
     first = await channel.put(b"1")
     for number in range(2, 7):
@@ -75,7 +75,7 @@ async def test_items_that_retention_took_from_a_slow_reader_are_reported(surface
         assert items.dropped == 3
 
 
-async def test_without_payloads_the_lengths_remain(surface: Surface) -> None:
+async def test_a_subscription_without_payloads_has_their_lengths(surface: Surface) -> None:
     channel = await surface.channel()
     async with channel.subscribe(payloads=False) as items:
         await channel.put(b"12345")

@@ -36,7 +36,9 @@ async def test_an_instant_is_an_int_or_a_datetime_with_its_timezone(surface: Sur
 
 
 @pytest.mark.parametrize("lossy", [1.7e9, datetime(2026, 1, 1), "2026-01-01", True])
-async def test_a_value_that_loses_digits_or_needs_a_guess_is_no_instant(surface: Surface, lossy: Any) -> None:
+async def test_a_float_a_text_or_a_datetime_without_timezone_is_refused_as_an_instant(
+    surface: Surface, lossy: Any
+) -> None:
     channel = await surface.channel()
     with pytest.raises(st.InvalidArgument):
         await channel.put(b"x", time=lossy)
@@ -49,7 +51,7 @@ async def test_a_policy_and_an_offset_state_their_unit(surface: Surface) -> None
         _ = st.NOW - 10  # type: ignore[operator]
 
 
-async def test_between_two_neighbouring_nanoseconds_there_is_time(surface: Surface) -> None:
+async def test_an_open_interval_between_two_adjacent_nanoseconds_is_not_empty(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     assert shown(await channel.get(base + 5, base + 6, bounds="()")) == ["0"]
     empty = await channel.get(base + 5, base + 5, bounds="[)")
@@ -59,7 +61,7 @@ async def test_between_two_neighbouring_nanoseconds_there_is_time(surface: Surfa
 # --- spans
 
 
-async def test_a_late_item_goes_where_it_belongs_and_shortens_the_span_before_it(surface: Surface) -> None:
+async def test_a_late_item_is_found_by_its_time_and_ends_the_span_before_it(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 100)
     (before,) = await channel.at(base + 50 * MS)
     await channel.put(b"late", time=base + 40 * MS)
@@ -78,7 +80,7 @@ async def test_the_next_item_ends_a_span_before_its_duration_does(surface: Surfa
     assert shown(await channel.at(base + 10 * MS)) == ["next"]
 
 
-async def test_the_newest_item_with_a_duration_ends_by_it(surface: Surface) -> None:
+async def test_the_span_of_the_newest_item_ends_after_its_duration(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     await channel.put(b"x", time=st.now() - SECOND, duration="10ms")
     assert shown(await channel.at(st.NOW)) == []
@@ -103,13 +105,13 @@ async def test_a_read_after_the_last_item_never_returns_that_item_again(surface:
     assert shown(await channel.get(last.time, st.NOW, bounds="(]", match="start")) == ["new"]
 
 
-async def test_an_open_newest_item_lies_whole_in_an_interval_up_to_now(surface: Surface) -> None:
+async def test_an_interval_up_to_now_contains_the_whole_span_of_the_newest_item(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     assert shown(await channel.get(base, st.NOW, match="whole")) == ["0", "10"]
     assert shown(await channel.get(base, base + 20 * MS, match="whole")) == ["0"]
 
 
-async def test_a_bound_that_is_resolved_stays_as_it_is(surface: Surface) -> None:
+async def test_a_resolved_bound_does_not_change_while_a_get_waits(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10)
     get = asyncio.ensure_future(channel.get(st.OLDEST, st.NEWEST, complete=True, match="start", timeout=SOON_S))
     await waiting(channel)
@@ -118,7 +120,7 @@ async def test_a_bound_that_is_resolved_stays_as_it_is(surface: Surface) -> None
     assert (shown(items), items.interval.end) == (["0", "10"], base + 10 * MS)
 
 
-async def test_bounds_that_hang_on_items_are_resolved_at_the_first_one(surface: Surface) -> None:
+async def test_bounds_relative_to_items_are_resolved_when_the_first_item_arrives(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     get = asyncio.ensure_future(channel.get(st.OLDEST - "5ms", st.NEWEST, timeout=SOON_S))
     await waiting(channel)
@@ -137,14 +139,14 @@ async def waiting(channel: Any, count: int = 1) -> None:
             pass
 
 
-async def test_a_future_lower_bound_is_looked_at_again_when_it_comes(surface: Surface) -> None:
+async def test_a_get_with_a_future_start_is_answered_when_the_start_arrives(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     await channel.put(b"holds")
     items = await run_to_end(channel.get(st.NOW + "60ms", st.NOW + "1h", timeout=LONG_S))
     assert shown(items) == ["holds"]
 
 
-async def test_only_an_item_in_the_interval_releases_a_get(surface: Surface) -> None:
+async def test_a_waiting_get_is_answered_only_by_an_item_in_its_interval(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     interval = base + 100 * MS, base + 200 * MS
     get = asyncio.ensure_future(channel.get(*interval, match="start", timeout=SOON_S))
@@ -156,7 +158,7 @@ async def test_only_an_item_in_the_interval_releases_a_get(surface: Surface) -> 
     assert shown(await get) == ["inside"]
 
 
-async def test_an_item_behind_the_interval_releases_a_get_that_nothing_can_fill_any_more(surface: Surface) -> None:
+async def test_a_later_item_ends_a_waiting_get_whose_interval_stays_empty(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     get = asyncio.ensure_future(channel.get(base + 10 * MS, base + 20 * MS, match="start", timeout=SOON_S))
     await waiting(channel)
@@ -165,7 +167,7 @@ async def test_an_item_behind_the_interval_releases_a_get_that_nothing_can_fill_
     assert (len(items), items.reason, items.complete) == (0, st.Reason.NEVER, True)
 
 
-async def test_an_inclusive_end_is_complete_only_strictly_behind_it(surface: Surface) -> None:
+async def test_an_interval_with_an_inclusive_end_is_complete_only_after_a_strictly_later_item(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     end = base + 20 * MS
     get = asyncio.ensure_future(channel.get(base, end, match="start", complete=True, timeout=SOON_S))
@@ -215,7 +217,7 @@ async def test_the_frontier_is_the_latest_collected_end_and_never_above_a_held_i
     assert not (await channel.get(base + 20 * MS, st.NEWEST)).truncated
 
 
-async def test_a_span_that_ends_behind_the_end_of_time_can_be_collected(surface: Surface) -> None:
+async def test_an_item_whose_span_ends_after_the_largest_instant_can_be_collected(surface: Surface) -> None:
     channel = await surface.channel(max_items=5)
     await channel.put(b"for ever", duration=2**63 - 1)
     await channel.configure(max_bytes=64)
@@ -229,7 +231,7 @@ async def test_an_interval_whose_items_can_still_come_is_answered_with_not_yet(s
     assert (len(items), items.reason, items.complete) == (0, st.Reason.NOT_YET, False)
 
 
-async def test_an_advance_says_that_nothing_happened(surface: Surface) -> None:
+async def test_an_advance_makes_an_empty_interval_complete(surface: Surface) -> None:
     channel, base = await filled(surface, 0)
     await channel.advance(base + 30 * MS)
     items = await channel.get(base + 10 * MS, base + 20 * MS, match="start")
@@ -239,20 +241,20 @@ async def test_an_advance_says_that_nothing_happened(surface: Surface) -> None:
 # --- retention
 
 
-async def test_the_window_of_max_age_is_answered_in_full(surface: Surface) -> None:
+async def test_a_read_within_max_age_is_never_truncated(surface: Surface) -> None:
     channel, _ = await filled(surface, -98_000, -78_000, -43_000, 0, max_age="50s")
     items = await channel.get(*st.last("40s"))
     assert (shown(items)[-2:], items.truncated) == (["-43000", "0"], False)
 
 
-async def test_without_any_limit_an_item_is_kept_for_ten_seconds(surface: Surface) -> None:
+async def test_the_default_max_age_is_ten_seconds(surface: Surface) -> None:
     channel = await surface.channel()
     await channel.put(b"newest", time=st.now() - 11 * SECOND)
     with pytest.raises(st.TooOld, match="max_age"):
         await channel.put(b"x", time=st.now() - 12 * SECOND)
 
 
-async def test_a_stated_limit_takes_the_place_of_the_ten_seconds(surface: Surface) -> None:
+async def test_a_given_limit_replaces_the_default_max_age(surface: Surface) -> None:
     channel = await surface.channel(max_items=2)
     await channel.put(b"newest", time=st.now() - 3_600 * SECOND)
     await channel.put(b"older", time=st.now() - 7_200 * SECOND)
@@ -274,19 +276,19 @@ async def test_max_future_says_how_far_ahead_a_clock_may_be(surface: Surface) ->
         await channel.put(b"x", time=st.now() + 5_400 * SECOND)
 
 
-async def test_blocking_without_an_age_could_never_end_and_is_refused(surface: Surface) -> None:
+async def test_a_put_that_could_wait_forever_is_refused(surface: Surface) -> None:
     with pytest.raises(st.InvalidArgument, match="for ever"):
         await (await surface.channel(max_items=1, on_full="block")).put(b"x")
 
 
-async def test_a_handle_opened_before_puts_came_to_wait_lets_them_wait(surface: Surface) -> None:
+async def test_a_handle_opened_before_on_full_became_block_waits(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, max_age="2500ms", on_full="reject")
     await channel.put(b"first")
     await channel.configure(on_full="block")
     assert (await run_to_end(channel.put(b"second"))).payload == b"second"
 
 
-async def test_a_handle_opened_before_puts_came_to_be_refused_refuses_them(surface: Surface) -> None:
+async def test_a_handle_opened_before_on_full_became_reject_refuses_puts(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, max_age="60s", on_full="block")
     await channel.put(b"first")
     await channel.configure(on_full="reject")
@@ -294,7 +296,7 @@ async def test_a_handle_opened_before_puts_came_to_be_refused_refuses_them(surfa
         await run_to_end(channel.put(b"second"))
 
 
-async def test_limits_change_while_the_channel_runs_and_hold_at_once(surface: Surface) -> None:
+async def test_changed_limits_apply_at_once(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10, 20, 30)
     await channel.configure(max_items=2)
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["20", "30"]
@@ -305,14 +307,14 @@ async def test_limits_change_while_the_channel_runs_and_hold_at_once(surface: Su
 # --- identity and subscriptions
 
 
-async def test_a_position_of_another_incarnation_is_reported(surface: Surface) -> None:
+async def test_a_position_of_another_incarnation_is_refused(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10)
     item = await channel.oldest()
     with pytest.raises(st.IncarnationLost):
         await channel.get(st.OLDEST, st.NEWEST, after=item._replace(incarnation=item.incarnation ^ 2))
 
 
-async def test_newest_tells_how_many_it_skipped(surface: Surface) -> None:
+async def test_a_newest_subscription_counts_skipped_items(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20)
     async with channel.subscribe(start=base, mode="newest") as items:
         assert (await anext(items)).payload == b"20"

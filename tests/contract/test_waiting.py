@@ -42,7 +42,7 @@ async def test_a_get_with_a_timeout_returns_the_found_items_and_the_reason(surfa
     assert (len(items), items.reason) == (0, st.Reason.NOT_YET)
 
 
-async def test_complete_waits_until_nothing_more_can_come(surface: Surface) -> None:
+async def test_a_complete_get_waits_until_no_further_item_can_be_accepted(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     await channel.put(b"a", time=base)
@@ -76,7 +76,7 @@ async def test_an_incomplete_answer_says_so(surface: Surface) -> None:
     assert (len(items), items.complete, items.reason) == (1, False, st.Reason.NOT_YET)
 
 
-async def test_a_cancelled_get_leaves_nothing_behind(surface: Surface) -> None:
+async def test_a_cancelled_get_leaves_no_wait_at_the_host(surface: Surface) -> None:
     channel = await surface.channel()
     get = asyncio.ensure_future(channel.newest(timeout=2.0))
     await waiting(channel)

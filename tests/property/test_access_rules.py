@@ -51,7 +51,7 @@ def test_the_access_rules_agree_with_a_simple_implementation(
 
 
 @given(RULES, NAMES, st.sampled_from(AccessKind), NAMES)
-def test_a_caller_may_know_of_each_thing_that_it_may_use(
+def test_a_caller_may_list_everything_that_it_may_use(
     rules: list[AccessRule], who: str, kind: AccessKind, name: str
 ) -> None:
     knows = any(oracle(rules, who, verb, kind, name) for verb in VERBS_OF[kind])
@@ -59,7 +59,7 @@ def test_a_caller_may_know_of_each_thing_that_it_may_use(
 
 
 @given(RULES, RULES, NAMES, st.sampled_from(AccessVerb), st.sampled_from(AccessKind), NAMES)
-def test_the_order_of_rules_means_nothing_and_a_denial_is_never_undone_by_more_rules(
+def test_the_order_of_rules_does_not_matter_and_no_rule_overrides_a_denial(
     rules: list[AccessRule], more: list[AccessRule], who: str, verb: AccessVerb, kind: AccessKind, name: str
 ) -> None:
     ruling = AccessRules(rules).judge(client(who), verb, kind, name)

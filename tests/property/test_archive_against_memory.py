@@ -98,7 +98,7 @@ def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, A
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alone(seed: int) -> None:
+def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memory(seed: int) -> None:
     draw = random.Random(seed)
     large, small, positions, now = tell(draw)
     overlap = large.policy.overlap_nanos
@@ -114,7 +114,7 @@ def test_a_read_over_an_archive_and_a_small_memory_answers_as_one_of_memory_alon
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_as_of_an_instant_answers_as_a_channel_of_memory_alone_did_then(seed: int) -> None:
+def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
     draw = random.Random(seed)
     large, small, positions, now = tell(draw, advances=True)
     small.archive()
@@ -138,7 +138,7 @@ def test_a_read_as_of_an_instant_answers_as_a_channel_of_memory_alone_did_then(s
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_subscription_from_the_archive_on_brings_the_same_items_as_one_from_memory(seed: int) -> None:
+def test_a_subscription_that_starts_in_the_archive_yields_the_same_items_as_one_over_memory(seed: int) -> None:
     draw = random.Random(seed)
     large, small, _, now = tell(draw)
     start = draw.randrange(-1, now + 2)
@@ -182,7 +182,7 @@ def test_a_read_whose_overlap_reaches_far_back_loads_it_window_by_window() -> No
         assert small.loaded_max < 1500  # bytes; the archive has 50 times as many
 
 
-def test_items_that_are_not_archived_stay_in_memory_until_its_bytes_force_them_out() -> None:
+def test_items_that_are_not_archived_stay_in_memory_until_max_bytes_removes_them() -> None:
     small = ArchivedChannel(Policy(max_items=2, max_bytes=64 * 8), runs_per_block=1, blocks_per_segment=2)
     for time in range(6):
         small.put(Offer(times=[time], durations=None, lengths=[0]), time)

@@ -172,7 +172,7 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
     return Offer(times=times, durations=durations, lengths=[8] * len(times))
 
 
-def test_a_consumer_on_a_lost_place_starts_at_the_newest_item_of_a_half_consumed_bucket() -> None:
+def test_a_consumer_whose_position_was_lost_starts_at_the_newest_item_of_a_half_consumed_bucket() -> None:
     """A fixed fault: a late item reversed the rest of the bucket, so that an older item counted as the newest one.
 
     The next consumer of the place then owed the older item, too. 3 of 49,549 scenarios found the fault.
@@ -187,7 +187,7 @@ def test_a_consumer_on_a_lost_place_starts_at_the_newest_item_of_a_half_consumed
     pair.check()
 
 
-def test_a_consumer_on_a_lost_place_owes_no_item_before_the_newest() -> None:
+def test_a_consumer_whose_position_was_lost_need_not_consume_items_before_the_newest() -> None:
     pair = ChannelPair(Policy(consumers=2, max_future_nanos=8), FIRST_CLOCK)
     pair.put(_timed(FIRST_CLOCK + 1))
     pair.consume(4, [1], 40)
@@ -200,7 +200,7 @@ def test_a_consumer_on_a_lost_place_owes_no_item_before_the_newest() -> None:
     pair.check()
 
 
-def test_a_consumer_place_that_is_left_at_once_frees_the_items_that_all_others_consumed() -> None:
+def test_a_consumer_that_leaves_frees_the_items_that_all_others_consumed() -> None:
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.put(Offer(times=None, durations=[1, 1], lengths=[0, 40]))
@@ -213,7 +213,7 @@ def test_a_consumer_place_that_is_left_at_once_frees_the_items_that_all_others_c
     pair.check()
 
 
-def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_took_those_before_it() -> None:
+def test_the_stamp_of_a_put_ignores_a_consumed_item_after_max_bytes_removed_earlier_items() -> None:
     pair = ChannelPair(Policy(max_items=4, consumers=3, on_full="reject", max_future_nanos=8), FIRST_CLOCK)
     pair.put(Offer(times=[94, 100, 108], durations=[3, 7, -1], lengths=[40, 500, 0]))
     pair.consume(1, [3], 3)
@@ -224,7 +224,7 @@ def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_
     pair.check()
 
 
-def test_consumed_items_go_by_consumption_once_bytes_took_the_items_before_them() -> None:
+def test_consumed_items_are_collected_by_consumption_after_max_bytes_removed_earlier_items() -> None:
     """Such items did not leave by age later, even if nothing read the channel meanwhile.
 
     2 of 36,000 scenarios; the oracle was wrong.
@@ -240,7 +240,7 @@ def test_consumed_items_go_by_consumption_once_bytes_took_the_items_before_them(
     assert pair.oracle.collected == {"age": 2, "count": 0, "bytes": 3, "consumption": 1}
 
 
-def test_an_item_that_the_byte_limit_made_first_goes_by_age_if_it_is_old_though_consumed() -> None:
+def test_an_old_consumed_item_that_max_bytes_made_the_oldest_is_collected_by_age() -> None:
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
     pair.consume(3, [], 3)
@@ -252,7 +252,7 @@ def test_an_item_that_the_byte_limit_made_first_goes_by_age_if_it_is_old_though_
     assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 1, "consumption": 0}
 
 
-def test_the_rest_of_a_bucket_goes_by_age_at_once_if_it_ends_before_the_consumed_part() -> None:
+def test_the_rest_of_a_bucket_is_collected_by_age_if_it_ends_before_the_consumed_part() -> None:
     """A fixed fault: the next read returned the rest, and the read after that collected it. 1 of 20,000 scenarios found
     the fault.
     """
@@ -268,7 +268,7 @@ def test_the_rest_of_a_bucket_goes_by_age_at_once_if_it_ends_before_the_consumed
     assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 0, "consumption": 1}
 
 
-def test_a_put_that_waits_is_offered_again_when_age_makes_room_though_its_own_item_would_not_go_then() -> None:
+def test_a_waiting_put_is_tried_again_when_age_makes_room() -> None:
     """A fixed fault: the core told the put to try again at the end of the last lease. 1 of 4,000 scenarios found the
     fault.
     """

@@ -94,7 +94,7 @@ def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() 
     assert (copy.channel.missed, copy.channel.next_seq) == (2, 6)
 
 
-def test_a_copy_goes_on_after_a_late_item_that_came_below_consumed_ones_during_the_feed() -> None:
+def test_a_copy_continues_after_a_late_item_before_consumed_items() -> None:
     """The floor then moves back. Unless the feed said so, the copy would keep items that the owner has freed."""
     scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
     copy, pair = scenario.copies[0], scenario.pair
@@ -107,7 +107,7 @@ def test_a_copy_goes_on_after_a_late_item_that_came_below_consumed_ones_during_t
     assert copy.begun_anew == 0
 
 
-def test_a_copy_begins_anew_if_the_floor_went_back_while_its_stream_was_broken() -> None:
+def test_a_copy_begins_anew_if_the_cut_floor_went_back_while_its_stream_was_broken() -> None:
     scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
     copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))
@@ -120,7 +120,7 @@ def test_a_copy_begins_anew_if_the_floor_went_back_while_its_stream_was_broken()
     assert copy.begun_anew == 1
 
 
-def test_a_copy_refuses_to_feed_one_that_is_further() -> None:
+def test_a_copy_refuses_to_feed_a_copy_that_has_more_items() -> None:
     scenario = Scenario(Policy(max_items=4, max_future_nanos=8))
     near, other = scenario.copies[:2]
     scenario.pair.put(_timed(100, 101))

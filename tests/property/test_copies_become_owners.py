@@ -177,7 +177,7 @@ def play(numbers: list[int]) -> int:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=8, max_size=40))
-def test_a_copy_that_becomes_the_owner_goes_on_as_the_owner_would_have_done(
+def test_a_copy_that_becomes_the_owner_answers_as_the_old_owner_would(
     numbers: list[int],
 ) -> None:
     play(numbers)

@@ -60,7 +60,7 @@ class Stored:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_over_an_object_store_answers_as_one_of_memory_alone(seed: int, tmp_path: Path) -> None:
+def test_a_read_over_an_object_store_equals_one_over_memory(seed: int, tmp_path: Path) -> None:
     draw = random.Random(seed)
     large, small, positions, now = tell(draw)
     store = FakeStore()

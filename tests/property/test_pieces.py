@@ -109,7 +109,7 @@ def told(answer: ReadAnswer) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_an_answer_in_pieces_is_the_answer_of_its_first_moment(name: str) -> None:
+def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: str) -> None:
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(item_blocks, "BLOCK_ITEMS", 4):
         for seed in range(SEEDS):
@@ -125,7 +125,7 @@ def test_an_answer_in_pieces_is_the_answer_of_its_first_moment(name: str) -> Non
     assert unfinished > SEEDS // 10
 
 
-def test_an_answer_through_a_group_in_pieces_is_the_answer_of_its_first_moment() -> None:
+def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> None:
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(SEEDS):
@@ -149,7 +149,7 @@ def polled(
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_a_get_that_reads_a_snapshot_later_finds_the_same_as_at_the_moment_of_the_snapshot(name: str) -> None:
+def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
     """Gets of the channel alone, and through a group."""
     released = {False: 0, True: 0}
     for seed in range(SEEDS):
@@ -175,7 +175,7 @@ def test_a_get_that_reads_a_snapshot_later_finds_the_same_as_at_the_moment_of_th
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_a_subscription_that_begins_in_pieces_owes_the_items_that_were_held_at_its_beginning(name: str) -> None:
+def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_beginning(name: str) -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(SEEDS):
             busy = Busy(POLICIES[name], seed)
@@ -197,7 +197,7 @@ def test_a_subscription_that_begins_in_pieces_owes_the_items_that_were_held_at_i
             assert lost == len(meant) - len(given), f"seed {seed}"
 
 
-def test_pieces_that_are_not_taken_to_their_end_hold_nothing_back() -> None:
+def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         busy = Busy(POLICIES["all is kept"], 1)
         found = first_of(busy.channel.reading(Query(interval=parse_interval(0, 2 * NOW)), busy.now))

@@ -120,7 +120,7 @@ STEPS = (*stories.STEPS, begin, feed, feed, feed, feed, lose, stories.hand_over)
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=50))
-def test_a_copy_equals_its_owner_after_each_step_and_goes_on_as_the_owner(numbers: list[int]) -> None:
+def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(numbers: list[int]) -> None:
     pair = ReplicatedPair(RandomSource(numbers[0]).pick(stories.SETUPS), stories.FIRST_CLOCK)
     for number in numbers[1:]:
         rng = RandomSource(number)
@@ -140,7 +140,7 @@ def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
         copy.journal.apply(steps[0], pair.clock)
 
 
-def test_the_journal_forgets_the_oldest_steps_above_its_bound() -> None:
+def test_the_journal_drops_its_oldest_steps_above_its_limit() -> None:
     pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
     pair.journal.bytes_max = 3000
     for number in range(1, 20):

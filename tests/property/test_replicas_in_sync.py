@@ -210,7 +210,7 @@ def test_without_its_minimum_of_replicas_nothing_is_replicated() -> None:
     assert owner.replicated == 1
 
 
-def test_a_replica_that_keeps_up_with_a_steady_stream_keeps_its_flag_though_it_is_never_at_the_end() -> None:
+def test_a_replica_that_follows_a_steady_stream_stays_in_sync_though_it_is_never_at_the_end() -> None:
     owner = a_pair()
     for at in range(2, 50):
         owner.put(at + 1)

@@ -78,7 +78,7 @@ def test_readers_see_the_states_of_the_channel_in_order_and_none_that_is_not_rep
     play(numbers)
 
 
-def test_a_channel_of_one_item_shows_the_last_replicated_one_while_the_next_is_under_way() -> None:
+def test_a_channel_of_one_item_shows_the_last_replicated_item_until_the_next_one_is_replicated() -> None:
     pair = ChannelPair(Policy(max_items=1, max_future_nanos=8), FIRST_CLOCK)
     view = ReplicatedView(pair.core, FIRST_CLOCK, lambda body, lo, hi: body)
     for at in range(3):

@@ -158,7 +158,7 @@ class Story:
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**64), min_size=4, max_size=60))
-def test_each_reader_gets_every_item_once_and_hears_of_each_loss_at_its_place(numbers: list[int]) -> None:
+def test_each_reader_gets_every_item_once_and_each_loss_at_its_position(numbers: list[int]) -> None:
     story = Story()
     for number in numbers:
         story.step(RandomSource(number))
@@ -168,7 +168,7 @@ def test_each_reader_gets_every_item_once_and_hears_of_each_loss_at_its_place(nu
         assert reader.seen == reader.expected
 
 
-def test_a_read_hears_of_the_loss_from_the_newest_inherited_item_on() -> None:
+def test_a_read_reports_the_loss_from_the_newest_inherited_item_on() -> None:
     story = Story()
     story.put(3)
     story.feed_copy(10**6)
@@ -182,6 +182,6 @@ def test_a_read_hears_of_the_loss_from_the_newest_inherited_item_on() -> None:
     assert story.core.losses.inherited_next_seq == 4
 
 
-def test_two_losses_at_one_place_are_told_once() -> None:
+def test_two_losses_at_one_position_are_reported_once() -> None:
     losses = Losses().after(1, 10, None, 100).after(2, 5, None, 200)
     assert [tuple(one) for one in losses.from_incarnation(1)] == [(1, 5), (2, 5)]

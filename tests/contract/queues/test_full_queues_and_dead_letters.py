@@ -23,7 +23,7 @@ async def test_a_full_queue_makes_a_put_wait_or_refuses_it(rig: Rig) -> None:
     assert (await queue.get(timeout=10)).payload == b"2"
 
 
-async def test_a_queue_that_rejects_says_so_at_once(rig: Rig) -> None:
+async def test_a_full_queue_that_rejects_refuses_a_put_at_once(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="reject")
     await queue.put(b"1")
     with pytest.raises(st.QueueFull):
@@ -31,7 +31,7 @@ async def test_a_queue_that_rejects_says_so_at_once(rig: Rig) -> None:
     assert adds_up(await queue.stats()).rejected["full"] == 1
 
 
-async def test_a_queue_that_drops_the_oldest_counts_them(rig: Rig) -> None:
+async def test_a_full_queue_that_drops_its_oldest_messages_counts_them(rig: Rig) -> None:
     queue = await rig.queue(max_items=2, on_full="drop_oldest")
     for number in range(5):
         await queue.put(str(number).encode())
@@ -51,7 +51,7 @@ async def test_a_queue_whose_items_are_all_leased_drops_none_and_is_full(rig: Ri
     await queue.put(b"2")
 
 
-async def test_a_lowered_number_of_deliveries_holds_at_once(rig: Rig) -> None:
+async def test_a_lowered_max_deliveries_applies_at_once(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(max_deliveries=9, dead_letter=dead.name)
     await queue.put(b"poison")
@@ -75,7 +75,7 @@ async def test_an_item_delivered_too_often_goes_to_the_dead_letter_queue(rig: Ri
     await until(queue, lambda stats: stats.dead_lettered == 1 and stats.held == 0)
 
 
-async def test_a_dead_letter_tells_where_it_comes_from(rig: Rig) -> None:
+async def test_a_dead_letter_names_its_first_queue_and_why_it_left_it(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(max_deliveries=2, dead_letter=dead.name)
     before = st.now()
@@ -92,7 +92,7 @@ async def test_a_dead_letter_tells_where_it_comes_from(rig: Rig) -> None:
     assert letter.deliveries == 1
 
 
-async def test_a_terminated_message_leaves_with_its_reason_and_comes_no_more(rig: Rig) -> None:
+async def test_a_terminated_message_becomes_a_dead_letter_with_its_reason(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(dead_letter=dead.name)
     await queue.put(b"poison")
@@ -113,7 +113,7 @@ async def test_a_terminated_message_leaves_with_its_reason_and_comes_no_more(rig
     assert (stats.terminated, stats.held, stats.given_back) == (1, 0, 0)
 
 
-async def test_a_terminated_message_is_expelled_where_there_is_no_dead_letter_queue(rig: Rig) -> None:
+async def test_a_terminated_message_is_expelled_if_its_queue_has_no_dead_letter_queue(rig: Rig) -> None:
     queue = await rig.queue(copies=2)
     other = await rig.queue(queue.name)
     await queue.put(b"poison")
@@ -135,7 +135,7 @@ async def test_a_reason_that_is_too_long_is_refused(rig: Rig) -> None:
     await message.term("x" * 1024)
 
 
-async def test_without_a_dead_letter_queue_it_is_expelled_and_counted(rig: Rig) -> None:
+async def test_a_message_delivered_too_often_is_expelled_and_counted_without_a_dead_letter_queue(rig: Rig) -> None:
     queue = await rig.queue(max_deliveries=1)
     await queue.put(b"poison")
     await (await queue.get(timeout=10)).nack()

@@ -38,7 +38,7 @@ async def test_the_pending_list_names_each_leased_message_and_its_taker(rig: Rig
         await queue.pending(limit=0)
 
 
-async def test_a_long_pending_list_comes_page_by_page(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_long_pending_list_is_read_page_by_page(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (async_queue, sync_queue):
         monkeypatch.setattr(module, "PENDING_PAGE_MAX", 2)
     queue = await rig.queue()
@@ -49,7 +49,7 @@ async def test_a_long_pending_list_comes_page_by_page(rig: Rig, monkeypatch: pyt
     assert [one.seq for one in await queue.pending(limit=3)] == seqs[:3]
 
 
-async def test_a_second_put_of_a_message_id_is_acknowledged_and_not_held(rig: Rig) -> None:
+async def test_a_second_put_of_a_message_id_is_acknowledged_and_not_stored(rig: Rig) -> None:
     queue = await rig.queue()
     other = await rig.queue(queue.name)
     first = await queue.put(b"charge 5", message_id="order-1")
@@ -64,7 +64,7 @@ async def test_a_second_put_of_a_message_id_is_acknowledged_and_not_held(rig: Ri
     assert (stats.accepted, stats.duplicates) == (3, 2)
 
 
-async def test_a_message_id_that_was_refused_is_free(rig: Rig) -> None:
+async def test_a_refused_put_does_not_use_up_its_message_id(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="reject")
     await queue.put(b"1", message_id="one")
     with pytest.raises(st.QueueFull):

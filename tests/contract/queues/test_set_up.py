@@ -10,7 +10,7 @@ import stampede_rt as st
 from tests.contract.queues.rig import Rig, until
 
 
-async def test_a_stated_argument_that_contradicts_is_refused(rig: Rig) -> None:
+async def test_an_argument_that_differs_from_the_policy_of_the_queue_is_refused(rig: Rig) -> None:
     queue = await rig.queue(max_items=3, lease="10s")
     assert await rig.queue(queue.name) == queue
     assert await rig.queue(queue.name, lease="10s") == queue
@@ -18,7 +18,7 @@ async def test_a_stated_argument_that_contradicts_is_refused(rig: Rig) -> None:
         await rig.queue(queue.name, max_items=4)
 
 
-async def test_an_absent_queue_is_not_made_when_that_is_not_wanted(rig: Rig) -> None:
+async def test_a_missing_queue_is_not_created_against_the_callers_will(rig: Rig) -> None:
     with pytest.raises(st.QueueNotFound):
         await rig.queue(create=False)
     with pytest.raises(st.QueueNotFound):
@@ -44,7 +44,7 @@ async def test_a_queue_can_be_changed_while_it_runs(rig: Rig) -> None:
     await queue.put(b"2")
 
 
-async def test_a_deleted_queue_is_gone_for_everyone(rig: Rig) -> None:
+async def test_waiting_takers_and_holders_of_messages_learn_that_their_queue_was_deleted(rig: Rig) -> None:
     queue = await rig.queue()
     other = await rig.queue(queue.name)
     await queue.put(b"x")
@@ -73,12 +73,12 @@ async def test_queues_are_listed_by_name(rig: Rig) -> None:
         ("prefetch", 0), ("prefetch", 2000), ("codec", "yaml"), ("content_type", ""),
     ],
 )  # fmt: skip
-async def test_a_wrong_argument_is_named(rig: Rig, argument: str, value: object) -> None:
+async def test_the_error_names_the_wrong_argument(rig: Rig, argument: str, value: object) -> None:
     with pytest.raises(st.InvalidArgument, match=argument):
         await rig.queue(**{argument: value})
 
 
-async def test_a_put_is_checked_before_it_is_sent(rig: Rig) -> None:
+async def test_the_client_checks_arguments_before_it_sends_them(rig: Rig) -> None:
     queue = await rig.queue()
     with pytest.raises(st.InvalidArgument, match="encode"):
         await queue.put("text")

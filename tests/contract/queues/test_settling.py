@@ -10,7 +10,7 @@ import stampede_rt as st
 from tests.contract.queues.rig import Rig, adds_up, lease_from_now_on, until
 
 
-async def test_a_message_given_back_comes_again_at_its_place(rig: Rig) -> None:
+async def test_a_nacked_message_is_delivered_again_before_later_messages(rig: Rig) -> None:
     queue = await rig.queue()
     for payload in (b"1", b"2"):
         await queue.put(payload)
@@ -19,7 +19,7 @@ async def test_a_message_given_back_comes_again_at_its_place(rig: Rig) -> None:
     assert (again.payload, again.deliveries) == (b"1", 2)
 
 
-async def test_a_delayed_give_back_holds_up_no_other(rig: Rig) -> None:
+async def test_a_nack_with_a_delay_does_not_delay_other_messages(rig: Rig) -> None:
     queue = await rig.queue()
     for payload in (b"1", b"2"):
         await queue.put(payload)
@@ -27,14 +27,14 @@ async def test_a_delayed_give_back_holds_up_no_other(rig: Rig) -> None:
     assert (await queue.get(timeout=10)).payload == b"2"
 
 
-async def test_a_delayed_give_back_comes_again_after_its_delay(rig: Rig) -> None:
+async def test_a_message_nacked_with_a_delay_is_delivered_again_after_the_delay(rig: Rig) -> None:
     queue = await rig.queue()
     await queue.put(b"1")
     await (await queue.get(timeout=10)).nack(delay="100ms")
     assert (await queue.get(timeout=10)).deliveries == 2
 
 
-async def test_a_lease_that_ends_gives_the_item_to_the_next(rig: Rig) -> None:
+async def test_a_message_goes_to_the_next_taker_when_its_lease_ends(rig: Rig) -> None:
     queue = await rig.queue(lease="200ms")
     await queue.put(b"x")
     late = await queue.get(timeout=10)
@@ -59,7 +59,7 @@ async def test_an_extension_counts_from_now_and_may_shorten_a_lease(rig: Rig) ->
     assert (await queue.get(timeout=10)).deliveries == 2
 
 
-async def test_an_acknowledgement_may_be_repeated_but_not_revoked(rig: Rig) -> None:
+async def test_a_message_can_be_acknowledged_twice_but_not_nacked_afterwards(rig: Rig) -> None:
     queue = await rig.queue()
     await queue.put(b"x")
     message = await queue.get(timeout=10)
@@ -69,7 +69,7 @@ async def test_an_acknowledgement_may_be_repeated_but_not_revoked(rig: Rig) -> N
         await message.nack()
 
 
-async def test_a_block_that_ends_well_acknowledges_and_one_that_raises_gives_back(rig: Rig) -> None:
+async def test_a_with_block_acknowledges_its_message_and_nacks_it_if_the_block_raises(rig: Rig) -> None:
     queue = await rig.queue()
     await queue.put(b"x")
     with pytest.raises(ZeroDivisionError):
@@ -81,7 +81,7 @@ async def test_a_block_that_ends_well_acknowledges_and_one_that_raises_gives_bac
     assert (stats.consumed, stats.given_back) == (1, 1)
 
 
-async def test_a_message_settled_in_its_block_is_left_alone(rig: Rig) -> None:
+async def test_a_with_block_does_not_settle_a_message_that_is_settled_already(rig: Rig) -> None:
     queue = await rig.queue()
     await queue.put(b"x")
     async with await queue.get(timeout=10) as message:
@@ -104,7 +104,7 @@ async def test_the_error_of_a_block_is_raised_even_if_the_lease_has_ended(rig: R
     assert "comes again when its lease ends" in caught.value.__notes__[0]
 
 
-async def test_a_live_taker_that_lets_a_lease_end_goes_on_being_served(rig: Rig) -> None:
+async def test_a_live_taker_whose_lease_ended_gets_further_messages(rig: Rig) -> None:
     """The host checks whether the taker lives before it passes the taker over."""
     queue = await rig.queue(lease="100ms")
     gets = [asyncio.ensure_future(queue.get(timeout=20)) for _ in range(3)]

@@ -11,7 +11,7 @@ import stampede_rt as st
 from tests.contract.queues.rig import Rig, adds_up, until
 
 
-async def test_items_come_in_the_order_of_their_acceptance_each_once(rig: Rig) -> None:
+async def test_messages_are_delivered_once_each_in_the_order_of_their_acceptance(rig: Rig) -> None:
     queue = await rig.queue()
     seqs = [(await queue.put(str(number).encode())).seq for number in range(5)]
     assert seqs == list(range(seqs[0], seqs[0] + 5))
@@ -26,7 +26,7 @@ async def test_items_come_in_the_order_of_their_acceptance_each_once(rig: Rig) -
     assert (stats.consumed, stats.held, stats.delivered) == (5, 0, 5)
 
 
-async def test_a_get_without_an_item_gives_none_when_its_time_is_over(rig: Rig) -> None:
+async def test_a_get_from_an_empty_queue_returns_none_after_its_timeout(rig: Rig) -> None:
     queue = await rig.queue()
     assert await queue.get(timeout=0) is None
     assert await queue.get(timeout=0.05) is None
@@ -88,7 +88,7 @@ async def test_iteration_takes_one_after_the_other_until_the_handle_is_closed(ri
         await queue.get(timeout=0)
 
 
-async def test_each_item_goes_to_as_many_takers_as_it_has_copies(rig: Rig) -> None:
+async def test_a_message_with_copies_is_delivered_to_that_many_takers(rig: Rig) -> None:
     queue = await rig.queue(copies=2)
     other = await rig.queue(queue.name)
     await queue.put(b"x")
@@ -164,7 +164,7 @@ async def test_a_message_that_no_caller_received_does_not_count_as_delivered(rig
     assert adds_up(await queue.stats()).consumed == 3
 
 
-async def test_closing_the_connection_gives_back_too(rig: Rig) -> None:
+async def test_closing_the_connection_nacks_prefetched_messages(rig: Rig) -> None:
     queue = await rig.queue()
     leaving = await rig.connect()
     greedy = await leaving.queue(queue.name, prefetch=4)

@@ -177,7 +177,7 @@ async def test_a_producer_with_an_id_must_count(rig: Rig) -> None:
     assert ack.error.reason == error_pb2.ERROR_REASON_INVALID_ARGUMENT
 
 
-async def test_a_full_channel_that_rejects_says_so(rig: Rig) -> None:
+async def test_a_full_channel_that_rejects_refuses_a_put(rig: Rig) -> None:
     retention = channel_pb2.RetentionPolicy(max_items=1)
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_REJECT))
     first, second = await channel.put(run_of(b"x"), run_of(b"y", number=2))

@@ -125,7 +125,7 @@ async def _runs(reader: Reader, count: int) -> AsyncIterator[Any]:
             yield delivered
 
 
-async def test_newest_never_goes_back_and_counts_skipped_items(rig: Rig) -> None:
+async def test_a_newest_subscription_never_goes_back_and_counts_skipped_items(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     await channel.put(run_of(b"held", times=[t]))

@@ -17,14 +17,14 @@ from tests.contract.queues.test_full_queues_and_dead_letters import (
     test_an_item_delivered_too_often_goes_to_the_dead_letter_queue,
 )
 from tests.contract.queues.test_taking import (
-    test_each_item_goes_to_as_many_takers_as_it_has_copies,
+    test_a_message_with_copies_is_delivered_to_that_many_takers,
     test_iteration_takes_one_after_the_other_until_the_handle_is_closed,
 )
 from tests.contract.test_groups import (
     surface,
-    test_a_deleted_group_is_gone_and_its_channels_stay,
     test_a_group_is_found_by_its_name_with_its_set_up,
-    test_members_come_and_go,
+    test_deleting_a_group_keeps_its_channels,
+    test_members_are_added_and_removed,
 )
 from tests.support.cluster import running_cluster
 

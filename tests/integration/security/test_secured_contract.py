@@ -27,17 +27,17 @@ from tests.contract.test_puts import (
     test_seqs_grow_by_one,
 )
 from tests.contract.test_reads import (
+    test_a_limit_keeps_the_earliest_items_and_the_next_page_continues,
     test_an_item_keeps_the_time_and_attributes_of_its_producer,
-    test_items_come_in_the_order_of_time_and_not_of_arrival,
-    test_limit_keeps_the_earliest_and_pages_on,
+    test_items_are_ordered_by_time_and_not_by_arrival,
 )
 from tests.contract.test_subscriptions import (
-    test_every_item_comes_once_at_any_time,
-    test_newest_never_goes_back_and_counts_skipped_items,
+    test_a_newest_subscription_never_goes_back_and_counts_skipped_items,
+    test_a_subscription_yields_each_item_once_however_puts_and_reads_interleave,
 )
 from tests.contract.test_waiting import (
     test_a_blocking_get_is_released_by_the_first_matching_item,
-    test_a_cancelled_get_leaves_nothing_behind,
+    test_a_cancelled_get_leaves_no_wait_at_the_host,
     test_many_gets_wait_side_by_side,
 )
 from tests.support.operator import Operator, operating

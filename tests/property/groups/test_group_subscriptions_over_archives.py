@@ -63,7 +63,7 @@ class World:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_subscription_through_a_group_over_an_archive_brings_what_one_of_memory_alone_brings(seed: int) -> None:
+def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) -> None:
     draw = random.Random(seed)
     world = World(draw)
     for _ in range(draw.randrange(4)):

@@ -66,7 +66,7 @@ def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_through_a_group_as_of_an_instant_answers_as_the_group_did_then(seed: int) -> None:
+def test_a_group_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
     draw = random.Random(seed)
     told = {name: tell(draw, advances=True) for name in NAMES}
     large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}

@@ -35,7 +35,7 @@ def drawn_cut(draw: random.Random, now: int) -> int | None:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_through_a_group_over_an_archive_answers_as_one_of_memory_alone(seed: int) -> None:
+def test_a_group_read_over_an_archive_equals_one_over_memory(seed: int) -> None:
     draw = random.Random(seed)
     large, small, positions, now = tell(draw, advances=draw.random() < 0.5)
     overlap = large.policy.overlap_nanos or 0

@@ -99,7 +99,7 @@ def facts(item: DeliveredSlice | None) -> Match:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_matches_over_archives_equal_those_of_memory_alone(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_matches_over_archives_equal_matches_over_memory(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = random.Random(seed)
     monkeypatch.setattr(recorded_track, "PAGE_KEYS_MAX", 2 + 2**13 * (seed % 2))
     pair = Pair(draw)
@@ -151,7 +151,7 @@ def test_without_unique_a_track_holds_few_keys_however_large_the_tolerance_is(
     assert [one.matched[OTHER].time for one in found] == [*range(0, 400, step)]
 
 
-def test_a_page_of_tiny_items_is_no_reason_to_refuse_a_match(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_match_accepts_a_page_of_many_tiny_items(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(archived_read, "ANSWER_BYTES", 10**6)
     monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)
     monkeypatch.setattr(recorded_track, "PAGE_KEYS_MAX", 20)

@@ -90,6 +90,6 @@ def test_a_client_agrees_with_the_oracle_in_every_scenario(
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
 @pytest.mark.parametrize("items_per_block", [2, 1024])
-def test_the_path_without_a_network_agrees_with_the_oracle_in_every_scenario(items_per_block: int) -> None:
+def test_an_embedded_host_agrees_with_the_oracle_in_every_scenario(items_per_block: int) -> None:
     with core_surface(items_per_block) as (surface, host):
         play_stories(surface, host, 2 * EXAMPLES)

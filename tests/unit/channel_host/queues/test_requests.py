@@ -22,7 +22,7 @@ from stampede_rt_channel_host.queues.requests import settlements_of, taker_of
         (queue_pb2.Settlement(delivery_id=1, extend_lease=queue_pb2.ExtendLease(lease_nanos=10**13)), "at most"),
     ],
 )
-def test_a_settlement_that_says_nothing_sensible_is_refused(settlement: queue_pb2.Settlement, why: str) -> None:
+def test_an_invalid_settlement_is_refused(settlement: queue_pb2.Settlement, why: str) -> None:
     with pytest.raises(InvalidArgument, match=why):
         settlements_of([settlement])
 
