@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
 endif
 
-.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics soak-page images wheels docs bench bench-docs bench-moves kill-moves kill-uploads cycles clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports race-rings mutants check format stubs robustness soak-metrics soak-page images wheels docs bench bench-docs bench-moves kill-moves kill-uploads cycles simulate clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -75,6 +75,9 @@ kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at e
 
 kill-uploads: setup  ## kill -9 at each of the 18 steps of a segment to an object store (needs Go): about 3 minutes
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py
+
+simulate: setup  ## take-overs and moves under random faults, 2000 seeds for channels and for queues: about an hour; SEEDS=100 for fewer
+	$(RUN)/python -m tests.robustness.takeovers --at-once $${AT_ONCE:-2} --seeds $${SEEDS:-2000} --first $${FIRST:-0}
 
 cycles: setup  ## 10,000 openings and closings of each kind, after which no process may have grown; CYCLES=1000 for fewer
 	$(RUN)/python -m tests.robustness.cycles --cycles $${CYCLES:-10000}

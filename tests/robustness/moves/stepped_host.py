@@ -11,6 +11,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ from stampede_rt_channel_host.copies.feed_stream import FeedStream
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
+from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
 class Step(NamedTuple):
@@ -45,6 +49,17 @@ SOURCE_STEPS = {
     "source: hears of the commit": Step(OutgoingMove, "committed"),
     "source: is released": Step(OutgoingMove, "released"),
 }
+QUEUE_DESTINATION_STEPS = {
+    "destination: asks for the queue": Step(QueueArrivals, "_move"),
+    "destination: has the whole queue": Step(QueueArrivals, "_take_over"),
+    "destination: owns the queue": Step(MoveDirectory, "commit_queue", is_after=True),
+    "destination: serves the queue": Step(QueueArrivals, "_move", is_after=True),
+}
+QUEUE_SOURCE_STEPS = {
+    "source: holds the queue": Step(HostedQueue, "hold", is_after=True),
+    "source: all replicas have the queue": Step(HostedQueue, "level", is_after=True),
+    "source: hears who owns the queue": Step(QueueHandovers, "_end"),
+}
 
 
 def reach(plan: Path, name: str) -> None:
@@ -58,27 +73,27 @@ def reach(plan: Path, name: str) -> None:
         os.kill(int(pid), int(number))
 
 
-def told(step: Step, name: str, plan: Path) -> Callable[..., Any]:
-    """The method of the step, which calls `reach`."""
+def told(step: Step, reached: Callable[[], None]) -> Callable[..., Any]:
+    """The method of the step, which calls `reached`."""
     inner = getattr(step.owner, step.method)
     if not inspect.iscoroutinefunction(inner):
 
         def plain(*arguments: Any, **options: Any) -> Any:
             if not step.is_after:
-                reach(plan, name)
+                reached()
             found = inner(*arguments, **options)
             if step.is_after:
-                reach(plan, name)
+                reached()
             return found
 
         return plain
 
     async def awaited(*arguments: Any, **options: Any) -> Any:
         if not step.is_after:
-            reach(plan, name)
+            reached()
         found = await inner(*arguments, **options)
         if step.is_after:
-            reach(plan, name)
+            reached()
         return found
 
     return awaited
@@ -89,10 +104,10 @@ def run(steps: Mapping[str, Step]) -> int:
     _, word, plan, *arguments = sys.argv
     assert word == "--plan"
     for name, step in steps.items():
-        setattr(step.owner, step.method, told(step, name, Path(plan)))
+        setattr(step.owner, step.method, told(step, partial(reach, Path(plan), name)))
     sys.argv = [sys.argv[0], *arguments]
     return main()
 
 
 if __name__ == "__main__":
-    sys.exit(run(DESTINATION_STEPS | SOURCE_STEPS))
+    sys.exit(run(DESTINATION_STEPS | SOURCE_STEPS | QUEUE_DESTINATION_STEPS | QUEUE_SOURCE_STEPS))

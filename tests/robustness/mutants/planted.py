@@ -16,7 +16,7 @@ SEEDS_MAX = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """One fault. `noticed_by`: a simulator ("log", "directory", "upgrading" or "takeovers"), or a test that fails."""
+    """One fault. `noticed_by`: a simulator (see `hunt.SIMULATORS`), or a test that fails."""
 
     name: str
     file: str
@@ -270,6 +270,41 @@ MUTANTS = (
         file=f"{HOST}/core/replication/in_sync.py",
         edits=(("return self.state is not ReplicaState.OUT", "return self.state is ReplicaState.IN"),),
         noticed_by="takeovers",
+    ),
+    Mutant(
+        name="a_message_is_acknowledged_by_its_host_alone",
+        file=f"{HOST}/queues/enqueue_stream.py",
+        edits=(('if hosted.replication is None or not ack.HasField("first_seq"):', "if True:"),),
+        noticed_by="queues",
+    ),
+    Mutant(
+        name="a_message_is_delivered_before_its_replicas_know",
+        file=f"{HOST}/queues/hosted_queue.py",
+        edits=(
+            (
+                "self.once_replicated(taker, partial(self._streams[taker].deliver, batch))",
+                "self._streams[taker].deliver(batch)",
+            ),
+        ),
+        noticed_by="queues",
+    ),
+    Mutant(
+        name="a_settlement_is_confirmed_before_the_replicas_have_it",
+        file=f"{HOST}/queues/take_stream.py",
+        edits=(("hosted.once_replicated(self, partial(self._answer, results))", "self._answer(results)"),),
+        noticed_by="queues",
+    ),
+    Mutant(
+        name="a_dead_letter_goes_before_the_replicas_know",
+        file=f"{HOST}/queues/dead_letters.py",
+        edits=(("        await wait_for_replicas(hosted)\n", ""),),
+        noticed_by="queues",
+    ),
+    Mutant(
+        name="no_copy_of_a_moved_queue",
+        file=f"{HOST}/queues/queue_store.py",
+        edits=(('if error.reason == "MOVED" and hosted.moving is not None', "if False and hosted.moving is not None"),),
+        noticed_by="tests/robustness/takeovers/test_queue_moves_at_each_step.py",
     ),
     Mutant(
         name="items_of_another_reader",

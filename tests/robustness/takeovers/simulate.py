@@ -1,4 +1,4 @@
-"""Take-overs and moves of a channel with replicas under random faults: `python -m tests.robustness.takeovers.simulate`.
+"""Take-overs and moves of a channel with replicas under random faults.
 
 Producers put numbered items one after the other, and put an item again until it is acknowledged. A reader reads all
 items. No acknowledged or seen item may be lost, with the exception of those that `ack="host"` allows; none may be there
@@ -7,12 +7,8 @@ twice, two hosts never serve the channel, and nobody is stuck when the faults ar
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-import logging
 import random
-import sys
-import traceback
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -27,11 +23,12 @@ from stampede_rt_channel_host.channels.puts.put_requests import Put
 from stampede_rt_channel_host.channels.puts.wanted_acks import held_ack
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
+from tests.robustness.takeovers.faults import Faults
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster, LeasedHost, serving
 from tests.support.supernode.operations import id_of
 
-FAULTY_SECONDS, HEALED_SECONDS = 30.0, 60.0
+HEALED_SECONDS = 60.0
 PRODUCERS, PAUSE_SECONDS, ACK_SECONDS = 2, 0.15, 2.0
 LAG_SECONDS_MAX, SLACK_SECONDS = 1.0, 0.1
 FACTOR = 16  # more than the producers
@@ -64,7 +61,6 @@ class Trial:
         self.last_ack_s: dict[int, float] = {}  # by incarnation
         self.known: dict[int, dict[Item, float]] = {}  # by incarnation: when each item was first acknowledged or seen
         self.moves = 0
-        self.is_faulty = True
 
     # Callers.
 
@@ -135,86 +131,6 @@ class Trial:
             self._know(hosted.channel.incarnation, item)
         return items
 
-    # Faults.
-
-    async def disturb(self) -> None:
-        """One fault after the other, some of them at the same time."""
-        cluster, rng, running = self.cluster, self.rng, []
-        faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
-        faults += [self.kill_behind_slow_links, self.kill_alone]
-        ends_s = self.clock.now_s + FAULTY_SECONDS
-        while self.clock.now_s < ends_s:
-            await asyncio.sleep(rng.uniform(0.2, 5.0))
-            fault, number = rng.choice(faults), rng.choice([*cluster.hosts, self.owner_number()])
-            running.append(asyncio.create_task(fault(number)))
-        for task in running:
-            task.cancel()
-        results = await asyncio.gather(*running, return_exceptions=True)
-        for one in results:
-            if isinstance(one, Exception) and not isinstance(one, StampedeError):
-                raise one
-
-    def _lasts(self) -> float:
-        return self.rng.choice((0.3, 1.0, 2.0, 4.5, 8.0)) * self.rng.uniform(0.8, 1.2)
-
-    async def kill(self, number: int) -> None:
-        if self.cluster.hosts[number].alive:
-            self.cluster.kill(number)
-            await asyncio.sleep(self._lasts())
-            if not self.cluster.hosts[number].alive:
-                self.cluster.start(number)
-
-    async def stop(self, number: int) -> None:
-        host = self.cluster.hosts[number]
-        host.running.clear()
-        await asyncio.sleep(self._lasts())
-        host.running.set()
-
-    async def slow(self, number: int) -> None:
-        self.cluster.slow_s[number] = self.rng.choice((0.1, 0.3, 0.7, 1.5))
-        await asyncio.sleep(self._lasts())
-        self.cluster.slow_s.pop(number, None)
-
-    async def kill_behind_slow_links(self, number: int) -> None:
-        """The replicas lack the latest items."""
-        owner = self.owner_number()
-        self.cluster.slow_s[owner] = self.rng.choice((0.2, 0.5, 0.9))
-        await asyncio.sleep(self.rng.uniform(1.0, 2.0))
-        self.cluster.slow_s.pop(owner, None)
-        await self.kill(owner)
-
-    async def kill_alone(self, number: int) -> None:
-        """The owner reaches nobody but its callers, and then dies."""
-        owner = self.owner_number()
-        self.cluster.cut_off.add(owner)
-        for other in self.cluster.hosts:
-            self.cluster.cut(owner, other)
-        await asyncio.sleep(self.rng.uniform(0.5, 3.5))
-        if self.cluster.hosts[owner].alive:
-            self.cluster.kill(owner)
-        self.cluster.cut_off.discard(owner)
-        self.cluster.cut_pairs.clear()
-        await asyncio.sleep(self._lasts())
-        if not self.cluster.hosts[owner].alive:
-            self.cluster.start(owner)
-
-    async def cut(self, number: int) -> None:
-        other = self.rng.choice([one for one in self.cluster.hosts if one != number])
-        self.cluster.cut(number, other)
-        await asyncio.sleep(self._lasts())
-        self.cluster.cut_pairs.discard(frozenset((number, other)))
-
-    async def cut_off(self, number: int) -> None:
-        self.cluster.cut_off.add(number)
-        await asyncio.sleep(self._lasts())
-        self.cluster.cut_off.discard(number)
-
-    async def change_leader(self, number: int) -> None:
-        self.cluster.is_cut_off = True
-        await asyncio.sleep(min(self._lasts(), 4.8))
-        self.cluster.another_leader()
-        self.cluster.is_cut_off = False
-
     async def move(self, number: int) -> None:
         record, host = self.cluster.record, self.cluster.hosts[number]
         if host.alive and record.host_id != id_of(number):
@@ -233,7 +149,7 @@ class Trial:
             await asyncio.sleep(0.1)
 
     def _is_complete(self) -> bool:
-        return len([*self.cluster.heirs()]) == self.policy.replicas
+        return self.cluster.is_complete(self.policy.replicas or 0)
 
     def _stuck(self, puts: int) -> str:
         host = self.owner()
@@ -243,11 +159,11 @@ class Trial:
 
     def judge(self, items: list[Item]) -> int:
         """Check that nothing else is lost than what may be. Returns the number of lost items."""
-        there, order = set(items), [incarnation for _, incarnation in self.cluster.incarnations]
+        there, order = set(items), self.cluster.incarnations[self.cluster.channel_id]
         lost = 0
         for at, incarnation in enumerate(order):
             times = self.known.get(incarnation, {})
-            if not _goes_on(order, at):
+            if not goes_on(order, at):
                 continue  # no replica was in sync
             missing = {item: since for item, since in times.items() if item not in there}
             lost += len(missing)
@@ -262,7 +178,7 @@ class Trial:
         return lost
 
 
-def _goes_on(order: list[int], at: int) -> bool:
+def goes_on(order: list[int], at: int) -> bool:
     """Whether all later incarnations have begun with the items of a replica."""
     return all(after == (before + 1) % 2**64 for before, after in zip(order[at:], order[at + 1 :], strict=False))
 
@@ -279,7 +195,7 @@ async def _main(clock: VirtualClock, seed: int) -> Found:
     reader = asyncio.create_task(trial.read())
     try:
         await asyncio.sleep(3.0)
-        await trial.disturb()
+        await Faults(trial.cluster, trial.rng, trial.owner_number, trial.move).disturb()
         trial.cluster.heal()
         await trial.settle()
         for task in producers:
@@ -292,33 +208,11 @@ async def _main(clock: VirtualClock, seed: int) -> Found:
         for task in (reader, *producers):
             task.cancel()
         await trial.cluster.aclose()
-    return Found(len(trial.acknowledged), len(trial.cluster.incarnations) - 1, trial.moves, lost)
+    return Found(
+        len(trial.acknowledged), len(trial.cluster.incarnations[trial.cluster.channel_id]) - 1, trial.moves, lost
+    )
 
 
 def run(seed: int) -> Found:
     """Play one seed. Raises AssertionError if a promise was broken."""
     return run_virtually(lambda clock: _main(clock, seed), seed, *WITH_CLOCKS)
-
-
-def main() -> int:
-    """Run many seeds, and print those that fail."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0)
-    wanted = parser.parse_args()
-    logging.disable(logging.ERROR)
-    failed, found = [], []
-    for seed in range(wanted.first, wanted.first + wanted.seeds):
-        try:
-            found.append(run(seed))
-        except Exception:  # noqa: BLE001 - every failure is reported with its seed
-            failed.append(seed)
-            print(f"seed {seed} failed:", file=sys.stderr)
-            traceback.print_exc()
-    sums = Found(*(sum(column) for column in zip(*found, strict=True))) if found else None
-    print(f"{wanted.seeds} seeds, failed: {failed or 'none'}; {sums}")
-    return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

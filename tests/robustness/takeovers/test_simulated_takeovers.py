@@ -1,4 +1,4 @@
-"""Take-overs and moves of a channel with replicas under random faults, in virtual time."""
+"""Take-overs and moves of channels and queues with replicas under random faults, in virtual time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import pytest
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from tests.robustness.moves.two_hosts import Link
-from tests.robustness.takeovers import simulate
+from tests.robustness.takeovers import simulate, simulate_queues
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
 
 SEEDS_IN_SUITE, BLOCKS = 12, 2
+QUEUE_SEEDS_IN_SUITE = 6
 REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, and answers
 IDLE_SECONDS = 10.0
 
@@ -25,12 +26,28 @@ def test_nothing_is_lost_or_doubled_and_nobody_is_stuck_under_faults(block: int)
         try:
             found = simulate.run(seed)
         except Exception as error:
-            error.add_note(f"replay: python -m tests.robustness.takeovers.simulate --first {seed} --seeds 1")
+            error.add_note(f"replay: python -m tests.robustness.takeovers --of channels --first {seed} --seeds 1")
             raise
         acknowledged += found.acknowledged
         changes += found.takeovers + found.moves
     # Virtual time is the same on every machine, so these numbers do not depend on the load.
     assert acknowledged > 100 * SEEDS_IN_SUITE / BLOCKS, "there were too many faults: nothing was tested"
+    assert changes > 0, "there were too few faults: the owner never changed"
+
+
+def test_no_message_of_a_queue_is_lost_or_comes_back_after_its_ack_under_faults() -> None:
+    acknowledged = dead_letters = changes = 0
+    for seed in range(QUEUE_SEEDS_IN_SUITE):
+        try:
+            found = simulate_queues.run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.takeovers --of queues --first {seed} --seeds 1")
+            raise
+        acknowledged += found.acknowledged
+        dead_letters += found.dead_letters
+        changes += found.owners - 1
+    assert acknowledged > 100 * QUEUE_SEEDS_IN_SUITE, "there were too many faults: nothing was tested"
+    assert dead_letters > 0, "there were no dead letters"
     assert changes > 0, "there were too few faults: the owner never changed"
 
 
@@ -50,7 +67,7 @@ def test_an_idle_replica_and_its_owner_exchange_a_few_messages_a_second(
     async def main(clock: VirtualClock) -> int:
         cluster = Cluster(clock, 1, 2, Policy(replicas=1, ack=ack))
         try:
-            while not [*cluster.heirs()]:
+            while not cluster.is_complete(1):
                 await asyncio.sleep(0.1)
                 try:
                     await cluster.owner.store.bind(cluster.channel_id, cluster.channel.epoch)

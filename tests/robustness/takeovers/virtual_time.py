@@ -1,6 +1,7 @@
 """An event loop in virtual time: while all tasks wait, the clock jumps to the next timer.
 
-A run of minutes takes milliseconds, and the same seed gives the same run. The tasks must use nothing of other threads.
+A run of minutes takes milliseconds, and the same seed gives the same run. `asyncio.to_thread` does its work on the
+loop. The tasks must use nothing else of other threads.
 """
 
 from __future__ import annotations
@@ -53,13 +54,25 @@ class _Jumping(selectors.DefaultSelector):
 @contextmanager
 def _in_place_of(function: Callable[..., Any], clock: VirtualClock) -> Iterator[None]:
     """Let defaults of the function that are clocks of the process be the virtual ones."""
-    before = function.__defaults__ or ()
     virtual = {time.monotonic: clock.monotonic, time.monotonic_ns: clock.monotonic_ns}
-    function.__defaults__ = tuple(virtual.get(one, one) if callable(one) else one for one in before)  # type: ignore[attr-defined]
+
+    def shown(one: Any) -> Any:
+        return virtual.get(one, one) if callable(one) else one
+
+    method: Any = function
+    before = method.__defaults__, method.__kwdefaults__
+    method.__defaults__ = tuple(map(shown, before[0] or ()))
+    method.__kwdefaults__ = {name: shown(one) for name, one in (before[1] or {}).items()}
     try:
         yield
     finally:
-        function.__defaults__ = before  # type: ignore[attr-defined]
+        method.__defaults__, method.__kwdefaults__ = before
+
+
+async def _on_the_loop(work: Callable[..., Any], *arguments: Any) -> Any:
+    """As `asyncio.to_thread`, in a later turn of the loop."""
+    await asyncio.sleep(0)
+    return work(*arguments)
 
 
 def run_virtually(
@@ -77,6 +90,7 @@ def run_virtually(
                 patches.enter_context(_in_place_of(function, clock))
             patches.enter_context(patch.object(time, "monotonic", clock.monotonic))
             patches.enter_context(patch.object(time, "monotonic_ns", clock.monotonic_ns))
+            patches.enter_context(patch.object(asyncio, "to_thread", _on_the_loop))
             with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(_Jumping(clock))) as runner:
                 return runner.run(main(clock))
     finally:

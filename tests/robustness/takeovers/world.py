@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Coroutine, Iterator
+from typing import Any, ClassVar, Protocol
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.values.model import Policy
@@ -18,13 +18,25 @@ from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.records import ChannelRecord
-from tests.robustness.moves.two_hosts import Host, Link, World, key_of
+from stampede_rt_supernode.core.replicas.things import Copied, copied_with_id
+from stampede_rt_supernode.core.replicas.things import id_of as id_of_thing
+from tests.robustness.moves.two_hosts import Host, World, key_of
 from tests.robustness.takeovers.virtual_time import VirtualClock
 from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
 
 TTL_S, FENCE_S, RENEWAL_S, CHECK_S = 5.0, 4.0, 1.5, 0.5
 ANSWER_SECONDS_MAX = 0.03  # of the directory, one way
 WAY_SECONDS_MAX = 0.005  # between two hosts
+
+
+class Between(Protocol):
+    """A stream from `caller` to `source`; `caller` None: from a client."""
+
+    source: Host
+    caller: Host | None
+
+    def cut(self) -> None:
+        """Break the stream."""
 
 
 class LeasedHost(Host):
@@ -41,6 +53,18 @@ class LeasedHost(Host):
         assert isinstance(self.world, Cluster)
         return self.world
 
+    def background(self) -> tuple[Coroutine[Any, Any, None], ...]:
+        """The work that the host does until it dies."""
+        return self.keep_lease(), self.keep_fence()
+
+    async def registered(self) -> None:
+        """Take in the answer to a registration."""
+        await self.store.scheduler.do(self.store.registering(self.cluster.owned_by(self), is_complete=True))
+
+    def fence(self) -> None:
+        """End all waits, because the lease has run out."""
+        self.store.fence()
+
     async def keep_lease(self) -> None:
         """Renew the lease, or register again, until the host dies."""
         while True:
@@ -49,7 +73,7 @@ class LeasedHost(Host):
                 await self.cluster.pass_through(self)
                 if not self.cluster.renew(self):
                     self.cluster.enroll(self)
-                    await self.store.scheduler.do(self.store.registering(self.cluster.owned_by(self), is_complete=True))
+                    await self.registered()
                 await self.cluster.pass_through(self)
                 self.fence_s = sent_s + FENCE_S
             except Unavailable:
@@ -63,12 +87,14 @@ class LeasedHost(Host):
             await self.running.wait()
             is_held = self.holds_lease()
             if self._was_held and not is_held:
-                self.store.fence()
+                self.fence()
             self._was_held = is_held
 
 
 class Cluster(World):
     """The directory, `count` hosts, and one channel with this policy."""
+
+    host_type: ClassVar[type[LeasedHost]] = LeasedHost
 
     def __init__(self, clock: VirtualClock, seed: int, count: int, policy: Policy) -> None:
         self.clock, self.rng = clock, random.Random(seed)
@@ -76,7 +102,7 @@ class Cluster(World):
         self.log = Log(level=MOVES_LEVEL)
         self.is_cut_off = False
         self.commits = {}
-        self.links: list[Link] = []
+        self.links: list[Any] = []
         self.cut_off: set[int] = set()  # hosts that do not reach the directory
         self.cut_pairs: set[frozenset[int]] = set()  # hosts that do not reach each other
         self.slow_s: dict[int, float] = {}  # by host: how long each message of its links is on its way
@@ -84,16 +110,24 @@ class Cluster(World):
         self.renewed_s: dict[int, float] = {}
         self.hosts: dict[int, Any] = {}
         self.background: dict[int, list[asyncio.Task[Any]]] = {}
-        self.incarnations: list[tuple[float, int]] = []
+        self.incarnations: dict[bytes, list[int]] = {}  # of each channel or queue
+        self.defects: list[BaseException] = []  # of tasks that must not fail
         for number in self.boots:
             self.start(number)
-        named = {"max_items": 100_000, "replicas": policy.replicas, "min_replicas": policy.min_replicas}
-        self.log.apply(open_channel("cam", ack=policy.ack, **named))
-        self.channel_id = next(iter(self.log.directory.tables.channels))
+        self._open(policy)
         self.background[0] = [asyncio.create_task(self._end_leases())]
         self._note()
 
+    def _open(self, policy: Policy) -> None:
+        named = {"max_items": 100_000, "replicas": policy.replicas, "min_replicas": policy.min_replicas}
+        self.log.apply(open_channel("cam", ack=policy.ack, **named))
+        self.channel_id = next(iter(self.log.directory.tables.channels))
+
     # The directory.
+
+    def copied(self) -> list[Copied]:
+        """The channels or queues with replicas."""
+        return [*self.log.directory.tables.channels.values()]
 
     @property
     def channel(self) -> ChannelRecord:
@@ -135,42 +169,49 @@ class Cluster(World):
         self.renewed_s = dict.fromkeys(self.renewed_s, self.clock.now_s)
 
     def apply(self, operation: Operation) -> Any:
-        before = self.channel if hasattr(self, "channel_id") else None
-        heirs = [*self.heirs()] if before is not None else []
+        before = [(one, [*self.heirs(id_of_thing(one))]) for one in self.copied()]
         try:
             return super().apply(operation)
         finally:
-            if before is not None and before.incarnation != self.channel.incarnation:
-                self._check_heir(before, heirs)
-                self._note()
+            for thing, heirs in before:
+                self._check_heir(thing, heirs)
+            self._note()
 
-    def heirs(self) -> Iterator[bytes]:
-        """The hosts that must go on with the channel if its owner is lost."""
+    def heirs(self, thing_id: bytes) -> Iterator[bytes]:
+        """The hosts that must go on with the channel or queue if its owner is lost."""
         tables = self.log.directory.tables
-        for one in tables.replicas.of(self.channel_id):
+        for one in tables.replicas.of(thing_id):
             host = tables.hosts[one.host_id]
             if one.in_sync and host.alive and host.boot_incarnation == one.boot_incarnation:
                 yield one.host_id
 
-    def _check_heir(self, before: ChannelRecord, heirs: list[bytes]) -> None:
-        if heirs:
-            assert self.channel.host_id in heirs, "a replica in sync was not made the owner"
-            assert before.policy.ack != "replica", "nothing was lost, and the incarnation has changed"
-            assert self.channel.incarnation == (before.incarnation + 1) % 2**64
+    def is_complete(self, replicas: int) -> bool:
+        """Whether each channel or queue has so many replicas in sync."""
+        return all(len([*self.heirs(id_of_thing(one))]) == replicas for one in self.copied())
+
+    def _check_heir(self, before: Copied, heirs: list[bytes]) -> None:
+        after = copied_with_id(self.log.directory.tables, id_of_thing(before))
+        if heirs and before.incarnation != after.incarnation:
+            assert after.host_id in heirs, "a replica in sync was not made the owner"
+            ack = before.policy.ack if isinstance(before, ChannelRecord) else before.spec.ack
+            assert ack != "replica", "nothing was lost, and the incarnation has changed"
+            assert after.incarnation == (before.incarnation + 1) % 2**64
 
     def _note(self) -> None:
-        self.incarnations.append((self.clock.now_s, self.channel.incarnation))
+        for one in self.copied():
+            known = self.incarnations.setdefault(id_of_thing(one), [])
+            if one.incarnation not in known[-1:]:
+                known.append(one.incarnation)
 
     # The hosts.
 
     def start(self, number: int) -> None:
         """Start a host, which has no items."""
         self.boots[number] += 1
-        host = self.hosts[number] = LeasedHost(self, number, self.boots[number])
+        host = self.hosts[number] = self.host_type(self, number, self.boots[number])
         self.enroll(host)
         host.fence_s = self.clock.now_s + FENCE_S
-        keep = (host.keep_lease(), host.keep_fence())
-        self.background[number] = [asyncio.create_task(one) for one in keep]
+        self.background[number] = [asyncio.create_task(one) for one in host.background()]
 
     def kill(self, number: int) -> None:
         super().kill(number)
@@ -185,15 +226,16 @@ class Cluster(World):
             if not self.reaches(link):
                 link.cut()
 
-    def reaches(self, link: Link) -> bool:
-        assert link.caller is not None
-        pair = (self._number(one.identity.host_id) for one in (link.source, link.caller))
-        return frozenset(pair) not in self.cut_pairs
+    def reaches(self, link: Between) -> bool:
+        return frozenset(self._ends(link)) not in self.cut_pairs
 
-    def delay_s(self, link: Link) -> float:
-        assert link.caller is not None
-        numbers = [self._number(one.identity.host_id) for one in (link.source, link.caller)]
-        return max(self.rng.uniform(0, WAY_SECONDS_MAX), *(self.slow_s.get(one, 0.0) for one in numbers))
+    def delay_s(self, link: Between) -> float:
+        slow_s = (self.slow_s.get(one, 0.0) for one in self._ends(link))
+        return max(self.rng.uniform(0, WAY_SECONDS_MAX), *slow_s)
+
+    def _ends(self, link: Between) -> list[int]:
+        """The numbers of the hosts at both ends; 0 for a client."""
+        return [0 if one is None else self._number(one.identity.host_id) for one in (link.source, link.caller)]
 
     async def on_the_way(self, host: Host) -> None:
         await asyncio.sleep(self.rng.uniform(0, ANSWER_SECONDS_MAX))

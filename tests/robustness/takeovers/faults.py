@@ -1,0 +1,102 @@
+"""Random faults of the hosts of a cluster in virtual time, some of them at the same time."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from stampede_rt.errors import StampedeError
+from tests.robustness.takeovers.world import Cluster
+
+FAULTY_SECONDS = 30.0
+
+
+class Faults:
+    """The faults of one run. `owner_number`: a host that owns something. `move`: move something to that host."""
+
+    def __init__(
+        self, cluster: Cluster, rng: random.Random, owner_number: Callable[[], int],
+        move: Callable[[int], Coroutine[Any, Any, None]],
+    ) -> None:  # fmt: skip
+        self.cluster, self.rng = cluster, rng
+        self.owner_number, self.move = owner_number, move
+
+    async def disturb(self) -> None:
+        """One fault after the other, some of them at the same time."""
+        cluster, rng, running = self.cluster, self.rng, []
+        faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
+        faults += [self.kill_behind_slow_links, self.kill_alone]
+        ends_s = self.cluster.clock.now_s + FAULTY_SECONDS
+        while self.cluster.clock.now_s < ends_s:
+            await asyncio.sleep(rng.uniform(0.2, 5.0))
+            fault, number = rng.choice(faults), rng.choice([*cluster.hosts, self.owner_number()])
+            running.append(asyncio.create_task(fault(number)))
+        for task in running:
+            task.cancel()
+        results = await asyncio.gather(*running, return_exceptions=True)
+        for one in results:
+            if isinstance(one, Exception) and not isinstance(one, StampedeError):
+                raise one
+
+    def _lasts(self) -> float:
+        return self.rng.choice((0.3, 1.0, 2.0, 4.5, 8.0)) * self.rng.uniform(0.8, 1.2)
+
+    async def kill(self, number: int) -> None:
+        if self.cluster.hosts[number].alive:
+            self.cluster.kill(number)
+            await asyncio.sleep(self._lasts())
+            if not self.cluster.hosts[number].alive:
+                self.cluster.start(number)
+
+    async def stop(self, number: int) -> None:
+        host = self.cluster.hosts[number]
+        host.running.clear()
+        await asyncio.sleep(self._lasts())
+        host.running.set()
+
+    async def slow(self, number: int) -> None:
+        self.cluster.slow_s[number] = self.rng.choice((0.1, 0.3, 0.7, 1.5))
+        await asyncio.sleep(self._lasts())
+        self.cluster.slow_s.pop(number, None)
+
+    async def kill_behind_slow_links(self, number: int) -> None:
+        """The replicas lack the latest items."""
+        owner = self.owner_number()
+        self.cluster.slow_s[owner] = self.rng.choice((0.2, 0.5, 0.9))
+        await asyncio.sleep(self.rng.uniform(1.0, 2.0))
+        self.cluster.slow_s.pop(owner, None)
+        await self.kill(owner)
+
+    async def kill_alone(self, number: int) -> None:
+        """The owner reaches nobody but its callers, and then dies."""
+        owner = self.owner_number()
+        self.cluster.cut_off.add(owner)
+        for other in self.cluster.hosts:
+            self.cluster.cut(owner, other)
+        await asyncio.sleep(self.rng.uniform(0.5, 3.5))
+        if self.cluster.hosts[owner].alive:
+            self.cluster.kill(owner)
+        self.cluster.cut_off.discard(owner)
+        self.cluster.cut_pairs.clear()
+        await asyncio.sleep(self._lasts())
+        if not self.cluster.hosts[owner].alive:
+            self.cluster.start(owner)
+
+    async def cut(self, number: int) -> None:
+        other = self.rng.choice([one for one in self.cluster.hosts if one != number])
+        self.cluster.cut(number, other)
+        await asyncio.sleep(self._lasts())
+        self.cluster.cut_pairs.discard(frozenset((number, other)))
+
+    async def cut_off(self, number: int) -> None:
+        self.cluster.cut_off.add(number)
+        await asyncio.sleep(self._lasts())
+        self.cluster.cut_off.discard(number)
+
+    async def change_leader(self, number: int) -> None:
+        self.cluster.is_cut_off = True
+        await asyncio.sleep(min(self._lasts(), 4.8))
+        self.cluster.another_leader()
+        self.cluster.is_cut_off = False
