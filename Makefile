@@ -71,7 +71,7 @@ race-rings: setup  ## readers and the writer of a ring in shared memory at the s
 	$(RUN)/python -m tests.robustness.rings.racing $${STAMPEDE_RACE_SECONDS:-300}
 
 kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at each of the 12 steps of a move: about 12 minutes
-	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py
+	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py tests/robustness/takeovers/test_queue_moves_at_each_step.py
 
 kill-uploads: setup  ## kill -9 at each of the 18 steps of a segment to an object store (needs Go): about 3 minutes
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py

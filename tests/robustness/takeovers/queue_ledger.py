@@ -1,4 +1,4 @@
-"""What producers and takers of a queue have been told, and the promises that this must keep."""
+"""The answers to producers and takers of a queue, and the promises that these answers must keep."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Delivery(NamedTuple):
 
 @dataclass
 class Incarnation:
-    """What happened in one incarnation of one queue. A host must forget nothing of it."""
+    """The facts of one incarnation of one queue. No host may forget any of them."""
 
     messages: dict[int, Message] = field(default_factory=dict)  # by seq
     seqs: dict[Message, int] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
 
 SEEDS_IN_SUITE, BLOCKS = 12, 2
-QUEUE_SEEDS_IN_SUITE = 6
+QUEUE_SEEDS_IN_SUITE = 4
 REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, and answers
 IDLE_SECONDS = 10.0
 

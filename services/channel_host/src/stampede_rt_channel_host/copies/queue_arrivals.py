@@ -7,6 +7,7 @@ import logging
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -112,10 +113,11 @@ class QueueArrivals:
             room.set(0)
             journal = core.journal(arriving.next_step) if arriving.next_step else None
             adopted = await self._take_over(record, QueueContent(core, journal), arriving.permit)
-            await call.write(pb.HandOverQueueRequest(committed_epoch=adopted.epoch))
-            await call.done_writing()
+            await _tell(call, adopted.epoch)
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
+        except asyncio.InvalidStateError:  # grpc raises this for a write after the end of the call
+            raise Unavailable(f"{target} has ended the move of queue {display_name(record)}; move it again") from None
         except TimeoutError:
             raise Unavailable(
                 f"{target} did not hand queue {display_name(record)} over in time; move it again"
@@ -161,3 +163,10 @@ class QueueArrivals:
         adopted = await until_known(commit)
         self._queues.adopt(adopted)
         return adopted
+
+
+async def _tell(call: Any, epoch: int) -> None:
+    """Tell the former owner that this host owns the queue. If it has gone, it learns this from the directory."""
+    with suppress(grpc.RpcError, asyncio.InvalidStateError):
+        await call.write(pb.HandOverQueueRequest(committed_epoch=epoch))
+        await call.done_writing()

@@ -9,6 +9,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
+import time
+from collections.abc import Awaitable, Iterator
 
 from grpc.aio import InternalError
 
@@ -21,9 +23,11 @@ from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.outgoing_moves import RETRY_SECONDS, OutgoingMoves
 from stampede_rt_channel_host.copies.queue_messages import parts_of
+from stampede_rt_channel_host.core.queue import QueueHandoff
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_content import KeptQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.refusals import display_name
 from stampede_rt_runtime.rpc import Context
@@ -78,16 +82,25 @@ class QueueHandovers:
             permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, host_id)
             state = await hosted.exported()
             next_step = await hosted.level()
-            parts = parts_of(state, permit, next_step)
-            while (part := await asyncio.to_thread(next, parts, None)) is not None:
-                await context.write(part)
-            kept = await asyncio.to_thread(self._queues.copies.restored, hosted.record, state) if next_step else None
-            answer = await context.read()
-        if not isinstance(answer, pb.HandOverQueueRequest) or not answer.committed_epoch:
-            return False
-        if kept is not None:  # the new owner may have had a replica, whose place this host takes
-            self._queues.copies.begin(hosted.record, kept, next_step)
-        return True
+            keeping = asyncio.ensure_future(self._keep(hosted, state, next_step))
+            try:
+                await _send(parts_of(state, permit, next_step), keeping, context)
+                answer = await context.read()
+            finally:
+                keeping.cancel()
+        return isinstance(answer, pb.HandOverQueueRequest) and answer.committed_epoch > 0
+
+    async def _keep(self, hosted: HostedQueue, state: QueueHandoff, next_step: int) -> None:
+        """Make the copy that stays here if the queue moves: this host takes the place of the new owner's replica.
+
+        The directory then has it as in sync from the commit on, which this host may hear of late or never.
+        """
+        if not next_step:
+            return
+        made_nanos = time.monotonic_ns()
+        core = await asyncio.to_thread(self._queues.copies.restored, hosted.record, state)
+        if hosted.moving is not None:
+            hosted.moving.kept = KeptQueue(core, next_step, made_nanos)
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
         """Drop the queue if it has moved, else serve it again. Asks the directory until the outcome is known."""
@@ -123,6 +136,14 @@ class QueueHandovers:
         logger.info("a queue has moved away", extra={"event": "queue_moved_away", "queue": name})
         if self._queues.serves(hosted):
             self._queues.forget(hosted.record.queue_id, error)
+
+
+async def _send(parts: Iterator[pb.HandOverQueueResponse], keeping: Awaitable[None], context: Context) -> None:
+    """Send the queue. The last part has the permit, with which the new owner can commit. It waits for `keeping`."""
+    while (part := await asyncio.to_thread(next, parts, None)) is not None:
+        if part.ends:
+            await keeping
+        await context.write(part)
 
 
 async def _try_again(record: RecordedQueue, error: StampedeError) -> None:

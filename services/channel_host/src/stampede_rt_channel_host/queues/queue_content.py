@@ -21,11 +21,25 @@ class QueueContent(NamedTuple):
     is_replicated: bool = True
 
 
+class KeptQueue(NamedTuple):
+    """The replica that the former owner of a queue becomes. `made_nanos`: when its leases were as at the hold, by a
+    steady clock.
+    """
+
+    core: QueueCore
+    next_step: int
+    made_nanos: int
+
+
 class QueueMove:
-    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over."""
+    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over.
+
+    `kept`: the copy that stays here if the queue moves; None: the queue has no replicas, or has not been handed over.
+    """
 
     def __init__(self) -> None:
         self.is_held = self.is_exporting = False
+        self.kept: KeptQueue | None = None
         self.elsewhere: StampedeError | None = None
         self.over = asyncio.Event()
 

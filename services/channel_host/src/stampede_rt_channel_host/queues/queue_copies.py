@@ -10,7 +10,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX, QueueCore, QueueHandoff, QueueLimits, QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
-from stampede_rt_channel_host.queues.queue_content import QueueContent
+from stampede_rt_channel_host.queues.queue_content import KeptQueue, QueueContent
 from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
@@ -73,6 +73,16 @@ class QueueCopies:
         copy = self._copies[record.queue_id] = QueueCopy(record, core, next_step, charge)
         charge.set(core.footprint_bytes)
         return copy
+
+    def keep(self, record: RecordedQueue, kept: KeptQueue) -> None:
+        """Keep the copy that the former owner of a moved queue has made. Without room for it, keep none."""
+        try:
+            copy = self.begin(record, kept.core, kept.next_step)
+        except Overloaded as error:
+            extra = {"event": "replica_not_kept", "queue": display_name(record), "why": str(error)}
+            logger.warning("there is no room for a replica of a queue that has moved away", extra=extra)
+        else:
+            copy.heard_nanos = kept.made_nanos
 
     def apply(self, copy: QueueCopy, step: QueueStep, ago_nanos: int) -> None:
         """Repeat a step of the owner. Raises InvalidArgument if the step does not fit."""

@@ -342,4 +342,7 @@ class QueueStore:
             return []
         self._creation_shares.note(hosted.record.created_by, -1)
         add_counts(self.departed, hosted)
-        return rest_of(hosted.leaving(error))
+        rest = rest_of(hosted.leaving(error))
+        if error.reason == "MOVED" and hosted.moving is not None and hosted.moving.kept is not None:
+            self.copies.keep(hosted.record, hosted.moving.kept)
+        return rest
