@@ -37,7 +37,7 @@ def consume(channel: Opened, consumer_id: int, *seqs: int, **fields: Any) -> Any
     return channel.rig.channels.Consume(request)
 
 
-async def test_items_go_when_all_consumers_have_consumed_them_and_the_status_tells(rig: Rig) -> None:
+async def test_items_are_collected_when_all_consumers_have_consumed_them(rig: Rig) -> None:
     channel = await consumed_channel(rig, b"one", b"two", b"three", consumers=2)
     first = await consume(channel, ANN, 1, 2)
     assert (first.consumed, first.lease_nanos) == (2, 10 * S)
@@ -50,7 +50,7 @@ async def test_items_go_when_all_consumers_have_consumed_them_and_the_status_tel
     assert all(0 < one.lease_nanos <= 60 * S for one in status.consumers)
 
 
-async def test_one_consumer_too_many_is_refused_until_a_place_is_given_up(rig: Rig) -> None:
+async def test_a_consumer_above_the_limit_is_refused_until_another_one_gives_up_its_place(rig: Rig) -> None:
     channel = await consumed_channel(rig, b"one", consumers=1)
     await consume(channel, ANN)
     with pytest.raises(grpc.aio.AioRpcError, match="all places are taken") as refused:
@@ -70,7 +70,9 @@ async def test_one_consumer_too_many_is_refused_until_a_place_is_given_up(rig: R
         ({"seqs": [2]}, grpc.StatusCode.INVALID_ARGUMENT),
     ],
 )
-async def test_a_wrong_request_is_refused_by_its_code(rig: Rig, fields: dict[str, Any], code: grpc.StatusCode) -> None:
+async def test_a_wrong_request_is_refused_with_the_right_status_code(
+    rig: Rig, fields: dict[str, Any], code: grpc.StatusCode
+) -> None:
     channel = await consumed_channel(rig, b"one", consumers=1)
     fields = {"consumer_id": ANN, "epoch": channel.epoch, "seqs": [1], **fields}
     with pytest.raises(grpc.aio.AioRpcError) as refused:
@@ -97,7 +99,7 @@ async def test_a_put_waits_no_longer_than_the_lease_of_a_consumer_that_died(rig:
     assert (await channel.get()).payloads == [b"three"]
 
 
-async def test_a_put_goes_on_when_the_directory_lowers_the_number_of_consumers(rig: Rig) -> None:
+async def test_a_waiting_put_is_accepted_when_the_directory_lowers_the_number_of_consumers(rig: Rig) -> None:
     channel = await consumed_channel(rig, b"one", b"two", consumers=2, max_items=2, on_full=channel_pb2.ON_FULL_BLOCK)
     await consume(channel, ANN, 1)
     waiting = asyncio.create_task(channel.put(run_of(b"three")))
@@ -111,7 +113,7 @@ async def test_a_put_goes_on_when_the_directory_lowers_the_number_of_consumers(r
     assert (await waiting)[0].first_seq == 3
 
 
-async def test_the_window_is_held_open_for_a_consumer_that_lags(rig: Rig) -> None:
+async def test_old_items_are_kept_for_a_consumer_that_lags(rig: Rig) -> None:
     channel = await consumed_channel(rig, max_age_nanos=1, max_age_unconsumed_nanos=3600 * S)
     await consume(channel, ANN)
     for number in range(3):

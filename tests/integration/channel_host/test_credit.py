@@ -43,7 +43,7 @@ def payloads(response: pb.SubscribeResponse) -> list[bytes]:
     return [payload for delivered in response.runs for payload in payloads_of(delivered.run)]
 
 
-async def test_a_reader_that_grants_nothing_is_sent_nothing_and_costs_no_memory(
+async def test_a_reader_without_credit_gets_nothing_and_costs_no_memory(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.0)  # a sign of life would be due at any time
@@ -71,7 +71,7 @@ async def test_each_item_costs_its_payload_and_64_bytes_and_the_last_one_may_exc
     call.cancel()
 
 
-async def test_the_newest_is_chosen_when_the_credit_comes_and_skipped_items_are_counted_with_it(rig: Rig) -> None:
+async def test_the_host_chooses_the_newest_item_when_the_credit_arrives_and_counts_skipped_items(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     call = await begun(channel, mode=pb.SUBSCRIBE_MODE_NEWEST)
@@ -84,7 +84,7 @@ async def test_the_newest_is_chosen_when_the_credit_comes_and_skipped_items_are_
     call.cancel()
 
 
-async def test_a_reader_that_grants_more_than_there_can_be_gets_everything_in_bounded_messages(rig: Rig) -> None:
+async def test_a_reader_with_too_much_credit_gets_everything_in_bounded_messages(rig: Rig) -> None:
     channel = await rig.open()
     call = await begun(channel)
     for _ in range(8):
@@ -99,7 +99,7 @@ async def test_a_reader_that_grants_more_than_there_can_be_gets_everything_in_bo
     call.cancel()
 
 
-def test_credit_has_an_end() -> None:
+def test_credit_is_limited_however_much_a_reader_grants() -> None:
     news: list[None] = []
     credit = Credit(lambda: news.append(None))
     for _ in range(3):
@@ -111,7 +111,7 @@ def test_credit_has_an_end() -> None:
     assert (credit.left, credit.is_over) == (-5, True)
 
 
-async def test_a_reader_that_closes_its_side_gets_the_items_of_its_credit_and_then_the_end(rig: Rig) -> None:
+async def test_a_reader_that_half_closes_its_stream_gets_the_items_of_its_credit_and_then_the_end(rig: Rig) -> None:
     channel = await rig.open()
     call = await begun(channel)
     await grant(call, 1)

@@ -10,7 +10,7 @@ from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from tests.support.channel_host.rig import FOREVER, running_host
 
 
-async def test_a_get_that_ends_with_an_error_is_not_under_way_any_more() -> None:
+async def test_a_get_that_ends_with_an_error_is_not_counted_as_waiting() -> None:
     """A fixed fault: the host counted failed gets as open for ever. After 1024 of them it refused every get on the
     stream.
     """

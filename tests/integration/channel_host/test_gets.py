@@ -126,7 +126,7 @@ async def test_meta_times_are_resolved_and_reported(rig: Rig) -> None:
     assert got.summary.interval.end_unix_nano <= rig.now()
 
 
-async def test_an_empty_answer_says_why(rig: Rig) -> None:
+async def test_an_empty_answer_has_a_reason(rig: Rig) -> None:
     channel = await rig.open()
     got = await channel.get()
     assert got.summary.reason == error_pb2.ABSENCE_REASON_NOT_YET
@@ -162,7 +162,7 @@ async def test_large_answers_come_in_messages_of_about_a_mebibyte(rig: Rig) -> N
         ),
     ],
 )
-async def test_a_refused_call_has_a_reason_and_the_stream_goes_on(
+async def test_a_refused_call_has_a_reason_and_does_not_end_its_stream(
     rig: Rig, change: dict[str, Any], reason: error_pb2.ErrorReason
 ) -> None:
     channel, _ = await filled(rig)
@@ -229,7 +229,7 @@ async def test_a_get_whose_search_takes_pieces_searches_again_only_if_the_channe
     exchange.call.cancel()
 
 
-async def test_a_waiting_call_holds_up_no_other(rig: Rig) -> None:
+async def test_a_waiting_call_does_not_delay_another_one(rig: Rig) -> None:
     channel = await rig.open()
     exchange = Exchange(rig)
     await exchange.send(channel.newest_request(1, wait_nanos=FOREVER))
@@ -264,7 +264,7 @@ async def test_complete_waits_until_the_interval_is_finished(rig: Rig) -> None:
     exchange.call.cancel()
 
 
-async def test_a_get_of_a_future_instant_is_answered_when_it_comes(rig: Rig) -> None:
+async def test_a_get_of_a_future_instant_is_answered_at_that_instant(rig: Rig) -> None:
     channel, _ = await filled(rig)
     await channel.put(run_of(b"open"))
     soon = rig.now() + 30 * MS
@@ -273,7 +273,7 @@ async def test_a_get_of_a_future_instant_is_answered_when_it_comes(rig: Rig) -> 
     assert rig.now() >= soon
 
 
-async def test_a_get_below_the_frontier_answers_at_once_even_if_it_may_wait(rig: Rig) -> None:
+async def test_a_get_below_the_frontier_is_answered_at_once_despite_its_timeout(rig: Rig) -> None:
     retention = channel_pb2.RetentionPolicy(max_items=1)
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention))
     t = rig.now() - S
@@ -283,7 +283,7 @@ async def test_a_get_below_the_frontier_answers_at_once_even_if_it_may_wait(rig:
     assert got.summary.truncated
 
 
-async def test_a_cancelled_call_leaves_nothing_behind_and_is_not_answered(rig: Rig) -> None:
+async def test_a_cancelled_get_gets_no_answer_and_is_not_counted_as_waiting(rig: Rig) -> None:
     channel = await rig.open()
     exchange = Exchange(rig)
     await exchange.send(channel.newest_request(1, wait_nanos=FOREVER))
@@ -297,7 +297,7 @@ async def test_a_cancelled_call_leaves_nothing_behind_and_is_not_answered(rig: R
     exchange.call.cancel()
 
 
-async def test_a_vanished_reader_leaves_nothing_behind(rig: Rig) -> None:
+async def test_the_gets_of_a_vanished_reader_are_removed(rig: Rig) -> None:
     channel = await rig.open()
     exchange = Exchange(rig)
     await exchange.send(channel.newest_request(1, wait_nanos=FOREVER))
@@ -346,7 +346,7 @@ async def test_a_call_id_may_be_used_again_once_its_call_is_over(rig: Rig) -> No
     exchange.call.cancel()
 
 
-async def test_a_large_answer_does_not_hold_up_a_small_one(rig: Rig) -> None:
+async def test_a_large_answer_does_not_delay_a_small_one(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     for n in range(20):
@@ -363,7 +363,7 @@ async def test_a_large_answer_does_not_hold_up_a_small_one(rig: Rig) -> None:
     exchange.call.cancel()
 
 
-async def test_advance_is_a_promise_kept_by_the_host(rig: Rig) -> None:
+async def test_an_advance_never_goes_back_and_makes_earlier_puts_too_old(rig: Rig) -> None:
     channel, t = await filled(rig)
     request = pb.AdvanceRequest(channel_id=channel.channel_id, epoch=channel.epoch, time_unix_nano=t + 500)
     assert (await rig.channels.Advance(request)).advance_unix_nano == t + 500
@@ -384,7 +384,7 @@ async def test_consume_is_refused_for_channels_without_consumers(rig: Rig) -> No
         await rig.channels.Consume(pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, seqs=[1]))
 
 
-async def test_the_status_adds_up(rig: Rig) -> None:
+async def test_the_status_counts_the_items_and_bytes_of_a_channel(rig: Rig) -> None:
     channel, t = await filled(rig)
     status = await channel.status()
     assert (status.oldest_unix_nano, status.newest_unix_nano) == (t, t + 20)
@@ -395,7 +395,7 @@ async def test_the_status_adds_up(rig: Rig) -> None:
     assert MIN_INSTANT < status.host_time_unix_nano <= rig.now()
 
 
-async def test_a_reader_that_takes_nothing_keeps_no_more_than_a_bound_of_items_that_retention_let_go(rig: Rig) -> None:
+async def test_unread_answers_keep_a_bounded_amount_of_collected_items(rig: Rig) -> None:
     """200 gets wait, each for its own item of 1 MiB, and the reader reads no answer. The channel holds one item.
 
     The host once kept all 200 answers in memory.

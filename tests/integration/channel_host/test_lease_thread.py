@@ -79,7 +79,7 @@ def hold_up(seconds: float) -> None:
         sum(range(10_000))
 
 
-async def test_an_event_loop_that_is_held_up_for_longer_than_the_lease_costs_nothing() -> None:
+async def test_an_event_loop_that_is_blocked_for_longer_than_the_lease_keeps_the_lease() -> None:
     async with served() as (cluster, one), await st.aio.connect(cluster.address, secret=cluster.secret.text) as rt:
         channel = await rt.channel("cam", max_age="60s")
         put = await channel.put(b"before")
@@ -94,7 +94,7 @@ async def test_an_event_loop_that_is_held_up_for_longer_than_the_lease_costs_not
         assert one.told == [True]
 
 
-async def test_an_event_loop_that_has_stopped_for_good_loses_the_lease_and_gets_it_back_when_it_goes_on(
+async def test_an_event_loop_that_is_blocked_for_very_long_loses_the_lease_and_gets_it_again_afterwards(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(lease_thread, "LOOP_SILENCE_SECONDS_MAX", 1.0)

@@ -101,7 +101,9 @@ async def test_a_wrong_epoch_is_refused_with_the_right_one(rig: Rig) -> None:
     assert (error.reason, error.metadata["epoch"]) == ("WRONG_EPOCH", "1")
 
 
-async def test_a_directory_that_cannot_answer_is_reported_as_such(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_bind_fails_with_the_reason_if_the_directory_cannot_answer(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("stampede_rt_channel_host.cluster.directory.CALL_SECONDS_MAX", 0.5)
     record = rig.directory.add_channel("a", HOST_ID)
     rig.directory.refuse["ResolveChannel"] = Unavailable("no majority")
@@ -109,7 +111,7 @@ async def test_a_directory_that_cannot_answer_is_reported_as_such(rig: Rig, monk
     assert error.reason in ("NO_QUORUM", "DEADLINE_EXCEEDED")  # the last try may have hardly any time left
 
 
-async def test_a_channel_that_moved_away_tells_its_readers_at_the_next_bind(rig: Rig) -> None:
+async def test_readers_learn_at_the_next_bind_that_their_channel_has_moved(rig: Rig) -> None:
     channel = await rig.open()
     subscription, get = await subscribed(channel), await blocked(channel)
     rig.directory.move_away(channel.channel_id)
@@ -144,7 +146,7 @@ async def test_a_channel_that_a_registration_did_not_name_is_served_only_after_t
     assert (await channel.get()).payloads == [b"x"]
 
 
-async def test_a_new_incarnation_begins_empty_and_tells_the_readers(rig: Rig) -> None:
+async def test_a_new_incarnation_begins_empty_and_its_readers_get_an_error(rig: Rig) -> None:
     channel = await rig.open()
     await channel.put(run_of(b"x"))
     subscription = await subscribed(channel)
@@ -157,7 +159,7 @@ async def test_a_new_incarnation_begins_empty_and_tells_the_readers(rig: Rig) ->
     assert (got.payloads, got.summary.incarnation) == ([], 999)
 
 
-async def test_dropping_a_channel_tells_its_readers_and_the_directory(rig: Rig) -> None:
+async def test_dropping_a_channel_informs_its_readers_and_the_directory(rig: Rig) -> None:
     channel = await rig.open()
     subscription, get = await subscribed(channel), await blocked(channel)
     request = gate_pb.DropChannelRequest(request_id=REQUEST_ID, channel_id=channel.channel_id, epoch=channel.epoch)
@@ -206,7 +208,7 @@ async def test_a_host_passes_on_the_fields_of_a_record_that_it_does_not_know(rig
     assert newer_field in bound.channel.SerializeToString()
 
 
-async def test_the_directory_hears_of_a_value_that_the_host_does_not_know(rig: Rig) -> None:
+async def test_the_host_passes_an_unknown_value_of_a_policy_on_to_the_directory(rig: Rig) -> None:
     channel = await rig.open()
     request = gate_pb.ConfigureChannelRequest(
         request_id=REQUEST_ID, channel_id=channel.channel_id, epoch=channel.epoch,
@@ -216,7 +218,7 @@ async def test_the_directory_hears_of_a_value_that_the_host_does_not_know(rig: R
     assert rig.directory.channels[channel.channel_id].spec.on_full == 77
 
 
-async def test_a_newer_spec_is_learned_at_the_bind_that_names_it(rig: Rig) -> None:
+async def test_a_host_takes_a_newer_spec_from_the_bind_that_names_it(rig: Rig) -> None:
     channel = await rig.open()
     record = rig.directory.channels[channel.channel_id]
     record.spec.max_item_bytes, record.spec_version = 3, 2
@@ -243,7 +245,7 @@ async def test_hosted_channels_are_listed_by_name_page_by_page(rig: Rig) -> None
     assert (await refusal(rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest(name_glob="*" * 999)))).reason
 
 
-async def test_a_fenced_host_refuses_everything_and_tells_its_readers() -> None:
+async def test_a_fenced_host_refuses_all_calls_and_ends_the_streams_of_its_readers() -> None:
     clock = ManualClock()
     async with running_host(clock=clock, lease_ttl_nanos=3 * S) as rig:
         channel = await rig.open()
@@ -261,7 +263,7 @@ async def test_a_fenced_host_refuses_everything_and_tells_its_readers() -> None:
         assert (await get.read()).error.reason == error_pb2.ERROR_REASON_NOT_HERE
 
 
-async def test_shutting_down_tells_all_streams_and_deregisters(rig: Rig) -> None:
+async def test_a_host_that_shuts_down_ends_all_streams_with_a_reason_and_deregisters(rig: Rig) -> None:
     channel = await rig.open()
     subscription, get = await subscribed(channel), await blocked(channel)
     put = rig.channels.Put()
@@ -278,7 +280,7 @@ async def test_shutting_down_tells_all_streams_and_deregisters(rig: Rig) -> None
     assert not rig.directory.hosts[HOST_ID].alive
 
 
-async def test_a_late_host_drops_the_channels_that_went_elsewhere() -> None:
+async def test_a_host_that_registers_again_drops_the_channels_that_have_moved_away() -> None:
     async with running_host(lease_ttl_nanos=3 * S) as rig:
         kept, lost = await rig.open("kept"), await rig.open("lost")
         await kept.put(run_of(b"x"))
@@ -294,7 +296,7 @@ async def test_a_late_host_drops_the_channels_that_went_elsewhere() -> None:
         assert (await lost.get()).error.reason == error_pb2.ERROR_REASON_NOT_HERE
 
 
-async def test_a_stream_that_is_open_when_its_caller_vanishes_leaves_nothing_behind(rig: Rig) -> None:
+async def test_the_stream_of_a_vanished_caller_is_removed(rig: Rig) -> None:
     channel = await rig.open()
     for call in (await subscribed(channel), await blocked(channel)):
         call.cancel()
@@ -303,7 +305,7 @@ async def test_a_stream_that_is_open_when_its_caller_vanishes_leaves_nothing_beh
     await channel.until(lambda status: (status.subscriptions, status.waiting_gets) == (0, 0))
 
 
-async def test_a_put_that_waits_hears_that_its_channel_was_dropped(rig: Rig) -> None:
+async def test_a_waiting_put_fails_when_its_channel_is_dropped(rig: Rig) -> None:
     retention = channel_pb2.RetentionPolicy(max_items=1, max_age_nanos=600 * S)
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK))
     putting = asyncio.create_task(channel.put(run_of(b"x"), run_of(b"y", number=2)))
@@ -316,7 +318,7 @@ async def test_a_put_that_waits_hears_that_its_channel_was_dropped(rig: Rig) -> 
     assert second.error.reason == error_pb2.ERROR_REASON_CHANNEL_NOT_FOUND
 
 
-async def test_a_setup_that_the_host_cannot_hold_is_refused_before_the_directory_is_changed(rig: Rig) -> None:
+async def test_a_policy_that_the_host_cannot_hold_is_refused_before_the_directory_changes(rig: Rig) -> None:
     channel = await rig.open()
     spec = channel_pb2.ChannelSpec(
         retention=channel_pb2.RetentionPolicy(max_items=1), on_full=channel_pb2.ON_FULL_BLOCK

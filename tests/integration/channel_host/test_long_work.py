@@ -60,7 +60,7 @@ async def large(rig: Rig) -> Large:
     return await Large(await rig.open("large", spec)).fill()
 
 
-async def test_one_large_get_lets_everybody_else_in_between_and_is_as_of_its_beginning(rig: Rig) -> None:
+async def test_a_large_get_does_not_delay_other_calls_and_shows_the_channel_as_it_was_at_the_start(rig: Rig) -> None:
     one, other = await large(rig), await rig.open("other")
     async with rig.host.store.scheduler._turn:  # as while other long work has its turn
         getting = asyncio.create_task(one.channel.get(without_payloads=True))
@@ -73,7 +73,7 @@ async def test_one_large_get_lets_everybody_else_in_between_and_is_as_of_its_beg
     assert not one.held._snapshots
 
 
-async def test_a_blocked_get_that_is_released_with_much_is_answered_in_pieces(rig: Rig) -> None:
+async def test_a_large_answer_of_a_waiting_get_is_built_in_pieces(rig: Rig) -> None:
     one = await large(rig)
     end = rig.now() + S // 2
     interval = between(MIN_INSTANT, end)
@@ -86,7 +86,7 @@ async def test_a_blocked_get_that_is_released_with_much_is_answered_in_pieces(ri
     assert (await getting).times[:ITEMS] == one.times
 
 
-async def test_a_large_get_that_is_cancelled_holds_nothing_back(rig: Rig) -> None:
+async def test_a_cancelled_large_get_keeps_no_item_from_collection(rig: Rig) -> None:
     one = await large(rig)
     call = rig.channels.Get()
     async with rig.host.store.scheduler._turn:
@@ -100,7 +100,7 @@ async def test_a_large_get_that_is_cancelled_holds_nothing_back(rig: Rig) -> Non
     call.cancel()
 
 
-async def test_a_large_get_of_a_channel_that_goes_meanwhile_is_refused(rig: Rig) -> None:
+async def test_a_large_get_fails_if_its_channel_is_deleted_meanwhile(rig: Rig) -> None:
     one = await large(rig)
     async with rig.host.store.scheduler._turn:
         getting = asyncio.create_task(one.channel.get())
@@ -114,7 +114,7 @@ async def test_a_large_get_of_a_channel_that_goes_meanwhile_is_refused(rig: Rig)
     assert not held._snapshots
 
 
-async def test_a_subscription_that_begins_with_much_begins_in_pieces(rig: Rig) -> None:
+async def test_a_subscription_with_many_held_items_begins_in_pieces(rig: Rig) -> None:
     one = await large(rig)
     async with rig.host.store.scheduler._turn:
         call = one.channel.subscribe(start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))

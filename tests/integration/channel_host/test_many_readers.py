@@ -64,7 +64,7 @@ async def test_a_host_encodes_a_message_once_for_32_readers(rig: Rig, fields: di
         assert deliveries.kept_bytes == 0
 
 
-async def test_readers_that_want_no_payloads_and_readers_at_other_places_get_messages_of_their_own(rig: Rig) -> None:
+async def test_readers_without_payloads_and_readers_at_other_positions_get_their_own_messages(rig: Rig) -> None:
     channel = await rig.open()
     await channel.put(run_of(b"held"))
     plain = await readers_of(channel, 4)

@@ -72,7 +72,7 @@ def until_one_is_busy(rt: st.Connection) -> None:
         pytest.skip(f"the machine has a load of {os.getloadavg()[0]:.0f}: a host cannot take a seventh of a core")
 
 
-def test_new_channels_and_queues_go_to_the_idle_host_of_two_and_the_listings_say_why(
+def test_new_channels_and_queues_are_placed_on_the_idle_host_and_the_listings_show_its_load(
     cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with keeping_busy(cluster.address, "h1"):
@@ -89,7 +89,7 @@ def test_new_channels_and_queues_go_to_the_idle_host_of_two_and_the_listings_say
     assert (rows["h2"]["channels"] >= 3, rows["h2"]["machine"], rows["h2"]["alive"]) == (True, "localhost", True)
 
 
-def test_doctor_and_hosts_show_the_loads_to_people(
+def test_the_doctor_and_the_list_of_hosts_show_the_loads(
     cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wait_until(lambda: len(loads(rt)) == len(cluster.hosts), "each host has a load", PATIENCE_SECONDS)

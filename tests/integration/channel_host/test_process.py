@@ -49,7 +49,7 @@ async def stopped(process: Process) -> int:
     return await asyncio.wait_for(process.wait(), 45)
 
 
-async def test_a_host_says_when_it_is_ready_serves_and_leaves_on_sigterm(directory: FakeDirectory) -> None:
+async def test_a_host_prints_that_it_is_ready_and_leaves_on_sigterm(directory: FakeDirectory) -> None:
     async with host("--name", "h1", "--frontend", directory.target) as process:
         address = await ready(process)
         (record,) = directory.hosts.values()
@@ -62,7 +62,7 @@ async def test_a_host_says_when_it_is_ready_serves_and_leaves_on_sigterm(directo
         assert not directory.hosts[record.host_id].alive
 
 
-async def test_a_host_asks_for_the_secret(directory: FakeDirectory, tmp_path: Path) -> None:
+async def test_a_host_refuses_a_caller_without_the_secret(directory: FakeDirectory, tmp_path: Path) -> None:
     secret = make_secret_file(tmp_path / "secret")
     async with host("--name", "h1", "--frontend", directory.target, "--secret-file", str(secret.path)) as process:
         address = await ready(process)
@@ -74,7 +74,9 @@ async def test_a_host_asks_for_the_secret(directory: FakeDirectory, tmp_path: Pa
             assert (await GatekeeperServiceStub(channel).Ping(request)).name == "h1"
 
 
-async def test_a_host_keeps_its_id_with_its_folder_and_has_a_new_boot(directory: FakeDirectory, tmp_path: Path) -> None:
+async def test_a_host_with_its_old_folder_keeps_its_id_and_has_a_new_boot_id(
+    directory: FakeDirectory, tmp_path: Path
+) -> None:
     boots = []
     for _ in range(2):
         async with host("--name", "h1", "--frontend", directory.target, "--data-dir", str(tmp_path)) as process:
@@ -85,7 +87,7 @@ async def test_a_host_keeps_its_id_with_its_folder_and_has_a_new_boot(directory:
     assert boots[0] != boots[1]
 
 
-async def test_a_host_is_known_where_it_says_that_it_is_reached(directory: FakeDirectory) -> None:
+async def test_a_host_registers_the_address_that_it_advertises(directory: FakeDirectory) -> None:
     arguments = ("--name", "h1", "--frontend", directory.target, "--advertise", "rig:4711", "--zone", "lab")
     async with host(*arguments) as process:
         await ready(process)
@@ -93,7 +95,7 @@ async def test_a_host_is_known_where_it_says_that_it_is_reached(directory: FakeD
         assert [(one.target, one.zone) for one in record.gatekeepers] == [("rig:4711", "lab")]
 
 
-async def test_a_host_that_is_refused_ends_with_one_line_that_says_why(directory: FakeDirectory) -> None:
+async def test_a_host_that_is_refused_exits_with_one_line_that_has_the_reason(directory: FakeDirectory) -> None:
     directory.refuse["RegisterHost"] = PermissionDenied("this host may not enter")
     async with host("--name", "h1", "--frontend", directory.target, "--log-level", "error") as process:
         out, err = await asyncio.wait_for(process.communicate(), 20)
@@ -109,7 +111,7 @@ async def test_a_host_without_a_directory_stops_when_it_is_told_to() -> None:
 
 
 @pytest.mark.parametrize("arguments", [("--name", "No Name"), ("--frontend", ""), ("--memory-bytes-max", "1KiB")])
-async def test_settings_that_cannot_be_used_end_it_at_once(arguments: tuple[str, str]) -> None:
+async def test_a_host_exits_at_once_if_its_settings_are_wrong(arguments: tuple[str, str]) -> None:
     async with host(*arguments) as process:
         out, err = await asyncio.wait_for(process.communicate(), 20)
         assert (process.returncode, out) == (2, b"")

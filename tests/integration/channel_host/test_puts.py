@@ -59,7 +59,7 @@ async def test_runs_of_256_items_are_stored_and_sent_as_they_came(rig: Rig) -> N
     assert got.summary.incarnation == channel.incarnation
 
 
-async def test_refused_items_of_a_run_do_not_hold_up_the_others(rig: Rig) -> None:
+async def test_refused_items_of_a_run_do_not_delay_its_other_items(rig: Rig) -> None:
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_age_nanos=S)))
     now = rig.now()
     await channel.put(run_of(b"first", times=[now - 1]))
@@ -87,14 +87,14 @@ async def test_many_runs_on_one_stream_are_acked_in_order(rig: Rig) -> None:
     assert [ack.first_seq for ack in acks] == list(range(1, 101))
 
 
-async def test_a_put_without_a_channel_is_refused_with_the_way_out(rig: Rig) -> None:
+async def test_a_put_without_a_channel_is_refused_with_advice(rig: Rig) -> None:
     call = rig.channels.Put(iter((pb.PutRequest(puts=[run_of(b"x")]),)))
     acks = [ack async for response in call for ack in response.acks]
     assert acks[0].error.reason == error_pb2.ERROR_REASON_INVALID_ARGUMENT
     assert "channel_id" in acks[0].error.message
 
 
-async def test_a_wrong_epoch_is_refused_for_each_run_and_the_stream_goes_on(rig: Rig) -> None:
+async def test_a_wrong_epoch_is_refused_for_each_run_and_does_not_end_the_stream(rig: Rig) -> None:
     channel = await rig.open()
     first, second = await channel.put(run_of(b"x"), run_of(b"y", number=2), epoch=channel.epoch + 1)
     assert first.error.reason == second.error.reason == error_pb2.ERROR_REASON_WRONG_EPOCH
@@ -109,7 +109,7 @@ async def test_an_unbound_channel_is_not_here(rig: Rig) -> None:
     assert ack.error.reason == error_pb2.ERROR_REASON_NOT_HERE
 
 
-async def test_a_malformed_run_is_refused_and_counted_and_the_next_one_is_taken(rig: Rig) -> None:
+async def test_a_malformed_run_is_refused_and_counted_and_the_next_one_is_accepted(rig: Rig) -> None:
     channel = await rig.open()
     broken = pb.PutRun(first_number=1, run=item_pb2.ItemRun(payload_length_bytes=[3], payloads=b"four"))
     bad, good = await channel.put(broken, run_of(b"x", number=2))
@@ -148,7 +148,7 @@ async def test_an_item_over_16_mib_is_refused_and_counted_as_too_large(rig: Rig)
     assert (counters.rejected_too_large, counters.rejected_malformed) == (1, 0)
 
 
-async def test_an_item_of_16_mib_is_taken(rig: Rig) -> None:
+async def test_an_item_of_16_mib_is_accepted(rig: Rig) -> None:
     channel = await rig.open()
     (ack,) = await channel.put(run_of(b"x" * (16 * 2**20)))
     assert ack.first_seq == 1
@@ -161,7 +161,7 @@ async def test_too_many_bytes_in_one_request_are_refused(rig: Rig) -> None:
     assert {ack.error.reason for ack in acks} == {error_pb2.ERROR_REASON_INVALID_ARGUMENT}
 
 
-async def test_a_retried_put_is_answered_as_before_and_not_doubled(rig: Rig) -> None:
+async def test_a_retried_put_gets_its_first_answer_and_is_stored_once(rig: Rig) -> None:
     channel = await rig.open()
     (first,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=77)
     (again,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=77)
@@ -171,7 +171,7 @@ async def test_a_retried_put_is_answered_as_before_and_not_doubled(rig: Rig) -> 
     assert other.first_seq == 3
 
 
-async def test_a_producer_with_an_id_must_count(rig: Rig) -> None:
+async def test_a_producer_with_an_id_must_number_its_runs(rig: Rig) -> None:
     channel = await rig.open()
     (ack,) = await channel.put(run_of(b"x", number=0), producer_id=77)
     assert ack.error.reason == error_pb2.ERROR_REASON_INVALID_ARGUMENT
@@ -190,7 +190,7 @@ def blocking(max_age_nanos: int) -> channel_pb2.ChannelSpec:
     return channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK)
 
 
-async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: Rig) -> None:
+async def test_a_blocked_put_does_not_delay_earlier_acks(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     call = rig.channels.Put()
     await call.write(
@@ -211,7 +211,7 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
     call.cancel()
 
 
-async def test_the_runs_behind_a_blocked_one_in_its_request_are_charged_and_keep_nothing_else(rig: Rig) -> None:
+async def test_the_host_counts_the_memory_of_runs_that_wait_after_a_blocked_one(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     call = rig.channels.Put()
     puts = [run_of(b"x"), *(run_of(bytes(30_000), number=number) for number in range(2, 8))]
@@ -223,7 +223,7 @@ async def test_the_runs_behind_a_blocked_one_in_its_request_are_charged_and_keep
     await until(lambda: rig.host.store.memory.used_bytes < 10_000)
 
 
-async def test_a_blocked_put_goes_on_when_the_oldest_item_is_of_age(rig: Rig) -> None:
+async def test_a_blocked_put_is_accepted_when_the_oldest_item_has_reached_its_age(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(50 * MS))
     now = rig.now()
     acks = await channel.put(*(run_of(b"x", times=[now + n * MS], number=n + 1) for n in range(3)))
@@ -231,7 +231,7 @@ async def test_a_blocked_put_goes_on_when_the_oldest_item_is_of_age(rig: Rig) ->
     assert (await channel.status()).counters.collected_by_age >= 2
 
 
-async def test_a_blocked_put_gives_up_when_its_time_is_over(rig: Rig) -> None:
+async def test_a_blocked_put_fails_at_its_timeout(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     first, second = await channel.put(run_of(b"x"), run_of(b"y", number=2, wait_nanos=20 * MS))
     assert first.first_seq == 1
@@ -240,7 +240,7 @@ async def test_a_blocked_put_gives_up_when_its_time_is_over(rig: Rig) -> None:
     assert (status.waiting_puts, status.counters.rejected_full) == (0, 1)
 
 
-async def test_a_put_that_may_not_wait_gives_up_at_once_and_one_behind_it_waits(rig: Rig) -> None:
+async def test_a_put_without_a_timeout_fails_at_once_and_a_later_one_waits(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     await channel.put(run_of(b"x"))
     waiting = rig.channels.Put()
@@ -270,7 +270,7 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
     waiting.cancel()
 
 
-async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_stream_broke(rig: Rig) -> None:
+async def test_a_retry_of_a_partly_accepted_run_continues_at_its_position(rig: Rig) -> None:
     """A fixed fault: the host kept the refusal of the rest, and refused the retry, too, though the channel had room by
     then.
     """
@@ -290,7 +290,7 @@ async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_str
     assert (await channel.status()).counters.accepted == 3
 
 
-async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_meanwhile(rig: Rig) -> None:
+async def test_a_retry_of_a_partly_accepted_run_continues_after_a_lost_lease(rig: Rig) -> None:
     """A fixed fault: the host answered "resolve the channel again" for the rest, and again for the retry."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
@@ -316,7 +316,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
     )
 
 
-async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:
+async def test_the_rest_of_a_partly_accepted_run_is_refused_when_its_channel_is_dropped(rig: Rig) -> None:
     """A fixed fault: the ack said that the host had accepted none of the items."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()

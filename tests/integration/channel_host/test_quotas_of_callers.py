@@ -61,7 +61,7 @@ async def subscribed(channel: Opened) -> Any:
     return call
 
 
-async def test_subscriptions_beyond_the_quota_are_refused_and_other_streams_are_not(rig: Rig) -> None:
+async def test_subscriptions_above_the_quota_are_refused_and_other_streams_are_not(rig: Rig) -> None:
     rig.accounts.set_default(Quota.SUBSCRIPTIONS, 2)
     channel = await rig.open()
     held = [await subscribed(channel) for _ in range(2)]
@@ -75,7 +75,7 @@ async def test_subscriptions_beyond_the_quota_are_refused_and_other_streams_are_
     await subscribed(channel)
 
 
-async def test_streams_beyond_the_quota_are_refused_and_single_calls_are_not(rig: Rig) -> None:
+async def test_streams_above_the_quota_are_refused_and_single_calls_are_not(rig: Rig) -> None:
     rig.accounts.set_default(Quota.STREAMS, 1)
     channel = await rig.open()
     held = await subscribed(channel)
@@ -84,7 +84,7 @@ async def test_streams_beyond_the_quota_are_refused_and_single_calls_are_not(rig
     held.cancel()
 
 
-async def test_blocked_gets_beyond_the_quota_are_refused_and_those_that_end_make_room(rig: Rig) -> None:
+async def test_waiting_gets_above_the_quota_are_refused_until_others_end(rig: Rig) -> None:
     rig.accounts.set_default(Quota.WAITING_CALLS, 2)
     channel = await rig.open()
     call = rig.channels.Get()
@@ -112,7 +112,7 @@ async def test_a_broken_stream_of_gets_gives_back_the_quota_of_its_waiting_gets(
     await channel.until(lambda status: not rig.accounts.uses())
 
 
-async def test_a_put_that_would_wait_beyond_the_quota_is_refused_and_one_that_finds_room_is_taken(rig: Rig) -> None:
+async def test_a_put_above_the_quota_of_waiting_puts_is_refused_unless_it_finds_room_at_once(rig: Rig) -> None:
     channel, other = await rig.open(spec=full_channel()), await rig.open("other")
     await channel.put(run_of(b"x"))
     rig.accounts.set_default(Quota.BYTES_IN_FLIGHT, 10_000)
@@ -163,7 +163,7 @@ async def test_the_bytes_of_a_channel_count_for_the_caller_that_made_the_channel
     assert ack.first_seq == 1
 
 
-async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> None:
+async def test_a_waiting_enqueue_above_the_quota_ends_its_stream() -> None:
     async with running_queue_host() as rig:
         queue = rig.open(max_items=1)
         await queue.put(b"x")
@@ -174,7 +174,7 @@ async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> 
         assert (await queue.status()).counters.rejected_overloaded >= 1
 
 
-async def test_much_work_of_one_caller_does_not_stand_before_the_puts_of_another_one(
+async def test_much_work_of_one_caller_does_not_delay_the_puts_of_another_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control, "subject_of", lambda caller, peer: peer)  # each connection is a caller
@@ -223,7 +223,7 @@ async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
     await stub.Consume(asked[2], timeout=10)
 
 
-async def test_the_memory_of_retries_knows_the_caller_of_each_producer(
+async def test_the_host_counts_the_kept_answers_of_a_producer_for_its_caller(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     owners: list[str] = []

@@ -84,7 +84,7 @@ def test_items_that_memory_has_dropped_are_known_as_of_an_instant(rt: st.Connect
     assert channel.get(st.NOW, st.NOW, as_of=instants[99]).past == (None, None, None)
 
 
-def test_before_the_first_item_there_was_none(rt: st.Connection) -> None:
+def test_a_read_as_of_an_instant_before_the_first_item_is_empty(rt: st.Connection) -> None:
     channel = rt.channel("past/first", max_age="60s", archive="7d")
     before = host_now(channel)
     channel.put(b"first")
@@ -94,7 +94,7 @@ def test_before_the_first_item_there_was_none(rt: st.Connection) -> None:
     assert len(channel.get(before, before + SECOND, as_of=before)) == 0
 
 
-def test_a_read_that_has_no_past_is_refused_with_the_reason(rt: st.Connection) -> None:
+def test_a_read_as_of_an_instant_is_refused_if_the_host_cannot_answer_it(rt: st.Connection) -> None:
     plain, recorded = rt.channel("past/plain"), rt.channel("past/refused", max_age="60s", archive="7d")
     recorded.put(b"x")
     with pytest.raises(st.InvalidArgument, match="not recorded"):

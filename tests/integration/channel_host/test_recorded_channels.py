@@ -73,14 +73,14 @@ def check_reads(channel: st.Channel, began: int) -> None:
     assert numbers(channel.get(began, began + 10 * MS, timeout=30, complete=True)) == list(range(11))
 
 
-def test_reads_know_no_border_between_archive_and_memory(rt: st.Connection) -> None:
+def test_a_read_crosses_from_the_archive_into_memory(rt: st.Connection) -> None:
     channel, began = rt.channel("rig/border", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began)
     wait_until_collected(channel, 8)
     check_reads(channel, began)
 
 
-def test_a_long_answer_comes_in_pages_and_arrives_whole(rt: st.Connection) -> None:
+def test_a_long_answer_from_the_archive_is_read_page_by_page(rt: st.Connection) -> None:
     channel, began = rt.channel("rig/long", max_items=2, archive="forever"), time.time_ns() - 10**9
     for number in range(60):
         channel.put(bytes([number]) * 200_000, time=began + number * MS)
@@ -91,9 +91,7 @@ def test_a_long_answer_comes_in_pages_and_arrives_whole(rt: st.Connection) -> No
     assert [item.payload[0] for item in channel.get(st.OLDEST, st.NEWEST, newest_first=True)] == list(range(59, -1, -1))
 
 
-def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_stop(
-    cluster: LocalCluster, rt: st.Connection
-) -> None:
+def test_a_host_that_restarts_after_a_clean_stop_has_lost_nothing(cluster: LocalCluster, rt: st.Connection) -> None:
     channel, began = rt.channel("rig/stopped", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began, count=ITEMS - 1)
     channel.advance(began + (ITEMS - 2) * MS)
@@ -123,7 +121,9 @@ def test_a_restarted_host_serves_its_archive_and_has_lost_nothing_after_a_clean_
     assert unserved.get(began - MS, began).reason != "LOST"
 
 
-def test_after_a_crash_only_the_last_stretch_is_lost(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_a_host_that_restarts_after_a_crash_has_lost_only_the_last_stretch(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
     channel, began = rt.channel("rig/killed", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began)
     wait_until_collected(channel, 8)
@@ -172,7 +172,7 @@ def test_every_example_of_the_guide_prints_the_stated_output(
     check_guide(cluster, monkeypatch)
 
 
-def test_a_subscription_begins_in_the_archive_and_goes_on_live(rt: st.Connection) -> None:
+def test_a_subscription_begins_in_the_archive_and_continues_with_live_items(rt: st.Connection) -> None:
     channel, began = rt.channel("rig/followed", max_items=8, archive="7d"), time.time_ns() - 10**9
     fill(channel, began)
     wait_until_collected(channel, 8)
@@ -185,7 +185,7 @@ def test_a_subscription_begins_in_the_archive_and_goes_on_live(rt: st.Connection
         assert next(items).payload == b"8"
 
 
-def test_a_caller_may_fill_the_disk_only_up_to_its_quota_and_hears_the_name_of_the_quota(
+def test_a_caller_that_fills_its_disk_quota_gets_an_error_with_the_name_of_the_quota(
     rt: st.Connection, cluster: LocalCluster, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)

@@ -78,7 +78,7 @@ def moved(server: S3Server, folder: Path, channel: st.Channel, host: str) -> Non
     wait_until(lambda: objects(server, channel) and not [*local.glob("*.segment")], "the files have moved")
 
 
-def test_an_archive_in_an_object_store_answers_as_one_in_a_folder_and_goes_with_a_move(
+def test_an_archive_in_an_object_store_equals_one_in_a_folder_and_follows_a_move(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/moves", "h1")
@@ -122,7 +122,7 @@ def test_deleting_a_channel_deletes_its_objects(server: S3Server, folder: Path, 
     wait_until(lambda: not [*path.glob("*.segment")] if path.exists() else True)
 
 
-def test_while_the_store_is_away_live_readers_go_on_and_doctor_names_the_reason(
+def test_live_readers_are_served_while_the_store_is_away_and_doctor_names_the_reason(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
 ) -> None:
     channel, began = filled(rt, "rig/away", "h2", ack="disk")
@@ -196,7 +196,7 @@ def test_every_example_of_the_guide_holds_with_an_archive_in_an_object_store(
     check_guide(cluster, monkeypatch)
 
 
-def test_a_host_that_is_killed_during_an_upload_loses_and_doubles_nothing(
+def test_a_host_that_is_killed_during_an_upload_loses_and_repeats_nothing(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/killed", "h2", ack="disk")
@@ -220,7 +220,7 @@ def test_a_host_that_is_killed_during_an_upload_loses_and_doubles_nothing(
     assert numbers(channel.get(began, began + (count - 1) * MS)) == list(range(count))
 
 
-def test_a_host_with_wrong_credentials_does_not_start_and_says_why(
+def test_a_host_with_wrong_credentials_exits_with_the_reason(
     server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong-secret")

@@ -42,7 +42,7 @@ def refusals_left_to_the_collector() -> Iterator[list[StampedeError]]:
         gc.garbage.clear()
 
 
-async def test_a_refused_put_is_not_kept() -> None:
+async def test_a_refused_put_leaves_nothing_in_memory() -> None:
     async with running_host() as rig:
         channel = await rig.open()
         with refusals_left_to_the_collector() as left:
@@ -51,7 +51,7 @@ async def test_a_refused_put_is_not_kept() -> None:
         assert left == []
 
 
-async def test_a_refused_get_or_enqueue_is_not_kept() -> None:
+async def test_a_refused_get_or_enqueue_leaves_nothing_in_memory() -> None:
     async with running_host() as rig:
         with refusals_left_to_the_collector() as left:
             call = rig.channels.Get(iter((pb.GetRequest(call_id=1, channel_id=b"x" * 16, epoch=1),)))
@@ -84,7 +84,7 @@ def is_of_the_host(found: object) -> bool:
 
 
 @pytest.mark.parametrize("puts", [puts_over_grpc, puts_over_a_socket])
-async def test_a_stream_of_puts_leaves_nothing_to_the_collector(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
+async def test_a_stream_of_puts_makes_no_garbage_in_cycles(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
     """A fixed fault: objects of a stream's rights and answers referred to each other, and stayed for 10 minutes."""
     async with running_host() as rig:
         channel, target = await rig.open(), await socket_target(rig.connection, ())

@@ -76,7 +76,7 @@ def film(left: st.Channel, right: st.Channel, began: int, *seen: list[object]) -
         channel.advance(began + SECOND)
 
 
-def test_ten_replays_at_three_speeds_give_a_consumer_the_same_as_live(rt: st.Connection) -> None:
+def test_ten_replays_at_three_speeds_give_a_consumer_the_same_items_as_the_live_run(rt: st.Connection) -> None:
     left, right = (rt.channel(f"eye/{side}", max_age="60s", archive="7d") for side in ("left", "right"))
     rt.group("stereo", [left, right])
     start, live, surveyed_live = left.stats().host_time, [], []
@@ -156,7 +156,7 @@ def test_a_subscription_holds_few_of_many_earlier_pages(rt: st.Connection, monke
         next(items)
 
 
-def test_a_clock_of_steps_moves_only_by_steps(rt: st.Connection) -> None:
+def test_a_stepped_replay_clock_moves_only_by_steps(rt: st.Connection) -> None:
     channel = rt.channel("clock/steps", max_age="60s", archive="7d")
     start = channel.stats().host_time
     channel.put(b"one")

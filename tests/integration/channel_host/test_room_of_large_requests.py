@@ -44,7 +44,9 @@ def room_of(turns: list[tuple[str, int]], *functions: str) -> int:
     return len(room_bytes)
 
 
-async def test_a_large_put_keeps_its_room_while_it_waits_for_its_turn(room_in_turns: list[tuple[str, int]]) -> None:
+async def test_a_large_put_keeps_its_reserved_bytes_while_it_waits_for_its_turn(
+    room_in_turns: list[tuple[str, int]],
+) -> None:
     async with running_host() as rig:
         channel = await rig.open()
         room_in_turns.clear()
@@ -54,7 +56,9 @@ async def test_a_large_put_keeps_its_room_while_it_waits_for_its_turn(room_in_tu
         assert rig.host.store.memory.requests.used_bytes == 0
 
 
-async def test_a_large_enqueue_keeps_its_room_while_it_waits_for_its_turn(room_in_turns: list[tuple[str, int]]) -> None:
+async def test_a_large_enqueue_keeps_its_reserved_bytes_while_it_waits_for_its_turn(
+    room_in_turns: list[tuple[str, int]],
+) -> None:
     async with running_queue_host() as rig:
         queue = rig.open()
         room_in_turns.clear()

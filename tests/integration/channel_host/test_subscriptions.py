@@ -73,7 +73,7 @@ async def _drain(call: Any) -> None:
         pass
 
 
-async def test_only_new_items_come_without_a_start(rig: Rig) -> None:
+async def test_a_subscription_without_a_start_yields_only_new_items(rig: Rig) -> None:
     channel = await rig.open()
     await channel.put(run_of(b"before"))
     reader = await Reader.of(channel)
@@ -85,7 +85,7 @@ async def test_only_new_items_come_without_a_start(rig: Rig) -> None:
     reader.call.cancel()
 
 
-async def test_held_items_from_a_start_come_first_in_seq_order(rig: Rig) -> None:
+async def test_a_subscription_with_a_start_yields_held_items_first_in_the_order_of_seqs(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     await channel.put(run_of(b"b", times=[t + 10]), run_of(b"a", times=[t], number=2), run_of(b"c", times=[t + 20]))
@@ -98,7 +98,7 @@ async def test_held_items_from_a_start_come_first_in_seq_order(rig: Rig) -> None
     exclusive.call.cancel()
 
 
-async def test_a_reader_goes_on_behind_its_last_item(rig: Rig) -> None:
+async def test_a_resumed_subscription_continues_after_its_last_item(rig: Rig) -> None:
     channel = await rig.open()
     await channel.put(run_of(b"a", b"b", b"c"))
     after = item_pb2.ItemPosition(time_unix_nano=1, seq=1, incarnation=channel.incarnation)
@@ -107,7 +107,7 @@ async def test_a_reader_goes_on_behind_its_last_item(rig: Rig) -> None:
     reader.call.cancel()
 
 
-async def test_a_late_items_end_is_reported(rig: Rig) -> None:
+async def test_the_host_reports_the_end_of_a_late_items_span(rig: Rig) -> None:
     channel = await rig.open()
     t = rig.now() - S
     reader = await Reader.of(channel)
@@ -138,7 +138,7 @@ async def test_a_newest_subscription_never_goes_back_and_counts_skipped_items(ri
     reader.call.cancel()
 
 
-async def test_a_silent_stream_shows_signs_of_life(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stream_without_items_has_heartbeats(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert subscription.PROGRESS_SECONDS < 5
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.02)
     channel = await rig.open()
@@ -154,7 +154,7 @@ async def test_a_silent_stream_shows_signs_of_life(rig: Rig, monkeypatch: pytest
     reader.call.cancel()
 
 
-async def test_payloads_are_left_away_on_request(rig: Rig) -> None:
+async def test_a_subscription_without_payloads_gets_none(rig: Rig) -> None:
     channel = await rig.open()
     reader = await Reader.of(channel, without_payloads=True)
     await channel.put(run_of(b"four"))
@@ -178,7 +178,9 @@ async def test_many_readers_get_every_item_once_and_in_order(rig: Rig) -> None:
     assert status.counters.delivered_bytes == 32 * status.counters.accepted_bytes
 
 
-async def test_a_slow_reader_harms_only_itself_and_hears_of_its_gap(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_slow_reader_does_not_delay_others_and_learns_of_its_gap(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(subscription, "WRITE_SECONDS_MAX", 600.0)  # the puts take long on a busy machine
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=4)))
     slow, quick = await Reader.of(channel), await Reader.of(channel)
@@ -199,7 +201,9 @@ async def test_a_slow_reader_harms_only_itself_and_hears_of_its_gap(rig: Rig, mo
     quick.call.cancel()
 
 
-async def test_a_reader_that_takes_nothing_is_ended_with_a_reason(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_stream_of_a_reader_that_reads_nothing_ends_with_a_reason(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(subscription, "WRITE_SECONDS_MAX", 0.2)
     channel = await rig.open()
     reader = await Reader.of(channel)
@@ -211,7 +215,7 @@ async def test_a_reader_that_takes_nothing_is_ended_with_a_reason(rig: Rig, monk
     assert "took nothing" in (error.details() or "")
 
 
-async def test_a_reader_that_does_not_take_the_end_of_its_stream_delays_no_other_caller(
+async def test_a_reader_that_does_not_read_the_end_of_its_stream_delays_no_other_caller(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(subscription, "WRITE_SECONDS_MAX", 0.1)
@@ -239,7 +243,7 @@ async def test_a_reader_that_does_not_take_the_end_of_its_stream_delays_no_other
         ({"cursor": pb.SubscriptionCursor(next_seq=1, cut_unix_nano=1)}, "group"),
     ],
 )
-async def test_a_subscription_that_cannot_be_is_refused(rig: Rig, fields: dict[str, Any], words: str) -> None:
+async def test_an_impossible_subscription_is_refused(rig: Rig, fields: dict[str, Any], words: str) -> None:
     channel = await rig.open()
     error = await error_of(channel.subscribe(**fields))
     assert words in (error.details() or "")

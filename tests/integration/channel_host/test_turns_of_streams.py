@@ -87,7 +87,7 @@ def matches(call: Any, left: GroupedChannel, group: group_pb2.GroupRecord) -> An
 
 
 @pytest.mark.parametrize("kind", [subscription, cuts, matches])
-async def test_a_reader_waits_for_its_turn_before_it_looks_for_its_next_message(host: Host, kind: Any) -> None:
+async def test_a_reader_of_a_busy_caller_waits_for_its_turn_before_its_next_message(host: Host, kind: Any) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     heavy = Heavy(host.target, host.accounts)
@@ -151,7 +151,7 @@ async def test_a_settlement_waits_for_the_turn_of_its_taker(rig: QueueRig) -> No
     await heavy.connection.close()
 
 
-async def test_an_enqueue_waits_for_its_turn_before_it_is_judged(rig: QueueRig) -> None:
+async def test_an_enqueue_waits_for_its_turn_before_the_host_checks_it(rig: QueueRig) -> None:
     queue = rig.open()
     heavy = Heavy(rig.target, rig.accounts)
     call: Any = QueueServiceStub(heavy.connection).Enqueue()

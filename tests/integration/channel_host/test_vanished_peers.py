@@ -141,7 +141,7 @@ async def far(
 
 
 @pytest.mark.parametrize("method", [HOLD, FLOOD])
-async def test_a_host_lets_a_caller_go_whose_link_is_gone(far: FarCaller, method: str) -> None:
+async def test_a_host_ends_the_streams_of_a_caller_whose_link_is_gone(far: FarCaller, method: str) -> None:
     """One caller waits for an answer, and the other one takes none of many."""
     caller = await far.raw_stream()
     await caller.begin(method)

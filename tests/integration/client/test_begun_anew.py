@@ -30,7 +30,7 @@ def restart(cluster: LocalCluster) -> None:
         process.restart()
 
 
-def test_puts_and_gets_go_on_with_the_channel_that_they_open_again(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_puts_and_gets_open_a_lost_channel_again_and_continue(cluster: LocalCluster, rt: st.Connection) -> None:
     channel = rt.channel("anew/camera", max_items=7)
     before = channel.put(b"gone")
     restart(cluster)
@@ -57,7 +57,7 @@ def test_a_handle_with_create_false_fails_until_another_caller_creates_the_chann
     assert newest.payload == b"by another"
 
 
-def test_a_queue_goes_on_with_the_queue_that_it_opens_again(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_a_handle_opens_a_lost_queue_again_and_continues(cluster: LocalCluster, rt: st.Connection) -> None:
     queue = rt.queue("anew/work", max_items=5)
     queue.put(b"gone")
     restart(cluster)
@@ -109,7 +109,7 @@ def test_a_deleted_channel_stays_deleted_until_its_name_is_used_again(cluster: L
         assert message.payload == b"another"
 
 
-def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_was_lost(
+def test_a_lost_group_is_opened_again_with_its_members_and_its_events_report_the_loss(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     left, right = rt.channel("anew/left"), rt.channel("anew/right")
@@ -132,9 +132,7 @@ def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_wa
             for_ever(gone)  # the directory knows at once, and hosts a moment later
 
 
-def test_matches_report_the_loss_without_a_further_put_and_go_on_with_new_items(
-    cluster: LocalCluster, rt: st.Connection
-) -> None:
+def test_matches_report_the_loss_at_once_and_continue_with_new_items(cluster: LocalCluster, rt: st.Connection) -> None:
     left, right = rt.channel("anew/one", max_age="1h"), rt.channel("anew/two", max_age="1h")
     group = rt.group("anew/matched", [left, right])
     matches = group.match(per=left, tolerance="10ms")

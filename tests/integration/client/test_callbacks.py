@@ -15,7 +15,7 @@ from tests.support.waiting import wait_until
 cluster = cluster_fixture(hosts=2, supernodes=1, scope="function")
 
 
-def test_it_goes_on_with_everything_that_the_new_incarnation_gets(
+def test_a_callback_continues_with_the_items_of_a_new_incarnation(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     called: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()

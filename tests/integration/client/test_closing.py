@@ -21,7 +21,7 @@ SENTENCE = "this connection is closed; call connect() again"
 CALLS = ("take", "messages", "items", "cuts", "matches", "newest", "complete", "peers")
 
 
-def test_every_thread_that_waits_hears_that_the_connection_is_closed(cluster: LocalCluster) -> None:
+def test_every_waiting_thread_gets_an_error_when_the_connection_is_closed(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address)
     channel, queue = rt.channel("closing/sync", max_age="60s"), rt.queue("closing/sync")
     group = rt.group("closing/sync", [channel])
@@ -58,7 +58,7 @@ def test_every_thread_that_waits_hears_that_the_connection_is_closed(cluster: Lo
     assert heard == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
 
 
-async def test_every_task_that_waits_hears_that_the_connection_is_closed(cluster: LocalCluster) -> None:
+async def test_every_waiting_task_gets_an_error_when_the_connection_is_closed(cluster: LocalCluster) -> None:
     rt = await aio.connect(cluster.address)
     channel, queue = await rt.channel("closing/aio", max_age="60s"), await rt.queue("closing/aio")
     group = await rt.group("closing/aio", [channel])

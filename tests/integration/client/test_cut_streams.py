@@ -44,7 +44,7 @@ class Told:
         return made
 
 
-async def test_a_cut_that_grpc_reports_as_internal_is_an_outage_like_others(
+async def test_a_broken_stream_that_grpc_reports_as_internal_is_retried(
     world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """gRPC reports about one of fifty cuts as INTERNAL. The test goes on until it has met one."""

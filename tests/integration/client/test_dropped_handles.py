@@ -29,7 +29,7 @@ async def until_a_put_waits(channel: aio.Channel) -> None:
             pass
 
 
-def test_channels_opened_put_to_and_dropped_leave_no_streams_of_a_connection_open(cluster: LocalCluster) -> None:
+def test_dropped_handles_of_channels_leave_no_stream_open(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         rt.channel("dropped/0").put(b"x")
         streams, before = rt._session.put_streams._streams, threading.active_count()
@@ -41,7 +41,7 @@ def test_channels_opened_put_to_and_dropped_leave_no_streams_of_a_connection_ope
         wait_until(lambda: threading.active_count() <= before)
 
 
-async def test_awaited_channels_opened_put_to_and_dropped_leave_no_streams_open(cluster: LocalCluster) -> None:
+async def test_dropped_handles_of_channels_leave_no_stream_open_in_asyncio(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         await (await rt.channel("dropped/first")).put(b"x")  # opens the stream of all handles
         streams, before = rt._session.put_streams._streams, len(asyncio.all_tasks())
@@ -56,7 +56,7 @@ async def test_awaited_channels_opened_put_to_and_dropped_leave_no_streams_open(
         await until(lambda: len(streams) == 1 and len(asyncio.all_tasks()) <= before)
 
 
-async def test_awaited_handles_dropped_by_another_thread_are_closed_too(cluster: LocalCluster) -> None:
+async def test_asyncio_handles_dropped_by_another_thread_are_closed(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         held = [await rt.channel("dropped/elsewhere", max_items=5, max_age="60s", on_full="block")]
         await held[0].put(b"x")
@@ -66,7 +66,7 @@ async def test_awaited_handles_dropped_by_another_thread_are_closed_too(cluster:
         dropping.join()
 
 
-async def test_a_handle_that_is_dropped_after_its_loop_has_ended_says_nothing(cluster: LocalCluster) -> None:
+async def test_a_handle_that_is_dropped_after_its_loop_has_ended_warns_nobody(cluster: LocalCluster) -> None:
     async def opened() -> tuple[aio.Connection, aio.Channel, aio.Queue]:
         rt = await aio.connect(cluster.address)
         channel, queue = await rt.channel("dropped/late", max_items=5), await rt.queue("dropped/late")
@@ -80,7 +80,7 @@ async def test_a_handle_that_is_dropped_after_its_loop_has_ended_says_nothing(cl
     gc.collect()
 
 
-def test_queues_put_to_and_taken_from_and_dropped_leave_nothing_open(cluster: LocalCluster) -> None:
+def test_dropped_handles_of_queues_leave_no_stream_open(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         rt.queue("dropped/0").put(b"x")
         before = threading.active_count()
@@ -95,7 +95,7 @@ def test_queues_put_to_and_taken_from_and_dropped_leave_nothing_open(cluster: Lo
         wait_until(lambda: threading.active_count() <= before)
 
 
-async def test_dropped_handles_of_awaited_queues_give_prefetched_messages_back(cluster: LocalCluster) -> None:
+async def test_dropped_asyncio_handles_of_queues_nack_prefetched_messages(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         for number in range(10):
             queue = await rt.queue("dropped/prefetched", prefetch=10, lease="60s")
@@ -127,7 +127,7 @@ async def test_subscriptions_and_producers_that_are_dropped_end(cluster: LocalCl
         await until(lambda: len(asyncio.all_tasks()) <= before)
 
 
-async def test_awaited_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: LocalCluster) -> None:
+async def test_dropped_asyncio_producers_close_their_streams_when_their_items_are_acked(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("dropped/produced", max_items=500)
         await channel.put(b"x")
@@ -141,7 +141,7 @@ async def test_awaited_producers_that_are_dropped_let_go_once_their_items_are_ac
         assert (await channel.stats()).accepted == 151
 
 
-def test_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: LocalCluster) -> None:
+def test_dropped_producers_close_their_streams_when_their_items_are_acked(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("dropped/produced-by-threads", max_items=500)
         channel.put(b"x")
@@ -183,7 +183,7 @@ def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
         assert [channel.stats().accepted for channel in channels] == [2] * 30
 
 
-async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: LocalCluster) -> None:
+async def test_a_put_is_not_delayed_by_a_put_with_a_longer_timeout(cluster: LocalCluster) -> None:
     """A fixed fault: the ack of the short put came after the ack of the long one. The short put failed as if the host
     were overloaded.
     """
@@ -202,7 +202,7 @@ async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: Loca
             assert [(await put).seq for put in patient] == [2, 3]
 
 
-async def test_each_of_many_puts_that_wait_side_by_side_waits_for_its_own_time_only(cluster: LocalCluster) -> None:
+async def test_each_of_many_waiting_puts_has_its_own_timeout(cluster: LocalCluster) -> None:
     """A fixed fault: each put waited for the puts before it, then waited again, and failed as if the host were
     overloaded.
     """
@@ -239,7 +239,7 @@ async def test_a_stream_with_a_put_that_waits_is_not_closed_for_others(
             assert (await waiting).seq == 2
 
 
-async def test_a_put_that_may_not_wait_is_not_held_up_by_one_that_does(cluster: LocalCluster) -> None:
+async def test_a_waiting_put_does_not_delay_a_put_without_a_timeout(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("dropped/two-lines", max_items=1, max_age="60s", on_full="block")
         await channel.put(b"first")

@@ -51,7 +51,7 @@ USES: dict[str, Use] = {
 
 
 @pytest.mark.parametrize("use", USES)
-async def test_a_use_on_another_event_loop_is_refused_and_disturbs_nothing(cluster: LocalCluster, use: str) -> None:
+async def test_a_call_on_another_event_loop_is_refused_and_has_no_effect(cluster: LocalCluster, use: str) -> None:
     async with aio.connect(cluster.address) as rt:
         things = Things(rt)
         await things.prepare()

@@ -80,7 +80,7 @@ def entry_points(rt: Any, made: dict[str, Any]) -> dict[str, Callable[[], Any]]:
     }
 
 
-def test_a_forked_child_is_told_at_once_in_every_entry_point_and_its_parent_goes_on(cluster: LocalCluster) -> None:
+def test_each_call_in_a_forked_child_fails_at_once_and_the_parent_continues(cluster: LocalCluster) -> None:
     taken = threading.Event()
     with st.connect(cluster.address, name="forks-parent") as rt:
         camera = rt.channel("forks/camera", max_age="100s")
@@ -125,7 +125,7 @@ def test_a_forked_child_is_told_at_once_in_every_entry_point_and_its_parent_goes
         assert rt.peer("forks-parent").alive
 
 
-async def test_a_forked_child_of_an_asyncio_program_is_told_at_once_in_every_entry_point(cluster: LocalCluster) -> None:
+async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_at_once(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, name="forks-aio") as rt:
         camera = await rt.channel("forks/aio", max_age="100s")
         first = await camera.put(b"before")

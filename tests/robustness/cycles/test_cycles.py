@@ -35,12 +35,12 @@ def cluster(folder: Path) -> Iterator[LocalCluster]:
 @pytest.mark.without_rules("a connection with rules keeps its token, and each count would differ")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in LONG_ONLY])
-def test_nothing_grows(cluster: LocalCluster, folder: Path, kind: str) -> None:
+def test_no_process_grows_over_many_cycles(cluster: LocalCluster, folder: Path, kind: str) -> None:
     report = run(cluster, folder, kind, *OTHERS.get(kind, (WARM_UP, CYCLES)))
     assert report.complaints == []
 
 
-def test_growth_of_each_sort_is_found() -> None:
+def test_a_planted_leak_of_each_kind_is_noticed() -> None:
     held = Held(memory_bytes=10**8, files=10, threads=5, tasks=4, objects={"a.Kept": 7})
     more = Held(memory_bytes=2 * 10**8, files=110, threads=105, tasks=104, objects={"a.Kept": 107, "a.New": 100})
     assert held.grown_since(held, 100) == []

@@ -25,7 +25,7 @@ WHY_NOT = unavailable_because()
 
 
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
-def test_a_blocked_way_is_seen_as_blocked_in_that_direction_only() -> None:
+def test_a_blocked_link_is_blocked_in_one_direction_only() -> None:
     with Network(2) as network:
         first, second = network.namespaces
         both = {(first, second), (second, first)}

@@ -90,12 +90,12 @@ def test_a_planted_violation_is_found(history: list[Operation], complaint: str) 
     assert any(complaint in violation for violation in judge_items(history).violations)
 
 
-def test_items_that_went_with_their_host_are_counted_apart_from_lost_ones() -> None:
+def test_items_in_the_memory_of_a_dead_host_are_not_counted_as_lost() -> None:
     judged = judge_items([FIRST, SECOND, put(b"3", 4, B, 1)])
     assert (judged.channels, judged.acknowledged, judged.gone_with_host, judged.lost) == (1, 3, 2, 0)
 
 
-def test_items_that_a_replica_goes_on_with_are_not_lost_and_early_losses_are_found() -> None:
+def test_items_that_a_replica_still_has_are_not_lost() -> None:
     late = put(b"3", 8, A, 3)
     goes_on = [FIRST, SECOND, late, put(b"4", 10, A + 1, 3), listed(12, A + 1, (1, b"1"), (2, b"2"), (3, b"4"))]
     assert (judge_items(goes_on).gone_with_host, early_losses(goes_on)) == (1, [])
@@ -108,7 +108,7 @@ def test_items_that_a_replica_goes_on_with_are_not_lost_and_early_losses_are_fou
     assert early_losses(lost) == [], "item 2 was one of the last second"
 
 
-def test_an_item_that_was_seen_and_not_acknowledged_counts_as_gone_with_its_host() -> None:
+def test_an_item_that_was_read_but_not_acknowledged_may_be_lost_with_its_host() -> None:
     unanswered = op(Put(b"2"), 2, None)
     judged = judge_items([FIRST, unanswered, listed(4, A, (1, b"1"), (2, b"2")), put(b"3", 6, B, 1)])
     assert (judged.acknowledged, judged.gone_with_host) == (2, 2)

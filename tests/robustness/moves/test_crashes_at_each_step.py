@@ -263,7 +263,7 @@ async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_m
     await asyncio.gather(move, return_exceptions=True)
 
 
-async def test_the_sums_of_both_hosts_count_each_item_once() -> None:
+async def test_the_counters_of_both_hosts_together_count_each_item_once() -> None:
     story = Story()
     await story.move()
     items = await story.settle()

@@ -67,7 +67,7 @@ async def test_the_destination_does_not_get_the_channel_before_it_has_everything
     await story.world.aclose()
 
 
-async def test_the_permit_of_a_failed_move_is_worth_nothing() -> None:
+async def test_the_permit_of_a_failed_move_is_refused() -> None:
     """At the commit the directory is out of reach, and the hosts' connection breaks: the source takes a new epoch."""
 
     def lose(world: World) -> None:

@@ -214,7 +214,7 @@ class Outsider:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
+def test_callers_that_are_not_members_cannot_stop_the_cluster(seed: int) -> None:
     world = World(seed, size=3, fault_rates=FaultRates())
     for member in world.members.values():
         member.start()
@@ -235,7 +235,7 @@ def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_outsiders_are_forgotten_after_faults(seed: int) -> None:
+def test_members_that_outsiders_have_misled_find_each_other_after_a_restart(seed: int) -> None:
     """A member that is cut off may listen to outsiders. No process ends, and the members find each other again."""
     world = World(seed, size=3, fault_rates=draw_fault_rates(random.Random(seed)))
     world.history, world.committed, world.may_be_misled = Credulous(), Unjudged(), True

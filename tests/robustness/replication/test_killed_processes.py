@@ -89,7 +89,7 @@ async def test_acknowledged_commands_survive_the_killing_of_every_member(cluster
     assert held == [f"a{n}" for n in range(40)] + [f"b{n}" for n in range(40)]
 
 
-async def test_the_others_serve_again_after_one_is_killed(cluster: list[MemberProcess]) -> None:
+async def test_the_other_members_serve_again_after_one_is_killed(cluster: list[MemberProcess]) -> None:
     await write(cluster[0], ["before"])
     for victim in range(3):
         survivor = cluster[(victim + 1) % 3]

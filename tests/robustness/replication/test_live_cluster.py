@@ -66,7 +66,7 @@ async def test_the_leader_knows_its_tenure_and_the_others_have_none(tmp_path: Pa
 
 
 @pytest.mark.parametrize("who", ["leader", "follower"])
-async def test_the_loss_of_one_member_is_survived_and_it_catches_up_from_its_disk(tmp_path: Path, who: str) -> None:
+async def test_a_restarted_member_catches_up_from_its_disk(tmp_path: Path, who: str) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         await proposed(cluster.all[0], b"before")
         lost = await cluster.leader() if who == "leader" else (await cluster.followers())[0]
@@ -90,7 +90,7 @@ async def test_a_member_that_missed_much_catches_up_by_snapshot(tmp_path: Path) 
         assert len(commands_of(lost)) == 60
 
 
-async def test_without_a_majority_nothing_is_promised(tmp_path: Path) -> None:
+async def test_a_cluster_without_a_majority_acknowledges_nothing(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         first, second, third = cluster.all
         await proposed(first, b"before")
@@ -103,7 +103,7 @@ async def test_without_a_majority_nothing_is_promised(tmp_path: Path) -> None:
             await running(first).confirm_read(timeout=0.3)
 
 
-async def test_everything_stopped_comes_back_with_all_that_was_acknowledged(tmp_path: Path) -> None:
+async def test_a_cluster_that_was_stopped_completely_still_has_all_acknowledged_commands(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         await asyncio.gather(*(proposed(cluster.all[n % 3], b"%d" % n) for n in range(30)))
         for member in cluster.all:
@@ -245,7 +245,7 @@ async def test_pickles_and_random_bytes_at_the_port_execute_nothing(tmp_path: Pa
         ({"protocol_version": 1}, grpc.StatusCode.FAILED_PRECONDITION),
     ],
 )
-async def test_a_caller_that_is_no_member_is_turned_away(
+async def test_a_caller_that_is_not_a_member_is_refused(
     tmp_path: Path, changes: dict[str, Any], code: grpc.StatusCode
 ) -> None:
     async with LiveCluster(3, tmp_path) as cluster:

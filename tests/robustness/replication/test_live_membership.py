@@ -172,7 +172,7 @@ async def let_in(leader: ReplicatedLog, newcomer: LiveMember) -> None:
                 await asyncio.sleep(0.02)
 
 
-async def test_changes_without_effect_are_no_error_and_senseless_ones_are(tmp_path: Path) -> None:
+async def test_a_membership_change_without_effect_is_accepted_and_an_impossible_one_is_refused(tmp_path: Path) -> None:
     async with LiveCluster(1, tmp_path) as cluster:
         [only] = cluster.all
         log = running(only)

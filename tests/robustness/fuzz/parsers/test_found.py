@@ -75,11 +75,11 @@ def test_an_address_that_no_service_takes_is_refused_by_the_client(address: str)
 @pytest.mark.parametrize(
     ("address", "target"), [("rig", "rig:7580"), ("::1", "[::1]:7580"), ("[::1]:5", "[::1]:5"), ("a:1", "a:1")]
 )
-def test_an_address_that_people_write_is_taken(address: str, target: str) -> None:
+def test_an_address_as_people_write_it_is_accepted(address: str, target: str) -> None:
     assert parse_addresses(address) == (target,)
 
 
-def test_a_time_of_many_digits_is_refused_as_any_other() -> None:
+def test_a_time_with_very_many_digits_is_refused() -> None:
     with pytest.raises(InvalidArgument):
         parse_time("1" * 5000)
 
@@ -103,7 +103,7 @@ def test_a_secret_that_no_header_carries_is_refused(text: bytes, tmp_path: Path)
 
 
 @pytest.mark.parametrize("read", [load_host_id, HomeCluster])
-def test_a_hosts_notes_that_are_no_text_are_refused(read: Callable[[Path], Any], tmp_path: Path) -> None:
+def test_notes_of_a_host_that_are_not_text_are_refused(read: Callable[[Path], Any], tmp_path: Path) -> None:
     load_host_id(tmp_path)
     HomeCluster(tmp_path).note("cluster")
     for file in tmp_path.iterdir():
@@ -113,7 +113,7 @@ def test_a_hosts_notes_that_are_no_text_are_refused(read: Callable[[Path], Any],
 
 
 @pytest.mark.parametrize("body", [b"{}", b"null", NESTED, NO_TEXT, b'{"own": 1, "known": {}}', b'{"known": {"a": 1}}'])
-def test_notes_of_stores_that_are_none_are_refused(body: bytes, tmp_path: Path) -> None:
+def test_malformed_notes_of_stores_are_refused(body: bytes, tmp_path: Path) -> None:
     (tmp_path / KNOWN_STORES_NAME).write_bytes(b"%08x " % zlib.crc32(body) + body)
     with pytest.raises(StoreDamaged):
         KnownStores.open(tmp_path, had_store=True)
@@ -129,7 +129,7 @@ def test_a_members_file_that_contradicts_itself_is_refused(old: str, new: str, t
 
 
 @pytest.mark.parametrize("line", [NESTED, b"{}", b"null", NO_TEXT])
-def test_a_backup_whose_first_line_is_none_is_refused(line: bytes, tmp_path: Path) -> None:
+def test_a_backup_with_a_malformed_first_line_is_refused(line: bytes, tmp_path: Path) -> None:
     body = MAGIC + line + b"\nrecord"
     (tmp_path / "backup").write_bytes(body + hashlib.sha256(body).digest())
     with pytest.raises(StoreDamaged):
@@ -137,7 +137,7 @@ def test_a_backup_whose_first_line_is_none_is_refused(line: bytes, tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", [b"a = " + NESTED, NO_TEXT])
-def test_a_file_that_is_no_settings_file_is_refused(text: bytes, tmp_path: Path) -> None:
+def test_a_file_without_settings_is_refused(text: bytes, tmp_path: Path) -> None:
     (tmp_path / "settings.toml").write_bytes(text)
     with pytest.raises(SettingsError, match="cannot be read"):
         load_settings(

@@ -19,7 +19,7 @@ INPUTS, SECONDS = 1000, 20.0
 
 
 @pytest.mark.parametrize("name", sorted(BY_NAME))
-def test_a_parser_takes_or_refuses_any_input(name: str) -> None:
+def test_a_parser_accepts_or_refuses_any_input(name: str) -> None:
     assert run_unguided(name, inputs=INPUTS, seconds=SECONDS, seed=11)
 
 
