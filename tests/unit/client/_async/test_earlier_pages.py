@@ -98,3 +98,32 @@ async def test_a_caller_that_stops_waiting_loses_nothing(archive: Archive) -> No
     await asyncio.wait([step])
     assert step.cancelled()
     assert await rest_of(pages) == SEQS
+
+
+@pytest.mark.asyncio
+async def test_late_items_come_in_the_order_of_acceptance_and_no_step_sorts_more_than_an_answer(
+    archive: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accepted = {1: 5, 2: 1, 3: 2, 4: 8, 5: 7, 6: 3, 7: 4, 8: 6}  # the seq of the item of each time
+    sizes: list[int] = []
+
+    def sort(values: Any, **key: Any) -> list[Any]:
+        found = sorted(values, **key)
+        sizes.append(len(found))
+        return found
+
+    async def read(query: ReadQuery, as_of: int) -> Any:
+        low = 0 if query.after is None else query.after.time
+        start, end = query.interval.start.offset, query.interval.end.offset
+        times = [time for time in accepted if start <= time <= end and time > low]
+        page = Page([accepted[time] for time in times[: query.limit]], more=len(times) > (query.limit or 99))
+        page.times = times[: query.limit]
+        for item, time in zip(page, page.times, strict=True):
+            item.time = time
+        return page
+
+    monkeypatch.setattr(earlier_pages, "sorted", sort, raising=False)
+    pages = EarlierPages("cam", read, ReadQuery(ALL_TIME, match=Match.START), as_of=9)
+    await pages.begin()
+    assert await rest_of(pages) == SEQS
+    assert max(sizes) == 3
