@@ -56,11 +56,6 @@ def read_stop(folder: Path) -> CleanStop | None:
     return stop if isinstance(stop.incarnation, int) and isinstance(stop.epoch, int) else None
 
 
-def has_stop(folder: Path) -> bool:
-    """Whether there is a note."""
-    return (folder / _FILE).exists()
-
-
 def remove_stop(folder: Path) -> None:
     """Remove the note: from now on the channel takes items. Raises OSError."""
     (folder / _FILE).unlink(missing_ok=True)

@@ -118,6 +118,15 @@ class SegmentFiles(SegmentReads):
         stop = read_stop(self._folder)
         if stop is not None and not stop.is_of(incarnation, epoch):
             stop = None
+        opened = self._find(stored)
+        remove_stop(self._folder)
+        return opened._replace(stop=None if opened.torn_bytes else stop)
+
+    def open_left(self) -> None:
+        """Find the segments of a channel that this host does not serve. The note of a clean stop stays."""
+        self._find(())
+
+    def _find(self, stored: Sequence[Segment]) -> OpenedArchive:
         found, torn_bytes, damaged = [], 0, 0
         following: int | None = None
         others, numbers = {one.number: one for one in stored}, self._files.numbers()
@@ -130,9 +139,8 @@ class SegmentFiles(SegmentReads):
             if segment is not None:
                 found.append(segment)
                 following = segment.first_seq
-        remove_stop(self._folder)
         self._segments = tuple(reversed(found))
-        return OpenedArchive(self._segments, None if torn_bytes else stop, torn_bytes, damaged)
+        return OpenedArchive(self._segments, None, torn_bytes, damaged)
 
     def _below(self, segment: Segment, following: int | None) -> Segment | None:
         """A closed segment without the items from the seq `following` on, which the next segment has."""
@@ -283,18 +291,15 @@ class SegmentFiles(SegmentReads):
 
         A segment that cannot be deleted now stays in the archive until a later write.
         """
-        size = sum(one.length for one in self._segments)
-        while len(self._segments) > 1:
-            oldest = self._segments[0]
-            too_old = limits.age_nanos is not None and oldest.last_accepted < now - limits.age_nanos
+        size, outdated = sum(one.length for one in self._segments), list[int]()
+        for segment in self._segments[:-1]:
+            too_old = limits.age_nanos is not None and segment.last_accepted < now - limits.age_nanos
             if not too_old and (limits.bytes_max is None or size <= limits.bytes_max):
-                return
-            try:
-                self._files.remove(oldest.number)
-            except OSError:
-                return
-            size -= oldest.length
-            self._segments = self._segments[1:]
+                break
+            outdated.append(segment.number)
+            size -= segment.length
+        if outdated:
+            self._segments = self._segments[self._files.remove_all(outdated) :]
 
     def local_bytes(self) -> int:
         """The bytes of the segments in the folder."""

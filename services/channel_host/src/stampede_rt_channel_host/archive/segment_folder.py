@@ -6,7 +6,7 @@ import errno
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -84,6 +84,15 @@ class SegmentFolder:
     def remove(self, number: int) -> None:
         """Delete a segment, because it leaves the archive. Raises OSError."""
         self.file_of(number).unlink(missing_ok=True)
+
+    def remove_all(self, numbers: Sequence[int]) -> int:
+        """Delete segments, the first one first, up to one that cannot be deleted now. Returns how many have left."""
+        removed = 0
+        with suppress(OSError):
+            for number in numbers:
+                self.file_of(number).unlink(missing_ok=True)
+                removed += 1
+        return removed
 
 
 def _read_at_hand(file: int, offset: int, size: int) -> bytes:

@@ -19,7 +19,7 @@ def test_a_list_says_what_was_noted_added_and_removed(tmp_path: Path) -> None:
     assert known.read() is None
     known.replace(Known(3, {"a": 1, "b": 2}))
     known.add({"c d": 3, "b": 4})
-    known.remove("a")
+    known.remove(["a"])
     assert KnownObjects(tmp_path, URL).read() == Known(3, {"b": 4, "c d": 3})
     known.replace(Known(4, {}))
     assert known.read() == Known(4, {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -244,3 +245,23 @@ def test_a_store_that_is_away_refuses_to_open_a_channel_with_a_reason(tmp_path: 
     with pytest.raises(StoreError, match="network is down"):
         host(tmp_path, "a", store, 1)
     assert moving_files(tmp_path / "a", store).waiting == ()
+
+
+@pytest.mark.asyncio
+async def test_objects_that_leave_the_archive_together_take_one_write_of_the_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, synced = FakeStore(), list[int]()
+    files = host(tmp_path, "a", store, 1)
+    files.stored.note(1)
+    for number in range(6):
+        write_closed(files, 1 + 4 * number)
+    await move(files, store)
+    fsync = os.fsync
+    monkeypatch.setattr("os.fsync", lambda file: (synced.append(file), fsync(file)))
+    assert len(files.drop_outdated(ArchiveLimits(1, None), 2**62)) == 1
+    assert len(files.stored.outdated) == 5
+    assert len(synced) == 1
+    known = files.known(1, 0)
+    assert known is not None
+    assert [*known] == [one.number for one in files.segments]

@@ -327,3 +327,23 @@ async def test_no_call_of_the_store_runs_on_the_event_loop(tmp_path: Path) -> No
         one.archive.delete(CHANNEL)
         assert not await one.mover.move_all()
     assert {what.split()[0] for what in store.calls} == {"find", "create", "delete"}
+
+
+@pytest.mark.asyncio
+async def test_the_files_of_a_channel_that_stopped_cleanly_move_before_it_is_served_again(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write(3)
+        store.failure = "away"
+    store.failure = ""
+    assert len(one.local()) == 1
+    async with host(tmp_path, store) as again:
+        again.archive.start()
+        await until(lambda: again.local() == [])
+        assert len(store.objects) == 1
+        files, found = await again.archive.open(record(1))
+        assert found.stop is not None
+        assert found.stop.incarnation == 1
+        assert sum(one.items for one in found.segments) == 3
+        again.archive.give_up(files)

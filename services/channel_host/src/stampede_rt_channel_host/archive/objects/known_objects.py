@@ -85,9 +85,9 @@ class KnownObjects:
         """Delete the list. Raises OSError."""
         self._path.unlink(missing_ok=True)
 
-    def remove(self, name: str) -> None:
-        """The object has left the archive. Raises OSError as `replace`."""
-        self.add({name: 0})
+    def remove(self, names: Iterable[str]) -> None:
+        """The objects leave the archive. Raises OSError as `replace`."""
+        self.add(dict.fromkeys(names, 0))
 
 
 def _lines(objects: Mapping[str, int]) -> Iterable[str]:

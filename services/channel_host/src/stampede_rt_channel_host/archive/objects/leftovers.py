@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Protocol
 
-from stampede_rt_channel_host.archive.clean_stop import has_stop
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
 from stampede_rt_channel_host.archive.objects.stored_segments import OBJECTS
@@ -32,8 +31,7 @@ class InThread(Protocol):
 class Leftovers:
     """The folders that were in `folder` when the host started, and the channels that were deleted since.
 
-    The host does not touch the folder of a channel that stopped cleanly until it serves the channel again, because the
-    folder has the note of this stop. `open_files` makes the files of a folder.
+    If the channel stopped cleanly, its folder keeps the note of this stop. `open_files` makes the files of a folder.
     """
 
     def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:
@@ -73,9 +71,9 @@ class Leftovers:
         while self._found and len(opened) < OPENED_AT_ONCE:
             channel_id = self._found.pop()
             path = self._folder / channel_id.hex()
-            if SegmentFolder(path).numbers() and not has_stop(path) and not self.is_taken(channel_id):
+            if SegmentFolder(path).numbers() and not self.is_taken(channel_id):
                 files = self._open_files(channel_id)
-                files.open(EPOCH_MAX)
+                files.open_left()
                 files.look(0, EPOCH_MAX, None)
                 opened.append(files)
         return opened
