@@ -274,8 +274,8 @@ class Producer(BoundToProcess):
         self._moved.set()
 
 
-def _message(runs: Sequence[NumberedRun], tail: bytes) -> bytes:
-    return b"".join(piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded, tail=tail))
+def _message(runs: Sequence[NumberedRun], tail: bytes) -> list[bytes]:
+    return [piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded, tail=tail)]
 
 
 def _weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:

@@ -332,8 +332,8 @@ class PutDuplex(CallStream):
         self._on_end = on_end
         super().__init__(call, target, tasks, route)
 
-    def send(self, request: bytes) -> None:
-        """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""
+    def send(self, request: bytes | list[bytes]) -> None:
+        """Send `request`, perhaps in parts, without waiting. If the stream breaks, `on_end` gets the reason."""
         self._requests.send(request)
 
     async def _receive(self, response: channel_pb.PutResponse) -> None:

@@ -278,8 +278,8 @@ class PutDuplex(CallStream):
         self._on_end = on_end
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()
 
-    def send(self, request: bytes) -> None:
-        """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""
+    def send(self, request: bytes | list[bytes]) -> None:
+        """Send `request`, perhaps in parts, without waiting. If the stream breaks, `on_end` gets the reason."""
         self._call.send(request)
 
     def _read(self) -> None:

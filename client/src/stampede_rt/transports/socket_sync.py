@@ -7,7 +7,7 @@ import socket
 import threading
 import weakref
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from math import inf
 from queue import SimpleQueue
@@ -18,7 +18,13 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
-from stampede_rt.transports.socket_limits import KEPT_ROOM_BYTES_MAX, RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
+from stampede_rt.transports.socket_limits import (
+    JOINED_BYTES_MAX,
+    KEPT_ROOM_BYTES_MAX,
+    RECEIVE_BYTES,
+    RECEIVED_BYTES_MAX,
+    SILENCE_S_MAX,
+)
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
@@ -26,6 +32,7 @@ from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_o
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
+PARTS_MAX = 64  # of a request that is sent without joining its parts
 
 
 class SocketCall:
@@ -72,13 +79,16 @@ class SocketCall:
         return self._backlog.writes
 
     def send(self, request: Any) -> None:
-        """Send `request`. If the stream has ended, `__next__` raises the reason."""
+        """Send `request`. If the stream has ended, `__next__` raises the reason.
+
+        A list has the bytes of an encoded request in parts, which must not change any more.
+        """
         encode = self._method.encode
-        encoded: bytes = request if encode is None else encode(request)
+        encoded: bytes | list[bytes] = request if encode is None else encode(request)
         try:
             with self._mutex:
-                for message in messages_of(encoded, SOCKET_MESSAGE_BYTES_MAX):
-                    self._write((head_of(FrameKind.MESSAGE, len(message)), message))
+                for buffers in _buffers_of(encoded):
+                    self._write(buffers)
         except BaseException:  # an interrupt: the host may have half of a frame
             self.cancel()
             raise
@@ -154,7 +164,7 @@ class SocketCall:
             raise cancelled()
         return min(left_s, SILENCE_S_MAX)
 
-    def _write(self, buffers: Sequence[bytes]) -> None:
+    def _write(self, buffers: Buffers) -> None:
         """Send as much as the system takes now.
 
         Send the rest on this thread or on another one. The caller holds the mutex.
@@ -244,6 +254,16 @@ class _Backlog:
     def close(self) -> None:
         """End the thread, once the socket is shut."""
         self._queue.put(None)
+
+
+def _buffers_of(request: bytes | list[bytes]) -> Iterator[Buffers]:
+    """Yield the frames of a request, each in parts. To join parts of 900 KB would take as long as to send them."""
+    size = sum(map(len, request)) if isinstance(request, list) and len(request) <= PARTS_MAX else 0
+    if JOINED_BYTES_MAX < size <= SOCKET_MESSAGE_BYTES_MAX:
+        yield head_of(FrameKind.MESSAGE, size), *request
+        return
+    for message in messages_of(request, SOCKET_MESSAGE_BYTES_MAX):
+        yield head_of(FrameKind.MESSAGE, len(message)), message
 
 
 def _send_some(connected: socket.socket, left: Buffers) -> Buffers:

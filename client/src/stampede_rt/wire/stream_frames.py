@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from struct import Struct
 
@@ -42,14 +42,21 @@ def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
 class FrameReader:
     """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one room."""
 
-    __slots__ = ("_bytes_max", "_came_bytes", "_kept_bytes_max", "_kept_room", "_partial", "_wanted_bytes")
+    __slots__ = ("_bytes_max", "_came_bytes", "_kept_bytes_max", "_kept_room", "_new_room", "_partial", "_wanted_bytes")
 
-    def __init__(self, bytes_max: Mapping[FrameKind, int], kept_bytes_max: int = 0) -> None:
+    def __init__(
+        self,
+        bytes_max: Mapping[FrameKind, int],
+        kept_bytes_max: int = 0,
+        new_room: Callable[[int], bytearray] = bytearray,
+    ) -> None:
         """`bytes_max`: the longest body of each kind of frame that may come.
 
         `kept_bytes_max`: the reader writes each frame of up to this length into the same room, and keeps that room.
-        New memory for each frame would cost a page fault for each 4 KiB.
+        New memory for each frame would cost a page fault for each 4 KiB. `new_room` gives the room for a frame of a
+        stated length; it may be longer.
         """
+        self._new_room = new_room
         self._kept_bytes_max = kept_bytes_max
         self._kept_room = bytearray()
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
@@ -100,7 +107,7 @@ class FrameReader:
     def _room_for(self, frame_bytes: int) -> bytearray:
         if len(self._kept_room) >= frame_bytes:
             return self._kept_room
-        room = bytearray(frame_bytes)
+        room = self._new_room(frame_bytes)
         if frame_bytes <= self._kept_bytes_max:
             self._kept_room = room
         return room
@@ -109,6 +116,18 @@ class FrameReader:
         """Take bytes that were written to `room`. Returns the frame if it is complete now."""
         self._came_bytes += more_bytes
         return [self._whole()] if self._came_bytes == self._wanted_bytes else []
+
+    def filled_room(self, more_bytes: int) -> tuple[int, memoryview] | None:
+        """As `filled`. The body of the frame is a view of its room, and is not copied. None: the frame is unfinished.
+
+        The room belongs to the caller from now on.
+        """
+        self._came_bytes += more_bytes
+        if self._came_bytes < self._wanted_bytes:
+            return None
+        room, end = self._partial, self._wanted_bytes
+        self.drop()
+        return room[4], memoryview(room)[HEAD_BYTES:end]
 
     def drop(self) -> None:
         """Free the bytes of an unfinished frame, if no more bytes will come."""

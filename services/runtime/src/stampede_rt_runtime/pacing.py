@@ -142,7 +142,7 @@ class PacedContext:
         if not self._writes.admits(self._caller):
             await self._writes.turn(self._caller)
 
-    def answer_at_once(self, take: Callable[[bytes, Callable[[bytes], None]], bool]) -> None:
+    def answer_at_once(self, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
         """See `SocketContext`. Streams over gRPC have no such way.
 
         `take` gets a message only if the caller need not wait for its turn. The caller pays for the work of `take`.
@@ -154,8 +154,8 @@ class PacedContext:
     def _take_at_once(
         self,
         budget: AtOnceBudget,
-        take: Callable[[bytes, Callable[[bytes], None]], bool],
-        message: bytes,
+        take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool],
+        message: bytes | memoryview,
         write: Callable[[bytes], None],
     ) -> bool:
         if self._work.must_wait or not budget.is_left():

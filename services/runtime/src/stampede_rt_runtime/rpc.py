@@ -22,7 +22,7 @@ Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-def answer_at_once(context: Context, take: Callable[[bytes, Callable[[bytes], None]], bool]) -> None:
+def answer_at_once(context: Context, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
     """Let `take` answer messages in the turn of the event loop in which they come, if the transport can do so.
 
     `take` gets an encoded message for which the method waits in `context.read`, and a function that writes a message.

@@ -217,3 +217,41 @@ def test_a_write_begins_as_soon_as_there_is_enough_for_it_and_waits_while_the_di
         return written
 
     assert asyncio.run(scenario()) == ([0, 0, 0, 0] if is_full else [0, 0, 3, 3])
+
+
+def test_items_that_come_during_a_write_gather_for_a_later_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario() -> int:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
+        recorder, put = recorded(archive, tmp_path / "c")
+        disk = SlowDisk(monkeypatch)
+        put()
+        archive.hurry()
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        put()
+        disk.go_on.set()
+        await until(lambda: recorder.archived_to > 1)
+        gathered = recorder.backlog_items
+        archive.hurry()
+        await until(lambda: not recorder.backlog_items)
+        await archive.close([])
+        return gathered
+
+    assert asyncio.run(scenario()) == 1
+
+
+def test_more_items_than_one_write_takes_are_written_without_a_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> None:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.RUNS_PER_WRITE", 2)
+        recorder, put = recorded(archive, tmp_path / "c")
+        for _ in range(5):
+            put()
+        archive.hurry()
+        await until(lambda: not recorder.backlog_items)
+        await archive.close([])
+
+    asyncio.run(scenario())

@@ -31,8 +31,8 @@ class Duplex:
         self.on_response, self.on_end = on_response, on_end
         self.sent: list[pb.PutRequest] = []
 
-    def send(self, request: bytes) -> None:
-        self.sent.append(pb.PutRequest.FromString(request))
+    def send(self, request: bytes | list[bytes]) -> None:
+        self.sent.append(pb.PutRequest.FromString(b"".join(request) if isinstance(request, list) else request))
 
     @property
     def numbers(self) -> list[int]:

@@ -259,3 +259,15 @@ def test_messages_stay_as_they_came_when_later_ones_come(pair: tuple[socket.sock
         received.append(next(call))
         writing.join()
     assert received == sent
+
+
+@pytest.mark.parametrize(("parts", "size", "messages"), [(4, 2**18, 1), (1000, 300, 1), (5, 2**20, 5), (3, 10, 1)])
+def test_a_request_in_parts_comes_as_one(
+    pair: tuple[socket.socket, FarEnd], parts: int, size: int, messages: int
+) -> None:
+    call, far = opened(pair, in_turn=False)
+    request = [bytes([number % 251]) * size for number in range(parts)]
+    call.send(request)
+    found = [far.message() for _ in range(messages)]
+    whole = found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)
+    assert whole == b"".join(request)

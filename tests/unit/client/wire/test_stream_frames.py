@@ -148,3 +148,19 @@ def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int,
     assert found == [(FrameKind.MESSAGE, body)]
     assert (reader.unfinished_bytes, reader.missing_bytes) == (0, 0)
     assert reader.feed(whole) == found
+
+
+def test_the_body_of_a_long_frame_may_be_taken_as_a_view_of_a_room_that_somebody_else_gave() -> None:
+    rooms = [bytearray(400), bytearray(400)]
+    reader = FrameReader(LIMITS, new_room=lambda frame_bytes: rooms[frame_bytes % 2])
+    for body in (b"a" * 300, b"b" * 200, b"c" * 299):
+        whole = frame_of(FrameKind.MESSAGE, body)
+        assert reader.feed(whole[:7]) == []
+        reader.room()[:90] = whole[7:97]
+        assert reader.filled_room(90) is None
+        reader.room()[:] = whole[97:]
+        frame = reader.filled_room(len(whole) - 97)
+        assert frame is not None
+        assert (frame[0], bytes(frame[1])) == (FrameKind.MESSAGE, body)
+        assert frame[1].obj is rooms[len(whole) % 2]
+        assert reader.unfinished_bytes == 0

@@ -5,7 +5,7 @@ import asyncio
 from stampede_rt_runtime.quotas.accounts import Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS
 from stampede_rt_runtime.quotas.loop_shares import LoopShares
-from stampede_rt_runtime.sockets.frame_buffers import PLACE_BYTES, PLACES, FrameBuffers
+from stampede_rt_runtime.sockets.frame_buffers import PLACE_BYTES, PLACES, ROOMS_KEPT, FrameBuffers
 
 
 async def test_a_caller_with_many_long_frames_takes_no_place_of_another() -> None:
@@ -92,3 +92,28 @@ async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> No
         place.leave(2**18)
         begun += 1
     assert 1 <= begun <= 2 * PLACES
+
+
+def test_the_room_of_a_frame_serves_later_ones_unless_somebody_has_a_view_of_it() -> None:
+    buffers = FrameBuffers()
+    room = buffers.room(1000)
+    assert len(room) == 1000
+    buffers.give_back(room)
+    assert buffers.room(900) is room
+    view = memoryview(room)[10:20]
+    buffers.give_back(room)
+    assert buffers.room(900) is not room
+    assert len(room) == 1000
+    view.release()
+    buffers.give_back(room)
+    assert buffers.room(1001) is not room
+    assert buffers.room(1000) is room
+
+
+def test_few_rooms_are_kept_the_longest_ones() -> None:
+    buffers = FrameBuffers()
+    rooms = [buffers.room(100 * (at % 7 + 1)) for at in range(7)]
+    for room in rooms:
+        buffers.give_back(room)
+    kept = {id(buffers.room(1)) for _ in range(ROOMS_KEPT)}
+    assert kept == {id(room) for room in rooms[-ROOMS_KEPT:]}

@@ -24,13 +24,15 @@ Part = list[ArchivedRun] | SeqGap | Advances
 
 
 class WriteJob(NamedTuple):
-    """The items that one write appends to the files of one channel. `end_seq`: the seq after them."""
+    """The items that one write appends to the files of one channel. `end_seq`: the seq after them. `is_full`: more
+    items wait than one write takes.
+    """
 
     files: SegmentFiles
     parts: list[Part]
     limits: ArchiveLimits
     end_seq: int
-    bytes: int
+    is_full: bool
 
 
 class ChannelRecorder:
@@ -194,7 +196,7 @@ class ChannelRecorder:
             if expected < self._channel.next_seq:
                 parts.append(SeqGap(expected, self._channel.next_seq))
                 expected = self._channel.next_seq
-        return WriteJob(self.files, parts, self.limits, expected, size)
+        return WriteJob(self.files, parts, self.limits, expected, expected < self._channel.next_seq)
 
     def _add(self, parts: list[Part], run: Run) -> int:
         at = bisect_right(self._ends, run.first_seq)

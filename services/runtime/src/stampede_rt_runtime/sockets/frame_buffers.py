@@ -21,6 +21,11 @@ PLACE_BYTES = 2**18
 """The long frames of one caller that come at the same time take PLACES at most, one for each PLACE_BYTES of a frame.
 
 To read 256 KiB takes about 0.1 ms."""
+ROOMS_KEPT = 4
+"""The rooms of former frames that the port keeps for the next ones.
+
+New memory for each frame would be filled with zeros first, and cost a page fault for each 4 KiB.
+"""
 
 
 class _Line:
@@ -46,11 +51,29 @@ class _Line:
 
 
 class FrameBuffers:
-    """One buffer for all short reads, and the places for long frames. A caller without quotas needs no place."""
+    """One buffer for all short reads; rooms and places for long frames. A caller without quotas needs no place."""
 
     def __init__(self) -> None:
         self.short = memoryview(bytearray(SHORT_BYTES))
+        self._rooms: list[bytearray] = []
         self._lines: WeakKeyDictionary[Account, _Line] = WeakKeyDictionary()
+
+    def room(self, frame_bytes: int) -> bytearray:
+        """Memory for a long frame. It may be longer than the frame."""
+        for at, one in enumerate(self._rooms):
+            if len(one) >= frame_bytes:
+                return self._rooms.pop(at)
+        return bytearray(frame_bytes)
+
+    def give_back(self, room: bytearray) -> None:
+        """Keep the memory of a frame for later ones, unless somebody still has a view of it."""
+        try:
+            room.append(room.pop())  # refuses while there are views
+        except BufferError:
+            return
+        self._rooms.append(room)
+        if len(self._rooms) > ROOMS_KEPT:
+            self._rooms.remove(min(self._rooms, key=len))
 
     def place(self, caller: Account) -> FramePlace:
         """A place for one stream of the caller. It is not taken yet."""

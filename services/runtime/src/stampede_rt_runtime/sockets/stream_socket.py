@@ -7,19 +7,19 @@ import os
 import socket
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from grpc.aio import EOF, InternalError
 
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
-from stampede_rt.v1 import socket_stream_pb2 as pb
-from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, Frame, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, FrameReader, frame_of, head_of
 from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.quotas.subjects import machine_of
 from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers, FramePlace
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
 from stampede_rt_runtime.sockets.openings import opening_in, unfinished, unread_by_peer
+from stampede_rt_runtime.sockets.socket_owner import SocketOwner
 from stampede_rt_runtime.sockets.tickets import Proof
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
@@ -32,21 +32,11 @@ LOCAL_PEER = "unix:"
 ALIVE = frame_of(FrameKind.ALIVE)
 
 Write = Callable[[bytes], None]
-AtOnce = Callable[[bytes, Write], bool]
-"""Takes a message and writes the response in the same turn of the event loop. Returns False if it has not taken it."""
+AtOnce = Callable[[bytes | memoryview, Write], bool]
+"""Takes a message and writes the response in the same turn of the event loop. Returns False if it has not taken it.
 
-
-class SocketOwner(Protocol):
-    """Learns of the events of its connections."""
-
-    def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
-        """Called when the opening has come. May raise a StampedeError."""
-
-    def failed(self, connection: StreamSocket, error: StampedeError) -> None:
-        """Called when the peer has broken the rules of frames. The owner must call `end`."""
-
-    def lost(self, connection: StreamSocket) -> None:
-        """Called when the peer has gone, or the connection was closed here."""
+It must keep no view of the message: another message overwrites it.
+"""
 
 
 class StreamSocket(asyncio.BufferedProtocol):
@@ -54,7 +44,7 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def __init__(
         self,
-        owner: SocketOwner,
+        owner: SocketOwner[StreamSocket],
         limits: Limits,
         hangups: HangupWatcher,
         buffers: FrameBuffers,
@@ -74,7 +64,9 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
         message_bytes_max = limits.socket_request_bytes_max
-        self._frames = FrameReader({opening: OPENING_BYTES_MAX, message: message_bytes_max, FrameKind.END: 0})
+        self._frames = FrameReader(
+            {opening: OPENING_BYTES_MAX, message: message_bytes_max, FrameKind.END: 0}, new_room=buffers.room
+        )
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
@@ -108,16 +100,13 @@ class StreamSocket(asyncio.BufferedProtocol):
         if self.is_over:
             return
         try:
-            whole = self._frames_in(came_bytes)
-            if len(whole) != 1 or not self._answer(*whole[0]):
-                for kind, body in whole:
-                    self._take(kind, body)
+            is_whole = self._fill(came_bytes) if self._is_filling else self._feed(came_bytes)
         except StampedeError as error:
             self._owner.failed(self, error)
             return
         if not self._frames.unfinished_bytes:
             self._frame_since_s = None
-        elif not self._is_paused and (whole or self._frame_since_s is None):
+        elif not self._is_paused and (is_whole or self._frame_since_s is None):
             self._frame_since_s = self._loop.time()
         if self._must_wait_for_place():
             self._pause()
@@ -125,13 +114,28 @@ class StreamSocket(asyncio.BufferedProtocol):
         elif self._unread_bytes > self._limits.unread_bytes_max:
             self._pause()
 
-    def _frames_in(self, came_bytes: int) -> list[Frame]:
-        if not self._is_filling:
-            return self._frames.feed(self._buffers.short[:came_bytes])
-        whole = self._frames.filled(came_bytes)
-        if whole:
-            self._leave_place()
-        return whole
+    def _feed(self, came_bytes: int) -> bool:
+        """Take bytes of the short memory. Returns whether a frame is complete."""
+        whole = self._frames.feed(self._buffers.short[:came_bytes])
+        if len(whole) != 1 or not self._answer(*whole[0]):
+            for kind, body in whole:
+                self._take(kind, body)
+        return bool(whole)
+
+    def _fill(self, came_bytes: int) -> bool:
+        """Take bytes of a long frame. Returns whether it is complete. Copies it only if it must wait."""
+        frame = self._frames.filled_room(came_bytes)
+        if frame is None:
+            return False
+        self._leave_place()
+        kind, body = frame
+        room = body.obj
+        assert isinstance(room, bytearray), "see `FrameBuffers.room`"
+        if not self._answer(kind, body):
+            self._take(kind, bytes(body))
+        del frame, body
+        self._buffers.give_back(room)
+        return True
 
     def _must_wait_for_place(self) -> bool:
         """Whether a long frame has begun that must wait for a place. If it need not wait, it takes its place now."""
@@ -296,7 +300,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         """Whether the connection is closed, or will be soon. From then on uvloop's transport takes no calls."""
         return self._is_lost or self._transport.is_closing()
 
-    def _answer(self, kind: int, body: bytes) -> bool:
+    def _answer(self, kind: int, body: bytes | memoryview) -> bool:
         """Let `at_once` take a message if the method waits for one, and the peer takes the written bytes.
 
         So most requests with short work need no other turn of the loop, and no switch of tasks.

@@ -62,10 +62,11 @@ async def test_a_single_put_is_acked_in_the_turn_in_which_it_comes() -> None:
 @pytest.mark.parametrize("payload_bytes", [4096, 18_000, 250_000])
 async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_bytes_come(payload_bytes: int) -> None:
     async with stream_of("Put") as (stream, channel):
-        for number in (1, 2):
-            [ack] = acks_in(stream.send(put_of(channel, number, bytes(payload_bytes))))
+        payloads = [bytes([number]) * (payload_bytes - number) for number in range(1, 4)]
+        for number, payload in enumerate(payloads, start=1):
+            [ack] = acks_in(stream.send(put_of(channel, number, payload)))
             assert ack.first_seq == number
-        assert (await channel.get()).payloads == [bytes(payload_bytes)] * 2
+        assert (await channel.get()).payloads == payloads
 
 
 @pytest.mark.parametrize(("runs", "is_at_once"), [(16, True), (17, False)])

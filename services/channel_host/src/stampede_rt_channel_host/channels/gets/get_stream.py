@@ -91,14 +91,14 @@ class GetStream:
             self._outbox.close()
             self._store.scheduler.begin(self._cancelling())
 
-    def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
+    def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Perform a get that does not wait, and write its answer, or its first message. Returns False for other
         requests.
         """
         if self._calls or not self._outbox.is_empty or len(raw) > REQUEST_BYTES_MAX:
             return False
         try:
-            call = self._plans.read(raw)
+            call = self._plans.read(bytes(raw))
         except StampedeError:  # the loop that reads the requests raises the same error
             return False
         if call.plan is None or call.plan.wait_nanos or call.plan.group is not None:

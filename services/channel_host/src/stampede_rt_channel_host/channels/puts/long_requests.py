@@ -23,6 +23,7 @@ _NUMBER_TAGS = {1 << 3, 2 << 3}  # first_number and wait_nanos of a run
 _RUN_TAG = 3 << 3 | 2
 _TAIL_BYTES_MAX = 8192  # the most bytes of the fields after a run, such as a message id and an origin
 
+Encoded = bytes | bytearray | memoryview
 Head = TypeVar("Head")
 Run = TypeVar("Run")
 
@@ -37,7 +38,7 @@ class LongRequest(NamedTuple):
     runs: list[tuple[Any, memoryview]]
 
 
-def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
+def read_long(raw: Encoded, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
     """Decode a request whose fields come in the order of their numbers, as all protobuf encoders write them.
 
     Returns None for a short request, and for any other form, which protobuf decodes or refuses. But protobuf does not
@@ -53,7 +54,7 @@ def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[
     return found
 
 
-def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
+def _read(raw: Encoded, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
     view, runs = memoryview(raw), []
     try:
         at = _end_of_head(raw)
@@ -75,7 +76,7 @@ def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run]
     return LongRequest(decoded_head, runs)
 
 
-def _end_of_head(raw: bytes | bytearray) -> int:
+def _end_of_head(raw: Encoded) -> int:
     """The position after the fields of the head, which come before the runs."""
     at = 0
     while raw[at] in _HEAD_TAGS:
@@ -87,7 +88,7 @@ def _end_of_head(raw: bytes | bytearray) -> int:
     return at
 
 
-def _run_in(raw: bytes | bytearray, at: int) -> tuple[int, slice]:
+def _run_in(raw: Encoded, at: int) -> tuple[int, slice]:
     """The position of the run's tag in the message that begins at `at`, and the slice of `raw` that is the run.
 
     The slice is (-1, -1) if the message does not have the usual form.

@@ -40,7 +40,7 @@ class PutRequest(NamedTuple):
     puts: deque[Put]
 
 
-def read_request(raw: bytes | bytearray) -> PutRequest:
+def read_request(raw: bytes | bytearray | memoryview) -> PutRequest:
     """Decode a whole request. Raises InvalidArgument if `raw` is no PutRequest, or holds a piece of another request."""
     long = read_long(raw, raw_run_pb2.RawPutRequest, raw_run_pb2.RawPutRun, "PutRequest")
     if long is not None:

@@ -123,7 +123,7 @@ class PutStream:
         is_single = bool(request.channel_id) and len(request.puts) == 1
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
-    def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
+    def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Judge the few runs of a request, which surely need not wait, and write their acks.
 
         Returns False for any other message.
