@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -42,11 +42,11 @@ LATE = ("destination: has removed the heir", "destination: releases the source",
 
 
 class Hosts:
-    """Two hosts. The plan of each is a file with a step, a signal and a process. A test's channel is at `source`."""
+    """Some hosts. The plan of each is a file with a step, a signal and a process. A test's channel is at `source`."""
 
-    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
+    def __init__(self, cluster: LocalCluster, folder: Path, names: Sequence[str] = ("left", "right")) -> None:
         self.cluster, self.folder = cluster, folder
-        self.processes = {name: self._made(name) for name in ("left", "right")}
+        self.processes = {name: self._made(name) for name in names}
 
     def _made(self, name: str) -> ServiceProcess:
         words = ["--plan", str(self.folder / name), "--listen", "localhost:0", "--name", name, "--drain-seconds", "0"]
@@ -56,7 +56,7 @@ class Hosts:
         return process
 
     def ready(self) -> None:
-        """Start what has been killed, and wait for both."""
+        """Start what has been killed, and wait for all."""
         for one in self.processes.values():
             if not one.alive:
                 again(one)
@@ -65,7 +65,7 @@ class Hosts:
 
     def plan(self, step: str, victim: ServiceProcess, number: signal.Signals, source: str, destination: str) -> Path:
         """Plan a signal to the victim at this step of the move. Returns the file. The host removes it at that step."""
-        plan = self.folder / (source if step in SOURCE_STEPS else destination)
+        plan = self.folder / (source if step.startswith("source") else destination)
         plan.write_text(f"{step}|{victim.pid}|{int(number)}")
         return plan
 

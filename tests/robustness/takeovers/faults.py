@@ -11,6 +11,7 @@ from stampede_rt.errors import StampedeError
 from tests.robustness.takeovers.world import Cluster
 
 FAULTY_SECONDS = 30.0
+LEASE_ENDS_SECONDS = 7.0
 
 
 class Faults:
@@ -27,7 +28,7 @@ class Faults:
         """One fault after the other, some of them at the same time."""
         cluster, rng, running = self.cluster, self.rng, []
         faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
-        faults += [self.kill_behind_slow_links, self.kill_alone]
+        faults += [self.kill_behind_slow_links, self.kill_alone, self.kill_twice]
         ends_s = self.cluster.clock.now_s + FAULTY_SECONDS
         while self.cluster.clock.now_s < ends_s:
             await asyncio.sleep(rng.uniform(0.2, 5.0))
@@ -68,6 +69,23 @@ class Faults:
         await asyncio.sleep(self.rng.uniform(1.0, 2.0))
         self.cluster.slow_s.pop(owner, None)
         await self.kill(owner)
+
+    async def kill_twice(self, number: int) -> None:
+        """One replica lacks the latest items, the owner dies, and then the next owner dies, too."""
+        owner = self.owner_number()
+        behind = self.rng.choice([one for one in self.cluster.hosts if one != owner])
+        self.cluster.slow_s[behind] = self.rng.choice((0.3, 0.6, 0.9))
+        await asyncio.sleep(self.rng.uniform(0.6, 2.0))
+        if self.cluster.hosts[owner].alive:
+            self.cluster.kill(owner)
+        self.cluster.slow_s.pop(behind, None)
+        ends_s = self.cluster.clock.now_s + LEASE_ENDS_SECONDS
+        while self.owner_number() == owner and self.cluster.clock.now_s < ends_s:  # noqa: ASYNC110 - in virtual time
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(self.rng.choice((0.0, 0.5, 3.0)) * self.rng.random())
+        await self.kill(self.owner_number())
+        if not self.cluster.hosts[owner].alive:
+            self.cluster.start(owner)
 
     async def kill_alone(self, number: int) -> None:
         """The owner reaches nobody but its callers, and then dies."""

@@ -273,8 +273,12 @@ class Cluster(World):
 
 
 def serving(cluster: Cluster) -> list[int]:
-    """The hosts that serve the channel, at whatever epoch."""
-    found = []
+    """The hosts that serve the channel, at whatever epoch.
+
+    Leaves out a former owner that has not heard of a commit: its channel is held, so it has the items of the new owner.
+    """
+    found: dict[int, int] = {}
+    held = set()
     for number, host in cluster.hosts.items():
         hosted = host.store.known(cluster.channel_id)
         if hosted is None or hosted.copy is not None or not host.running.is_set():
@@ -283,8 +287,11 @@ def serving(cluster: Cluster) -> list[int]:
             host.store.find(cluster.channel_id, hosted.epoch)
         except StampedeError:
             continue
-        found.append(number)
-    return found
+        found[number] = hosted.epoch
+        if hosted.moving is not None and hosted.moving.is_held:
+            held.add(number)
+    newest = max(found.values(), default=0)
+    return [number for number, epoch in found.items() if epoch == newest or number not in held]
 
 
 __all__ = ["Cluster", "LeasedHost", "id_of", "serving"]
