@@ -87,7 +87,7 @@ def test_a_copy_of_a_handle_is_the_handle(rt: st.Connection) -> None:
         assert copy.copy(handle) is handle
 
 
-def test_an_object_at_work_says_that_it_cannot_be_pickled_or_copied(cluster: LocalCluster) -> None:
+def test_an_object_with_an_open_stream_cannot_be_pickled_or_copied(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="passing-peer") as rt:
         channel, queue = rt.channel("passing/busy"), rt.queue("passing/busy-queue")
         group = rt.group("passing/busy-group", [channel])
@@ -117,7 +117,7 @@ def test_a_secret_that_was_an_argument_is_never_pickled(cluster: LocalCluster) -
         assert secret.encode() not in pickle.dumps(rt.channel("passing/secret"))
 
 
-async def test_handles_of_asyncio_say_that_they_cannot_be_pickled(cluster: LocalCluster) -> None:
+async def test_asyncio_handles_cannot_be_pickled(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address) as rt:
         channel = await rt.channel("passing/aio")
         assert copy.deepcopy(channel) is channel

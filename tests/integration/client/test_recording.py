@@ -39,7 +39,7 @@ def items_of(path: Path, channel: str) -> list[st.Item]:
     return [event.to_item() for event in events if isinstance(event, FileEntry) and event.topic.name == channel]
 
 
-def test_the_past_and_the_future_of_a_channel_are_recorded(rt: st.Connection, tmp_path: Path) -> None:
+def test_held_items_and_new_items_of_a_channel_are_recorded(rt: st.Connection, tmp_path: Path) -> None:
     channel, path = rt.channel("both", max_age="1h"), tmp_path / "a.mcap"
     base = st.now() - 300_000 * MS
     channel.put(b"too old", time=base - 600_000 * MS)
@@ -99,7 +99,7 @@ def test_a_glob_follows_channels_that_appear_later_from_their_first_item(rt: st.
     assert [item.payload for item in items_of(path, "rig/two")] == [b"0", b"1", b"2", b"3", b"4"]
 
 
-def test_advances_are_recorded_behind_the_items_that_they_follow(rt: st.Connection, tmp_path: Path) -> None:
+def test_advances_are_recorded_after_the_items_that_they_follow(rt: st.Connection, tmp_path: Path) -> None:
     channel, path = rt.channel("advancing", max_age="1h"), tmp_path / "a.mcap"
     base = st.now() - 10_000 * MS
     with rt.record(channel, path):
@@ -145,7 +145,7 @@ def test_a_slow_recording_names_exactly_the_items_that_it_lost(
     assert verify(path).summary.channels[0].gaps == counts.gaps
 
 
-def test_more_of_the_past_than_the_channel_holds_is_a_named_gap(rt: st.Connection, tmp_path: Path) -> None:
+def test_a_start_before_the_oldest_item_is_recorded_as_a_gap(rt: st.Connection, tmp_path: Path) -> None:
     channel = rt.channel("short", max_items=3)
     for number in range(10):
         channel.put(b"%d" % number)
@@ -159,7 +159,9 @@ def test_more_of_the_past_than_the_channel_holds_is_a_named_gap(rt: st.Connectio
     assert not summary.complete
 
 
-def test_a_deleted_channel_ends_with_a_gap_and_the_others_go_on(rt: st.Connection, tmp_path: Path) -> None:
+def test_a_deleted_channel_ends_with_a_gap_and_other_channels_are_still_recorded(
+    rt: st.Connection, tmp_path: Path
+) -> None:
     gone, stays = rt.channel("gone"), rt.channel("stays")
     with rt.record([gone, stays], tmp_path / "a.mcap") as recorder:
         gone.put(b"1")
@@ -235,7 +237,7 @@ def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
     assert counts.gaps[-1].reason == "NOT_READ"
 
 
-def test_a_lost_host_ends_an_incarnation_with_a_gap_and_the_next_one_follows(
+def test_the_recording_of_a_lost_channel_has_a_gap_and_continues_with_its_next_incarnation(
     mortal: LocalCluster, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.mcap"

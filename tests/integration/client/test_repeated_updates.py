@@ -151,7 +151,7 @@ async def test_a_host_passes_on_how_old_its_callers_request_is() -> None:
 
 
 @pytest.mark.parametrize("update", [configure, delete, configure_in_thread])
-async def test_the_time_that_the_machine_slept_counts_for_the_age(
+async def test_the_age_of_an_update_includes_the_time_that_the_machine_slept(
     update: Callable[[str], Awaitable[None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     boottime, slept_s = time.clock_gettime, 0.0
@@ -168,6 +168,6 @@ async def test_the_time_that_the_machine_slept_counts_for_the_age(
 
 
 @pytest.mark.parametrize("told", ["-1", "1.5", "", "٣", "9" * 13])
-def test_a_value_that_is_no_age_is_refused(told: str) -> None:
+def test_an_invalid_age_of_an_update_is_refused(told: str) -> None:
     with pytest.raises(stampede_rt.InvalidArgument, match="whole milliseconds"):
         request_age_nanos([(METADATA_KEY, told)])

@@ -37,7 +37,7 @@ def drive(tmp_path: Path) -> Path:
     return write(tmp_path / "drive.mcap", [*events, gap("cam", 12, 14), *after, *entries("imu", range(1, 11))])
 
 
-def test_items_advances_and_gaps_survive(rt: st.Connection, drive: Path) -> None:
+def test_a_replay_has_the_items_advances_and_gaps_of_the_file(rt: st.Connection, drive: Path) -> None:
     summary = rt.replay_file(drive, "one/", speed=0, shift="now").wait()
     assert summary is not None
     assert summary.items == {"one/cam": 17, "one/imu": 10}
@@ -137,7 +137,7 @@ def test_a_part_of_a_file_is_played(rt: st.Connection, drive: Path) -> None:
         rt.replay_file(drive, channels="other")
 
 
-def test_a_loop_plays_until_it_is_stopped_and_its_times_rise(rt: st.Connection, tmp_path: Path) -> None:
+def test_a_looped_replay_plays_with_rising_times_until_it_is_stopped(rt: st.Connection, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", entries("cam", range(1, 6)))
     with rt.replay_file(path, "loop/", loop=True, shift="now") as player:
         channel = rt.channel("loop/cam", create=False)
@@ -158,7 +158,7 @@ def test_two_topics_that_would_become_one_channel_are_refused(rt: st.Connection,
 
 
 @pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "xdf"])
-def test_files_of_other_programs_become_channels(rt: st.Connection, tmp_path: Path, kind: str) -> None:
+def test_files_of_other_programs_are_imported(rt: st.Connection, tmp_path: Path, kind: str) -> None:
     if kind == "foxglove":
         path, name, count = foxglove_file(tmp_path / "a.mcap"), "pose", 100
     elif kind == "xdf":
@@ -175,7 +175,9 @@ def test_files_of_other_programs_become_channels(rt: st.Connection, tmp_path: Pa
         assert found[1].value == ({"x": 1} if kind == "foxglove" else [2.5])
 
 
-def test_imported_items_are_recorded_and_come_back_the_same(rt: st.Connection, drive: Path, tmp_path: Path) -> None:
+def test_imported_items_are_the_same_after_a_recording_and_another_import(
+    rt: st.Connection, drive: Path, tmp_path: Path
+) -> None:
     rt.import_file(drive, "again/").wait()
     channel, path = rt.channel("again/imu", create=False), tmp_path / "b.mcap"
     with rt.record("again/imu", path, since="oldest"):
@@ -200,7 +202,7 @@ def test_a_channel_that_is_deleted_during_a_replay_ends_it_with_an_error(rt: st.
     assert player.summary is None
 
 
-def test_an_item_that_no_channel_takes_is_counted_as_refused(rt: st.Connection, tmp_path: Path) -> None:
+def test_a_refused_item_is_counted(rt: st.Connection, tmp_path: Path) -> None:
     attributes = {f"key{number}": "x" * 1000 for number in range(1000)}
     bad = item_entry(topic(), item(2))._replace(attributes=attributes)
     path = write(tmp_path / "a.mcap", [item_entry(topic(), item(1)), bad, item_entry(topic(), item(3))])

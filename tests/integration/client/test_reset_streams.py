@@ -79,7 +79,7 @@ async def opened(rt: Any, made: Any) -> Any:
     return found if isinstance(found, AwaitableBlocking) else AwaitableBlocking(found, rt._pool)
 
 
-async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:
+async def test_a_reset_stream_is_internal_for_grpc_and_unavailable_for_the_client(world: World) -> None:
     """Users met the fault in this form. The other tests of this file cause it, too."""
     async with dial(world.host, secret=world.secret) as channel:
         call = channel_service_pb2_grpc.ChannelServiceStub(channel).Get()
@@ -93,7 +93,7 @@ async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavaila
         assert (type(told), told.retryable) == (st.Unavailable, True)
 
 
-async def test_puts_and_gets_go_on_over_resets(world: World, rt: Any) -> None:
+async def test_puts_and_gets_continue_after_resets(world: World, rt: Any) -> None:
     channel = await rt.channel(f"reset/put-{st.now()}", max_age="60s")
     for number in range(ROUNDS):
         await channel.put(b"%d" % number)
@@ -104,7 +104,7 @@ async def test_puts_and_gets_go_on_over_resets(world: World, rt: Any) -> None:
     assert [item.payload for item in held] == [b"%d" % number for number in range(ROUNDS)]
 
 
-async def test_a_producer_loses_and_doubles_nothing_over_resets(world: World, rt: Any) -> None:
+async def test_a_producer_has_no_gap_and_no_duplicate_after_resets(world: World, rt: Any) -> None:
     channel = await rt.channel(f"reset/producer-{st.now()}", max_age="60s")
     producer = await opened(rt, channel.producer())
     before = world.relay.resets
@@ -119,7 +119,7 @@ async def test_a_producer_loses_and_doubles_nothing_over_resets(world: World, rt
     await producer.aclose()
 
 
-async def test_a_subscription_misses_and_repeats_nothing_over_resets(world: World, rt: Any) -> None:
+async def test_a_subscription_has_no_gap_and_no_duplicate_after_resets(world: World, rt: Any) -> None:
     channel = await rt.channel(f"reset/read-{st.now()}", max_age="60s")
     async with await opened(rt, channel.subscribe()) as subscription:
         for number in range(ROUNDS):
@@ -129,7 +129,7 @@ async def test_a_subscription_misses_and_repeats_nothing_over_resets(world: Worl
         assert subscription.dropped == 0
 
 
-async def test_a_queue_loses_and_doubles_nothing_over_resets(world: World, rt: Any) -> None:
+async def test_a_queue_has_no_gap_and_no_duplicate_after_resets(world: World, rt: Any) -> None:
     queue = await rt.queue(f"reset/work-{st.now()}", lease="60s")
     for number in range(ROUNDS):
         await queue.put(b"%d" % number)

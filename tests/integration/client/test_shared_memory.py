@@ -84,7 +84,7 @@ def test_reads_of_the_newest_part_make_no_call(cluster: LocalCluster, monkeypatc
         assert calls == ["read"]
 
 
-def test_a_newest_item_that_has_not_changed_is_copied_once(
+def test_an_unchanged_newest_item_is_copied_out_of_memory_once(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copies: list[int] = []
@@ -101,7 +101,7 @@ def test_a_newest_item_that_has_not_changed_is_copied_once(
             assert len(copies) < 50, "the host's clock is shown anew five times a second"
 
 
-def test_the_default_shares_memory_after_some_reads_and_says_so(cluster: LocalCluster) -> None:
+def test_the_default_transport_shares_memory_after_some_reads_and_shows_it(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("ring/default", max_age="60s")
         channel.put(b"x")
@@ -132,7 +132,7 @@ def test_a_host_on_another_machine_shares_no_memory_and_the_error_gives_advice(
             channel.newest()
 
 
-def test_a_changed_policy_holds_for_readers_of_memory_at_once(cluster: LocalCluster) -> None:
+def test_a_changed_policy_applies_at_once_to_readers_of_shared_memory(cluster: LocalCluster) -> None:
     with channel_of(cluster, "ring/policy") as channel:
         for number in range(5):
             channel.put(b"%d" % number)
@@ -141,7 +141,7 @@ def test_a_changed_policy_holds_for_readers_of_memory_at_once(cluster: LocalClus
         assert not channel.at(channel.newest().time - 10**12)  # type: ignore[union-attr]
 
 
-def test_a_larger_item_than_the_ring_takes_gets_a_larger_ring(cluster: LocalCluster) -> None:
+def test_an_item_that_does_not_fit_into_the_ring_gets_a_larger_ring(cluster: LocalCluster) -> None:
     with channel_of(cluster, "ring/large") as channel:
         small = mapping_of(channel)
         large = os.urandom(3 * 2**20)
@@ -156,7 +156,7 @@ def test_a_larger_item_than_the_ring_takes_gets_a_larger_ring(cluster: LocalClus
         assert channel.newest() == found
 
 
-def test_subscriptions_follow_the_ring_and_every_item_comes_once(cluster: LocalCluster) -> None:
+def test_a_subscription_to_shared_memory_yields_every_item_once(cluster: LocalCluster) -> None:
     with channel_of(cluster, "ring/followed") as channel, channel.subscribe() as items:
         puts = threading.Thread(target=lambda: [channel.put(b"%d" % number) for number in range(300)])
         puts.start()
@@ -177,7 +177,7 @@ def test_a_late_item_reaches_a_subscription_that_follows_the_ring(cluster: Local
         assert channel.at(late.time)[0].seq == late.seq
 
 
-def test_closing_a_subscription_or_the_connection_ends_a_wait_in_memory(cluster: LocalCluster) -> None:
+def test_closing_a_subscription_or_the_connection_ends_a_wait_on_shared_memory(cluster: LocalCluster) -> None:
     with channel_of(cluster, "ring/closing") as channel:
         items = channel.subscribe()
         ended: list[Any] = []
@@ -203,7 +203,7 @@ def _outcome(call: Callable[[], Any]) -> Any:
         return error
 
 
-async def test_awaited_readers_wait_on_one_thread(cluster: LocalCluster) -> None:
+async def test_asyncio_readers_of_shared_memory_share_one_waiting_thread(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, transport="shared") as rt:
         channels = [await rt.channel(f"ring/awaited/{number}", max_age="60s") for number in range(5)]
         seen = [await one.put(b"x") for one in channels]
@@ -218,7 +218,7 @@ async def test_awaited_readers_wait_on_one_thread(cluster: LocalCluster) -> None
         assert [(await one).payload for one in waiting] == [b"y"] * 5
 
 
-def test_a_killed_host_is_believed_no_longer_and_leaves_nothing(own_cluster: LocalCluster) -> None:
+def test_readers_stop_trusting_the_memory_of_a_killed_host_and_no_file_remains(own_cluster: LocalCluster) -> None:
     with channel_of(own_cluster, "ring/killed") as channel:
         mapping = mapping_of(channel)
         before = channel.newest()
@@ -232,7 +232,7 @@ def test_a_killed_host_is_believed_no_longer_and_leaves_nothing(own_cluster: Loc
     assert not [path for path in Path("/dev/shm").iterdir() if "stampede" in path.name]
 
 
-def test_a_killed_reader_leaves_nothing_at_the_host(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_a_host_keeps_nothing_of_a_killed_reader(cluster: LocalCluster, tmp_path: Path) -> None:
     script = (
         "import sys, stampede_rt as st\n"
         f"rt = st.connect({cluster.address!r}, transport='shared')\n"
@@ -297,7 +297,7 @@ def _ask_for_file(channel: st.Channel) -> tuple[int, socket.socket]:
     return files[0], connected.socket
 
 
-def test_over_grpc_no_memory_is_shared(cluster: LocalCluster) -> None:
+def test_a_client_that_chose_grpc_shares_no_memory(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel("ring/grpc", max_age="60s")
         binding = channel._session.bind(channel._state)

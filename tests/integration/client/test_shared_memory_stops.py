@@ -65,7 +65,7 @@ def proven(number: int) -> bytes:
 
 
 @pytest.mark.parametrize(("held", "dropped_max"), [(100, 0), (10, 30)])
-def test_a_stopped_reader_delays_no_other_caller_and_goes_on_where_it_was(
+def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
     cluster: LocalCluster, held: int, dropped_max: int
 ) -> None:
     """The ring has room for 16 items. The host sends later items that the ring lacks, or reports them as dropped."""
@@ -92,7 +92,7 @@ def test_a_stopped_reader_delays_no_other_caller_and_goes_on_where_it_was(
             assert max(0, dropped_max - 3) <= dropped <= dropped_max  # it may have taken an item just before the stop
 
 
-def test_readers_of_a_stopped_host_hear_of_the_loss_and_never_believe_it_again(cluster: LocalCluster) -> None:
+def test_readers_of_a_stopped_host_learn_of_the_loss_and_never_trust_it_again(cluster: LocalCluster) -> None:
     """The readers read the host's memory while its lease lasts. Then another host has the channel."""
     with st.connect(cluster.address, transport="shared") as rt, ThreadPoolExecutor() as pool:
         channel = rt.channel("stopped/host", max_age="600s", host="h1")
@@ -138,7 +138,7 @@ def test_items_that_a_group_hides_are_not_read_from_memory(
         assert [one.payload for one in view.at(base + 4)] == []
 
 
-def test_readers_of_memory_stay_with_the_owner_and_have_its_proxy_when_it_is_gone(cluster: LocalCluster) -> None:
+def test_readers_of_shared_memory_change_to_a_proxy_when_the_owner_is_lost(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel("proxied", max_age="600s", host="h1")
         first = channel.put(b"first")

@@ -36,7 +36,7 @@ def test_many_channels_of_a_thread_need_one_stream_and_no_more_threads(cluster: 
         assert [item.payload for item in newest if item is not None] == [b"y"] * CHANNELS
 
 
-async def test_many_awaited_channels_need_one_stream(cluster: LocalCluster) -> None:
+async def test_many_asyncio_channels_need_one_stream(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channels = [await rt.channel(f"shared/awaited/{number}", max_items=5) for number in range(CHANNELS)]
         async with asyncio.timeout(LIMIT_S):
@@ -51,7 +51,7 @@ async def full_channel(rt: aio.Connection, name: str, on_full: Literal["block"] 
     return channel
 
 
-async def test_an_awaited_put_that_waits_for_room_holds_up_no_other_channel(cluster: LocalCluster) -> None:
+async def test_an_asyncio_put_that_waits_for_room_delays_no_other_channel(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         full, other = await full_channel(rt, "shared/full", on_full="block"), await rt.channel("shared/other")
         waiting = asyncio.ensure_future(full.put(b"second"))
@@ -76,7 +76,7 @@ async def test_a_put_waits_for_room_if_another_program_has_set_block(cluster: Lo
             assert (await waiting).payload == b"second"
 
 
-async def test_a_refused_put_and_a_cancelled_one_leave_the_stream_to_the_others(cluster: LocalCluster) -> None:
+async def test_a_refused_put_and_a_cancelled_put_do_not_end_the_shared_stream(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         strict = await rt.channel("shared/strict")
         others = [await rt.channel(f"shared/beside/{number}") for number in range(10)]

@@ -20,7 +20,7 @@ cluster = cluster_fixture(hosts=1, supernodes=1)
 LIMIT_S = 10.0
 
 
-async def test_a_step_that_was_cancelled_makes_a_subscription_neither_miss_nor_double(cluster: LocalCluster) -> None:
+async def test_a_cancelled_step_of_a_subscription_causes_no_gap_and_no_duplicate(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/cancelled", max_age="60s")
         await channel.put(b"1")
@@ -67,7 +67,7 @@ async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_n
         await asyncio.wait_for(reader, LIMIT_S)
 
 
-async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: LocalCluster) -> None:
+async def test_a_connection_opens_a_further_stream_for_more_waiting_gets(cluster: LocalCluster) -> None:
     """A fixed fault: the host refused gets beyond 1024, the client repeated them, and some failed in the end."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/crowd", max_age="60s")
@@ -79,7 +79,7 @@ async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: 
         assert {got.seq for got in await asyncio.gather(*gets) if got} == {item.seq}
 
 
-async def test_of_many_that_look_for_a_channel_at_once_only_one_asks_its_host(
+async def test_many_simultaneous_lookups_of_a_channel_make_one_request(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fixed fault: before the first get waited, all gets on a new handle had sent a request to the gatekeeper."""
@@ -96,7 +96,7 @@ async def test_of_many_that_look_for_a_channel_at_once_only_one_asks_its_host(
         assert len(asked) == 1
 
 
-def test_after_close_nothing_of_a_connection_works_any_more(cluster: LocalCluster) -> None:
+def test_every_call_on_a_closed_connection_is_refused(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address)
     channel = rt.channel("client/after-close")
     watch = rt.watch()
@@ -149,7 +149,7 @@ def are_under_way(rt: Any) -> bool:
     return any(exchange._waiting for exchange in exchanges)
 
 
-async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: LocalCluster) -> None:
+async def test_puts_on_a_broken_stream_end(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/broken", max_age="60s")
         await channel.put(b"opens the stream")
@@ -164,7 +164,7 @@ async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: Local
         assert sorted(item.payload for item in items) == [b"0", b"1", b"2", b"opens the stream"]
 
 
-async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_waiting(cluster: LocalCluster) -> None:
+async def test_a_put_cancelled_while_its_stream_opens_delays_no_other_put(cluster: LocalCluster) -> None:
     """A fixed fault: the second put waited for ever for the stream that the cancelled put had been opening."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/opening", max_age="60s")
@@ -178,7 +178,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_wai
         assert first.cancelled()
 
 
-async def test_a_stream_that_is_given_up_while_it_opens_keeps_no_put_waiting(cluster: LocalCluster) -> None:
+async def test_puts_do_not_wait_for_a_stream_that_was_given_up_while_it_opened(cluster: LocalCluster) -> None:
     """A write of gRPC then waits for ever."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/given-up", max_age="60s")
@@ -228,7 +228,7 @@ async def test_cancelled_calls_leave_no_unretrieved_exception(
     assert not [record for record in caplog.records if "never retrieved" in record.getMessage()]
 
 
-async def test_a_producer_whose_stream_breaks_again_and_again_loses_and_doubles_nothing(cluster: LocalCluster) -> None:
+async def test_a_producer_whose_stream_breaks_repeatedly_has_no_gap_and_no_duplicate(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/producer", max_age="60s", max_items=100_000)
         async with channel.producer() as producer:
@@ -241,7 +241,7 @@ async def test_a_producer_whose_stream_breaks_again_and_again_loses_and_doubles_
         assert (await channel.stats()).accepted == 20_000
 
 
-async def test_binding_anew_at_the_same_place_leaves_no_stream_behind(cluster: LocalCluster) -> None:
+async def test_binding_again_at_the_same_host_leaves_no_stream_open(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/rebound", max_age="60s")
         await channel.put(b"1")

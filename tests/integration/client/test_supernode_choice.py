@@ -125,13 +125,13 @@ def called(made: dict[str, Place]) -> list[str]:
     return [name for name, place in made.items() if place.calls]
 
 
-async def test_all_are_asked_at_once_and_the_nearest_is_taken(ask: Ask) -> None:
+async def test_a_client_asks_all_supernodes_at_once_and_chooses_the_nearest(ask: Ask) -> None:
     async with places(a1=LATER_SECONDS, b1=0.0, c1=2 * LATER_SECONDS) as (frontend, made):
         await ask(frontend, "")
     assert called(made) == ["b1"]
 
 
-async def test_a_supernode_of_the_same_zone_is_taken_before_a_nearer_one(ask: Ask) -> None:
+async def test_a_client_prefers_a_supernode_of_its_zone_to_a_nearer_one(ask: Ask) -> None:
     async with places(a1=2 * LATER_SECONDS, a2=LATER_SECONDS, b1=0.0) as (frontend, made):
         await ask(frontend, "a")
     assert called(made) == ["a2"]

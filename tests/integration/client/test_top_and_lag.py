@@ -75,7 +75,7 @@ def terminal() -> Iterator[Terminal]:
     made.close()
 
 
-def test_the_live_view_shows_channels_and_obeys_its_keys(terminal: Terminal) -> None:
+def test_stampede_top_shows_channels_and_obeys_its_keys(terminal: Terminal) -> None:
     terminal.until(r"2 channels, sorted by bytes")
     terminal.until(r"top/left\s+\d")
     terminal.press("s")
@@ -88,7 +88,7 @@ def test_the_live_view_shows_channels_and_obeys_its_keys(terminal: Terminal) -> 
     assert terminal.process.wait(SECONDS) == 0
 
 
-def test_without_a_terminal_each_look_gives_lines_for_programs() -> None:
+def test_stampede_top_without_a_terminal_prints_lines_for_programs() -> None:
     done = subprocess.run(
         [*STAMPEDE, "top", "top/*", "--every", "0.1", "--count", "2"], capture_output=True, text=True, check=True
     )
@@ -106,7 +106,7 @@ def test_lag_names_each_kind_of_thing_and_the_member_that_holds_a_group_back() -
     assert rows["queue", "top/queue"]["waiting"] > 0
 
 
-def test_lag_prints_a_table_for_people_and_a_sentence_for_nothing() -> None:
+def test_lag_prints_a_table_and_a_sentence_if_nothing_lags() -> None:
     done = subprocess.run([*STAMPEDE, "lag", "top/left"], capture_output=True, text=True, check=True)
     assert re.search(r"channel\s+top/left", done.stdout)
     none = subprocess.run([*STAMPEDE, "lag", "absent"], capture_output=True, text=True, check=True)

@@ -61,7 +61,7 @@ async def test_the_asynchronous_client_makes_the_same_spans(cluster: LocalCluste
     assert [found[f"stampede {call}", "traced/async"] for call in ("open", "put", "get")] == [1, 1, 1]
 
 
-def test_a_call_that_fails_says_so_in_its_span(cluster: LocalCluster, spans: InMemorySpanExporter) -> None:
+def test_the_span_of_a_failed_call_has_its_error(cluster: LocalCluster, spans: InMemorySpanExporter) -> None:
     with st.connect(cluster.address) as rt, pytest.raises(st.ChannelNotFound):
         rt.channel("traced/absent", create=False)
     (one,) = spans.get_finished_spans()

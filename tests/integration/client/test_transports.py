@@ -93,7 +93,7 @@ async def _await_use(rt: aio.Connection, text: bytes) -> str | None:
     return (await channel.stats()).transport
 
 
-async def test_a_program_without_a_way_to_the_socket_uses_grpc(own_cluster: LocalCluster, sockets: Path) -> None:
+async def test_a_program_that_cannot_reach_the_socket_uses_grpc(own_cluster: LocalCluster, sockets: Path) -> None:
     for path in _paths(sockets):
         path.unlink()
     with st.connect(own_cluster.address, transport="best") as rt:

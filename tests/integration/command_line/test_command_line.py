@@ -65,7 +65,7 @@ def interrupt(process: subprocess.Popen[str]) -> None:
     assert (process.returncode, complaints) == (130, "")
 
 
-def test_put_then_get_as_people_read_it(stampede: Run) -> None:
+def test_put_and_get_print_lines_for_people(stampede: Run) -> None:
     put = stampede("put", "cli/a", "hello there", "--duration", "40ms", "--attribute", "enc=text")
     assert put.stdout.startswith("cli/a #")
     got = stampede("get", "cli/a")
@@ -79,7 +79,7 @@ def test_options_may_stand_between_the_words(stampede: Run) -> None:
     assert "between" in stampede("get", "cli/order", "--bounds", "[]", "oldest", "now", "--limit", "1").stdout
 
 
-def test_get_as_programs_read_it(stampede: Run) -> None:
+def test_get_prints_json_for_programs(stampede: Run) -> None:
     stampede("put", "cli/json", "--max-age", "1h", stdin=b"\xff\x00")
     stampede("put", "cli/json", "text")
     rows = json.loads(stampede("get", "cli/json", "--all", "-o", "json").stdout)
@@ -126,7 +126,7 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
         ("cli/empty", [], "NOT_YET: the channel holds no items, so NEWEST and OLDEST have no time yet"),
     ],
 )
-def test_get_says_in_a_sentence_why_it_has_nothing(
+def test_get_prints_a_sentence_with_the_reason_of_an_empty_answer(
     stampede: Run, thinned: tuple[str, int], channel: str, arguments: list[str], sentence: str
 ) -> None:
     """`+N` stands for N milliseconds after the first item."""
@@ -137,7 +137,7 @@ def test_get_says_in_a_sentence_why_it_has_nothing(
     assert done.stderr.count("\n") == 1
 
 
-def test_get_says_in_a_sentence_why_it_has_not_all(stampede: Run, thinned: tuple[str, int]) -> None:
+def test_get_prints_a_sentence_with_the_reason_of_an_incomplete_answer(stampede: Run, thinned: tuple[str, int]) -> None:
     done = stampede("get", thinned[0], str(thinned[1]), "now", "-o", "jsonl")
     assert [json.loads(line)["payload"] for line in done.stdout.splitlines()] == ["2", "3"]
     assert done.stderr.startswith("stampede: COLLECTED: max_items (2) has collected")
@@ -156,7 +156,7 @@ def test_no_control_character_of_an_item_reaches_the_terminal(stampede: Run) -> 
         assert text.replace("\n", "").isprintable()
 
 
-def test_raw_output_that_could_command_the_terminal_is_refused_there(
+def test_raw_output_to_a_terminal_is_refused_if_it_has_control_characters(
     stampede: Run, environment: dict[str, str]
 ) -> None:
     stampede("put", "cli/raw", stdin=b"\x1b[2J")
@@ -267,7 +267,7 @@ def test_info_names_readers_and_writers_and_the_missed_items_of_a_slow_reader(
     assert f"{reader['subscriber']} (8 skipped)" in text
 
 
-def test_put_sets_a_channel_up_for_consumers_and_gives_up_waiting_for_room(stampede: Run) -> None:
+def test_put_creates_a_channel_with_consumers_and_fails_if_it_stays_full(stampede: Run) -> None:
     options = ("--max-items", "1", "--on-full", "block", "--consumers", "2")
     stampede("put", "cli/consumed", "x", *options, "--max-age", "30s", "--max-age-unconsumed", "60s")
     facts = json.loads(stampede("info", "cli/consumed", "-o", "json").stdout)
@@ -277,7 +277,7 @@ def test_put_sets_a_channel_up_for_consumers_and_gives_up_waiting_for_room(stamp
     assert "full" in stampede("put", "cli/consumed", "y", "--timeout", "0.1", status=1).stderr
 
 
-def test_echo_prints_items_as_they_come_until_interrupted(stampede: Run, following: Any) -> None:
+def test_echo_prints_new_items_until_it_is_interrupted(stampede: Run, following: Any) -> None:
     stampede("put", "cli/echo", "held")
     process = following("echo", "cli/echo", "--from", "oldest")
     assert "held" in process.stdout.readline()
@@ -286,7 +286,7 @@ def test_echo_prints_items_as_they_come_until_interrupted(stampede: Run, followi
     interrupt(process)
 
 
-def test_hz_and_bw_print_rates_until_interrupted(stampede: Run, following: Any) -> None:
+def test_hz_and_bw_print_rates_until_they_are_interrupted(stampede: Run, following: Any) -> None:
     stampede("put", "cli/rates", "x")
     hz = following("hz", "cli/rates", "--every", "0.2")
     bw = following("bw", "cli/rates", "--every", "0.2")
@@ -296,7 +296,7 @@ def test_hz_and_bw_print_rates_until_interrupted(stampede: Run, following: Any) 
     interrupt(bw)
 
 
-def test_doctor_finds_everything_well(stampede: Run) -> None:
+def test_doctor_reports_a_healthy_cluster(stampede: Run) -> None:
     done = stampede("doctor")
     assert "Everything is well." in done.stdout
     assert "1 of 1 serve" in done.stdout
@@ -324,16 +324,16 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
         (["hz", "cli/wrong", "--every", "0"], 2, "0.05 to 3600"),
     ],
 )
-def test_wrong_use_is_answered_with_the_way_out(stampede: Run, arguments: list[str], status: int, said: str) -> None:
+def test_wrong_usage_is_answered_with_advice(stampede: Run, arguments: list[str], status: int, said: str) -> None:
     stampede("put", "cli/wrong", "x", "--max-age", "60s")
     assert said in stampede(*arguments, status=status).stderr
 
 
-def test_standard_input_beyond_one_item_is_refused(stampede: Run) -> None:
+def test_standard_input_larger_than_one_item_is_refused(stampede: Run) -> None:
     assert "split it" in stampede("put", "cli/a", stdin=bytes(16 * 1024 * 1024 + 1), status=2).stderr
 
 
-def test_a_wrong_secret_is_refused_and_says_where_it_is_looked_for(environment: dict[str, str], tmp_path: Any) -> None:
+def test_the_error_of_a_wrong_secret_names_the_places_of_secrets(environment: dict[str, str], tmp_path: Any) -> None:
     wrong = tmp_path / "secret"
     wrong.write_text("wrong")
     wrong.chmod(0o600)
@@ -420,13 +420,13 @@ def test_an_interrupt_within_a_lock_of_grpcs_ends_the_command(stampede: Run, env
     assert (process.returncode, out.count("an item")) == (130, 1)
 
 
-def test_a_payload_that_is_no_text_is_put_as_its_bytes(stampede: Run) -> None:
+def test_a_payload_that_is_not_text_is_put_as_bytes(stampede: Run) -> None:
     stampede("put", "cli/bytes", os.fsdecode(b"\xff"), "--max-age", "1h")
     assert json.loads(stampede("get", "cli/bytes", "-o", "jsonl").stdout)["payload_base64"] == "/w=="
 
 
 @pytest.mark.parametrize("closing", [">&-", "<&-", "2>&-"])
-def test_a_closed_standard_stream_is_no_defect(environment: dict[str, str], closing: str) -> None:
+def test_a_closed_standard_stream_is_not_reported_as_a_defect(environment: dict[str, str], closing: str) -> None:
     command = f"{sys.executable} -m stampede_rt.cli ls {closing}"
     done = subprocess.run(["sh", "-c", command], capture_output=True, timeout=40, check=False, env=environment)
     assert (done.returncode, done.stderr) == (0, b"")

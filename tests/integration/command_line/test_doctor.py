@@ -71,7 +71,7 @@ def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
-def test_a_killed_host_and_its_channels_are_reported_until_it_is_back(cluster: LocalCluster, doctor: Doctor) -> None:
+def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster: LocalCluster, doctor: Doctor) -> None:
     empty = cluster.add_host()
     with st.connect(cluster.address) as rt:
         rt.channel("cam/left", max_age="10s", host="h1").put(b"gone soon")
@@ -134,7 +134,7 @@ def test_puts_that_a_full_host_refuses_are_counted_logged_and_reported(cluster: 
         small.stop()
 
 
-def test_a_front_end_whose_seeds_do_not_answer_is_not_taken_for_one_that_is_down(
+def test_doctor_does_not_report_a_front_end_as_down_if_its_seeds_do_not_answer(
     doctor: Doctor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(make_secret_file(tmp_path / "secret").path))

@@ -114,7 +114,7 @@ async def said_of(everything: Everything, capsys: pytest.CaptureFixture[str]) ->
     return code, capsys.readouterr().out
 
 
-async def test_parts_that_agree_are_well(capsys: pytest.CaptureFixture[str]) -> None:
+async def test_doctor_has_no_finding_if_all_clocks_agree(capsys: pytest.CaptureFixture[str]) -> None:
     code, said = await said_of(Everything(), capsys)
     assert (code, "Everything is well." in said) == (0, True), said
 
@@ -128,7 +128,7 @@ async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixtur
     assert "50 ms are allowed" in said
 
 
-async def test_if_all_clocks_disagree_with_this_machine_it_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+async def test_doctor_names_this_machine_if_all_clocks_disagree_with_it(capsys: pytest.CaptureFixture[str]) -> None:
     everything = Everything()
     everything.all_ahead_nanos = HOUR_NANOS
     code, said = await said_of(everything, capsys)

@@ -38,7 +38,7 @@ def changed(name: str, **facts: Any) -> list[Observation]:
     return [replace(one, **facts) if one.name == name else one for one in WELL]
 
 
-def test_a_cluster_that_is_well_has_no_advice() -> None:
+def test_a_healthy_cluster_gets_no_advice() -> None:
     findings = diagnose(WELL, own_version="1.0", certificate_s_min=14 * DAY_S)
     assert [finding for finding in findings if finding.advice] == []
 
@@ -71,14 +71,14 @@ def test_the_report_of_a_wrong_clock_names_its_owner_its_offset_and_the_allowed_
     assert "apart, give or take 1 ms, 50 ms are allowed" in clocks.state
 
 
-def test_if_all_are_off_alike_it_is_this_machine_that_is_off() -> None:
+def test_doctor_blames_this_machine_if_all_others_are_off_by_the_same_amount() -> None:
     clocks = found([replace(one, clock_offset_nanos=-2000 * MS) for one in WELL], "clocks")
     assert (
         clocks.advice == "this machine's clock is 2 s ahead of the cluster's; synchronise this machine's (chrony, ntpd)"
     )
 
 
-def test_a_long_round_trip_leaves_room_for_doubt() -> None:
+def test_a_long_round_trip_widens_the_tolerance_for_a_clock() -> None:
     assert not found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=50 * MS), "clocks").advice
     assert found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=30 * MS), "clocks").advice
 
@@ -102,7 +102,7 @@ def test_a_peer_whose_clock_is_off_is_reported_as_a_host_would_be() -> None:
     assert clocks.state == "1.5 s apart, give or take 1 ms, 50 ms are allowed"
 
 
-def test_peers_have_no_say_in_which_clocks_are_right() -> None:
+def test_clocks_of_peers_do_not_decide_which_clocks_are_right() -> None:
     peers = [seen(PEER, f"phone/{number}", clock_offset_nanos=200 * MS) for number in range(20)]
     advice = found([*WELL, *peers], "clocks").advice
     assert (advice.count("the clock of peer phone/"), "host" in advice, "this machine" in advice) == (20, False, False)
@@ -117,7 +117,7 @@ def test_only_a_peer_with_imprecise_measurements_gets_more_tolerance() -> None:
     assert "far" not in found([*WELL[:-1], off, vague], "clocks").advice
 
 
-def test_a_peer_that_told_nothing_of_its_clock_is_not_taken_to_be_right_or_wrong() -> None:
+def test_a_peer_without_a_measured_clock_is_not_judged() -> None:
     peer = seen(PEER, "older", clock_offset_nanos=None, round_trip_nanos=None, version="0.7 of something else")
     findings = diagnose([*WELL, peer], own_version="1.0", certificate_s_min=14 * DAY_S)
     assert [finding for finding in findings if finding.advice] == []
@@ -183,7 +183,7 @@ def test_calls_that_a_host_refused_are_reported_beside_the_puts() -> None:
     assert "a reader that took nothing" in host.advice
 
 
-def test_denials_are_counted_and_call_for_nothing() -> None:
+def test_denials_are_counted_and_get_no_advice() -> None:
     finding = found(changed("h1", denials=3, denied_ago_nanos=5000 * MS), "access")
     assert (finding.state, finding.advice) == ("3 calls denied, the last one 5 s ago, at host h1 (3)", "")
 
@@ -206,7 +206,7 @@ def test_lost_channels_and_queues_are_reported_by_name_and_host() -> None:
     )
 
 
-def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> None:
+def test_a_running_majority_without_a_leader_is_not_reported_as_missing_supernodes() -> None:
     observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in WELL]
     quorum = found(observations, "quorum")
     assert quorum.state == "3 of 3 run, 0 serve"
@@ -215,18 +215,18 @@ def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> Non
     assert "has no leader; look again in 5 s, then start s1 again with its data folder" in found(down, "quorum").advice
 
 
-def test_a_cluster_in_memory_alone_is_reported_and_is_no_fault() -> None:
+def test_a_cluster_without_folders_is_reported_but_not_as_a_fault() -> None:
     quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in WELL], "quorum")
     assert (quorum.state, quorum.advice) == ("3 of 3 serve, in memory alone", "")
 
 
-def test_the_loss_of_all_supernodes_has_its_own_chapter() -> None:
+def test_the_advice_after_the_loss_of_all_supernodes_names_its_chapter() -> None:
     observations = [replace(one, failure="gone") if one.kind == SUPERNODE else one for one in WELL]
     assert "start s1, s2 and s3 with their data folders, or" in found(observations, "quorum").advice
     assert "see the runbook: lose all" in found(observations, "quorum").advice
 
 
-def test_a_cluster_without_hosts_is_told_to_start_one() -> None:
+def test_doctor_advises_to_start_a_host_if_there_is_none() -> None:
     assert "stampede host" in found(WELL[:-1], "host").advice
 
 

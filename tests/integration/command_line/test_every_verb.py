@@ -110,7 +110,7 @@ UNENDING: dict[str, tuple[int, ...]] = {
 }
 
 
-def test_ctrl_c_ends_every_command_that_goes_on(printed_things: Stage) -> None:
+def test_ctrl_c_ends_every_endless_command(printed_things: Stage) -> None:
     made = printed_things
     channel = made.rt.channel(made.name("quiet"))
     made.rt.group(made.name("quiet"), [channel])
@@ -138,7 +138,7 @@ def has_loaded_grpc(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_verb_whose_reader_has_gone_ends_quietly_with_status_0(
+def test_a_verb_ends_quietly_with_status_0_when_nothing_reads_its_pipe(
     name: str, piped_things: Stage, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", piped_things.path("config"))

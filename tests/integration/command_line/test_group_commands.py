@@ -82,7 +82,7 @@ def test_the_status_of_a_group_names_the_channel_that_holds_it_back(run: Command
     assert shown.count("rig/left") == shown.count("rig/right") == 2
 
 
-def test_a_group_that_shows_nothing_tells_the_reason_for_each_channel(run: Command, rt: st.Connection) -> None:
+def test_a_group_without_visible_items_has_a_reason_for_each_channel(run: Command, rt: st.Connection) -> None:
     for name, host in zip(("early", "late"), sorted(host.name for host in rt.hosts()), strict=True):
         rt.channel(name, max_age="60s", host=host).put(b"first")
     run("create", "young", "early", "late")
@@ -93,7 +93,7 @@ def test_a_group_that_shows_nothing_tells_the_reason_for_each_channel(run: Comma
             assert any(line.startswith(f"stampede: {name}: HIDDEN: the group hides it") for line in told.splitlines())
 
 
-def test_cuts_and_matches_are_printed_as_they_come(
+def test_cuts_and_matches_are_printed_when_they_arrive(
     cluster: LocalCluster, run: Command, rt: st.Connection, base: int
 ) -> None:
     run("create", "live", "rig/left", "rig/right")
@@ -126,7 +126,7 @@ def test_cuts_and_matches_are_printed_as_they_come(
 
 
 @pytest.mark.parametrize("words", [["status"], ["newest"], ["get", "oldest", "newest"], ["watch"], ["delete"]])
-def test_a_group_that_is_not_there_is_reported_in_the_words_of_the_shell(run: Command, words: list[str]) -> None:
+def test_an_unknown_group_is_reported_with_advice_for_the_shell(run: Command, words: list[str]) -> None:
     verb, *rest = words
     status, _, said = run(verb, "rig/nowhere", *rest)
     assert (status, "`stampede group ls` lists" in said) == (1, True)

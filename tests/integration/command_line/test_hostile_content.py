@@ -135,7 +135,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("files")
 
 
-def test_every_verb_is_looked_at() -> None:
+def test_every_verb_has_a_test_of_hostile_content() -> None:
     assert set(SHOWING) == set(VERBS)
     assert set(SERVICES) == set(SERVICE_VERBS)
 

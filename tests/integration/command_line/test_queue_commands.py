@@ -33,7 +33,7 @@ def stampede(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pyt
     return run
 
 
-def test_an_item_goes_in_and_comes_out_once(stampede: Run) -> None:
+def test_a_queued_message_is_delivered_once(stampede: Run) -> None:
     assert stampede("queue", "put", "cli/jobs", "do it", "--attribute", "by=me") == ("cli/jobs #1\n", "")
     shown, _ = stampede("queue", "get", "cli/jobs", "--keep")
     assert shown.endswith("#1 by=me  do it\n")
@@ -55,7 +55,7 @@ def test_programs_read_and_write_json(stampede: Run) -> None:
     assert (facts["consumed"], facts["held"], facts["oldest_age"], facts["rejected"]["full"]) == (1, 0, None, 0)
 
 
-def test_standard_input_is_put_and_payloads_come_raw(
+def test_standard_input_is_put_and_payloads_are_printed_raw(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
@@ -94,7 +94,7 @@ def test_pending_messages_are_listed(stampede: Run, cluster: LocalCluster) -> No
     assert "no live peer is named cli-taker" in said
 
 
-def test_a_message_is_given_up_with_a_reason_and_its_dead_letter_tells_it(stampede: Run) -> None:
+def test_a_message_is_terminated_with_a_reason_and_its_dead_letter_has_it(stampede: Run) -> None:
     stampede("queue", "put", "cli/dead", "x")
     stampede("queue", "get", "cli/dead")
     stampede("queue", "put", "cli/term", "poison", "--dead-letter", "cli/dead")
@@ -139,13 +139,13 @@ def test_a_queue_is_deleted(stampede: Run) -> None:
         assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")
 
 
-def test_a_stated_set_up_that_contradicts_is_refused(stampede: Run) -> None:
+def test_a_policy_that_differs_from_that_of_the_queue_is_refused(stampede: Run) -> None:
     stampede("queue", "put", "cli/stated", "x", "--max-items", "5")
     _, said = stampede("queue", "put", "cli/stated", "x", "--max-items", "6", status=1)
     assert "max_items 5" in said
 
 
-def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster: LocalCluster) -> None:
+def test_a_message_is_sent_to_a_participant_and_taken_by_it(stampede: Run, cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="cli/robot", zone="lab") as rt:
         assert stampede("mailbox", "send", "cli/robot", "go") == ("cli/robot #1\n", "")
         info, _ = stampede("mailbox", "info", "cli/robot")
@@ -173,6 +173,6 @@ def test_sending_to_an_absent_participant_fails(stampede: Run) -> None:
     assert stampede("peers", "nothing/*")[0] == "no peer matches 'nothing/*'\n"
 
 
-def test_a_command_is_a_participant_for_a_while(stampede: Run) -> None:
+def test_a_command_is_a_participant_while_it_runs(stampede: Run) -> None:
     _, said = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
     assert said == "stampede: no message came within 0.1 s\n"

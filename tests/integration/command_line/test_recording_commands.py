@@ -49,7 +49,7 @@ def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     return command
 
 
-def test_the_past_of_a_channel_becomes_a_file(run: Command, rt: st.Connection, tmp_path: Path) -> None:
+def test_the_held_items_of_a_channel_are_recorded_to_a_file(run: Command, rt: st.Connection, tmp_path: Path) -> None:
     channel, path = rt.channel("flight", max_age="60s"), tmp_path / "a.mcap"
     for number in range(5):
         channel.put(b"%d" % number)
@@ -146,7 +146,7 @@ def _is_finished(path: Path) -> bool:
         return False
 
 
-def test_an_event_beyond_the_limit_is_named_and_the_status_is_3(
+def test_an_event_above_the_limit_is_named_and_the_status_is_3(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(record, "AT_ONCE_MAX", 1)
@@ -335,7 +335,7 @@ def test_the_items_of_channels_are_exported(run: Command, rt: st.Connection, tmp
     assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
 
 
-def test_an_export_without_a_format_or_a_source_says_so(run: Command, tmp_path: Path) -> None:
+def test_an_export_without_a_format_or_a_source_is_refused(run: Command, tmp_path: Path) -> None:
     status, _, told = run("export", "cam", "-o", tmp_path / "a.txt")
     assert (status, "give --format" in told) == (2, True)
     status, _, told = run("export", "nobody", "-o", tmp_path / "a.csv")

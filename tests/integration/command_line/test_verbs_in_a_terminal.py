@@ -47,7 +47,7 @@ def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal
     return run
 
 
-def test_rm_deletes_channels_and_names_those_that_are_not_there(rt: st.Connection, terminal: Terminal) -> None:
+def test_rm_deletes_channels_and_names_the_unknown_ones(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("rm/a")
     rt.channel("rm/b")
     said = terminal("rm", "rm/a", "rm/none", "rm/b", status=1).text
@@ -87,7 +87,7 @@ def while_something_happens(happen: Callable[[int], object], look: Callable[[], 
     return screens[0]
 
 
-def test_watch_prints_channels_as_they_come_and_go(rt: st.Connection, terminal: Terminal) -> None:
+def test_watch_prints_opened_and_deleted_channels(rt: st.Connection, terminal: Terminal) -> None:
     def come_and_go(number: int) -> bool:
         rt.channel(f"other/{number}").delete()
         rt.channel(f"watched/{number}").delete()
@@ -99,7 +99,7 @@ def test_watch_prints_channels_as_they_come_and_go(rt: st.Connection, terminal: 
     assert "other" not in text
 
 
-def test_watch_prints_peers_as_they_come_and_go(cluster: LocalCluster, terminal: Terminal) -> None:
+def test_watch_prints_peers_that_join_and_leave(cluster: LocalCluster, terminal: Terminal) -> None:
     def come_and_go(number: int) -> bool:
         st.connect(cluster.address, secret=cluster.secret_file.read_text().strip(), name=f"passer/{number}").close()
         return True
@@ -155,7 +155,7 @@ def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) ->
         (["text", "--rate", "1e-300"], "'1e-300' is not a rate"),
     ],
 )
-def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words: list[str], complaint: str) -> None:
+def test_put_refuses_options_that_exclude_each_other(terminal: Terminal, words: list[str], complaint: str) -> None:
     assert complaint in terminal("put", "refused", *words, status=2, columns=300).text
 
 
@@ -172,7 +172,7 @@ def test_put_refuses_options_that_do_not_fit_together(terminal: Terminal, words:
         (["put", "absent", "x", "--duration", "-5s"], 2, "duration"),
     ],
 )
-def test_wrong_arguments_are_reported_in_a_sentence(
+def test_a_wrong_argument_is_reported_in_one_sentence(
     terminal: Terminal, words: list[str], status: int, complaint: str
 ) -> None:
     said = terminal(*words, status=status, progress=words[0] == "replay", columns=300).text
@@ -244,7 +244,7 @@ def test_hz_ends_with_the_reason_when_its_channel_is_deleted(rt: st.Connection, 
     assert "hz/gone" in screen.lines[-1]
 
 
-def test_top_is_sorted_paused_filtered_and_ended_by_keys(rt: st.Connection, terminal: Terminal) -> None:
+def test_keys_sort_pause_filter_and_end_top(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("top/one").put(b"x")
     rt.channel("top/two").put(b"x")
     text = terminal("top", "top/*", "--every", "0.2", answered=b"sp/two\nq", columns=120).text

@@ -21,7 +21,7 @@ def report() -> RoverReport:
     return conduct(SECONDS_MIN, Progress(io.StringIO()))
 
 
-def test_no_pair_is_lost_and_none_is_wrong(report: RoverReport) -> None:
+def test_the_rover_loses_no_pair_and_makes_no_wrong_pair(report: RoverReport) -> None:
     assert len(report.puts) == report.frames > 0
     assert (report.pairs, report.wrong, report.dropped) == (report.pairs_possible, 0, 0), report.events
 

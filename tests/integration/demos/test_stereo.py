@@ -35,7 +35,7 @@ def outcome() -> Outcome:
     return conduct(SECONDS, Progress(io.StringIO()), certificates=True)
 
 
-def test_every_pair_is_found_and_none_is_wrong(outcome: Outcome) -> None:
+def test_the_demo_finds_every_pair_and_makes_no_wrong_pair(outcome: Outcome) -> None:
     report = outcome.report
     assert (report.pairs, report.wrong, report.dropped) == (report.pairs_possible, 0, 0)
     assert report.close == len(report.measured) == report.pairs > 0

@@ -61,15 +61,15 @@ def test_features_have_the_times_and_durations_of_their_sources(outcome: Outcome
     assert all(step.features_keep_times for step in outcome.report.steps)
 
 
-def test_a_span_is_in_hand_only_after_it_is_over(outcome: Outcome):
+def test_a_span_is_read_only_after_its_end(outcome: Outcome):
     assert all(step.received_unix_nano > step.end for step in outcome.report.steps)
 
 
-def test_the_channels_lie_on_both_hosts(outcome: Outcome):
+def test_both_hosts_have_channels(outcome: Outcome):
     assert len({figure.host for figure in outcome.report.figures}) == 2
 
 
-def test_the_times_are_measured_and_reported(outcome: Outcome):
+def test_the_demo_reports_the_times_that_it_measured(outcome: Outcome):
     for figure in outcome.report.figures:
         assert figure.latency_p50_nanos is not None
         assert figure.latency_p99_nanos is not None

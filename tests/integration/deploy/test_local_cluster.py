@@ -38,7 +38,7 @@ async def host_records(cluster: LocalCluster, supernode: int = 0) -> dict[str, d
     return {one.name: one for one in answer.hosts}
 
 
-async def test_every_service_is_ready(cluster: LocalCluster) -> None:
+async def test_every_service_of_a_local_cluster_is_ready(cluster: LocalCluster) -> None:
     answer = await bind(cluster)
     assert {one.supernode_id for one in answer.supernodes} == {"s1", "s2", "s3"}
     assert {one.endpoint.target for one in answer.supernodes} == {one.address for one in cluster.supernodes}
@@ -48,7 +48,7 @@ async def test_every_service_is_ready(cluster: LocalCluster) -> None:
 
 
 @pytest.mark.parametrize("secret", [None, WRONG])
-async def test_every_port_asks_for_the_secret(cluster: LocalCluster, secret: Secret | None) -> None:
+async def test_every_port_refuses_callers_without_the_secret(cluster: LocalCluster, secret: Secret | None) -> None:
     """Any method will do: the port asks for the secret before it looks up the method."""
     for process in cluster.processes():
         async with dial(process.address, secret=secret) as channel:
@@ -105,7 +105,7 @@ def test_nothing_is_left_when_the_cluster_ends() -> None:
     assert not folder.exists()
 
 
-def test_a_cluster_that_cannot_start_says_why_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_cluster_that_cannot_start_reports_the_reason_and_leaves_no_process(tmp_path: Path) -> None:
     (tmp_path / "s1").write_text("a file where the supernode wants its folder")
     made = LocalCluster(hosts=1, supernodes=1, folder=tmp_path)
     with pytest.raises(ServiceFailed, match="supernode s1 ended with exit code"):

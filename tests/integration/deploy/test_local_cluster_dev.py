@@ -105,14 +105,14 @@ def test_the_screen_shows_the_address_and_the_next_command(home: Path) -> None:
         socket.create_connection((host, int(port)), timeout=10).close()
 
 
-def test_it_runs_as_many_hosts_and_supernodes_as_asked(home: Path) -> None:
+def test_stampede_dev_runs_the_requested_number_of_hosts_and_supernodes(home: Path) -> None:
     with running("--hosts", "2", "--supernodes", "3", "--archive", str(home / "kept")) as dev:
         assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
         assert f"Archives of channels are in {home / 'kept'}; everything else is held in memory." in dev.screen
         assert len(dev.children) == 6
 
 
-def test_with_web_it_serves_the_page_and_ends_it_too(home: Path) -> None:
+def test_stampede_dev_with_web_serves_the_page_and_ends_it(home: Path) -> None:
     with running("--web", "--web-listen", "localhost:0") as dev:
         match = re.search(r"See all streams on one time line: (http://localhost:\d+/)", dev.screen)
         assert match is not None, dev.screen
@@ -124,7 +124,7 @@ def test_with_web_it_serves_the_page_and_ends_it_too(home: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_wish_to_stop_ends_it_in_order_with_code_0(home: Path, number: signal.Signals) -> None:
+def test_a_signal_to_stop_ends_stampede_dev_with_code_0(home: Path, number: signal.Signals) -> None:
     with running() as dev:
         dev.process.send_signal(number)
         out, err = dev.process.communicate(timeout=READY_SECONDS)
@@ -133,7 +133,7 @@ def test_a_wish_to_stop_ends_it_in_order_with_code_0(home: Path, number: signal.
         assert dev.all_ended()
 
 
-def test_a_second_ctrl_c_ends_it_at_once_and_leaves_no_process_behind(home: Path) -> None:
+def test_a_second_ctrl_c_ends_stampede_dev_at_once_and_no_process_remains(home: Path) -> None:
     with running() as dev:
         while dev.process.poll() is None:  # the system may deliver two signals as one
             dev.process.send_signal(signal.SIGINT)
@@ -142,14 +142,14 @@ def test_a_second_ctrl_c_ends_it_at_once_and_leaves_no_process_behind(home: Path
         assert dev.all_ended()
 
 
-def test_killing_it_leaves_no_process_behind(home: Path) -> None:
+def test_no_process_remains_after_stampede_dev_was_killed(home: Path) -> None:
     with running() as dev:
         assert len(dev.children) == 3
         dev.process.kill()
         assert dev.all_ended()
 
 
-def test_when_one_service_dies_everything_stops_with_code_1(home: Path) -> None:
+def test_stampede_dev_stops_with_code_1_when_a_service_dies(home: Path) -> None:
     with running() as dev:
         os.kill(dev.child("stampede_rt_channel_host"), signal.SIGKILL)
         _, err = dev.process.communicate(timeout=READY_SECONDS)
@@ -158,7 +158,7 @@ def test_when_one_service_dies_everything_stops_with_code_1(home: Path) -> None:
         assert dev.all_ended()
 
 
-def test_when_one_of_two_hosts_dies_the_others_go_on_until_the_last_host_dies(home: Path) -> None:
+def test_stampede_dev_stops_when_its_last_host_dies(home: Path) -> None:
     with running("--hosts", "2") as dev:
         one, two = (pid for pid in dev.children if "stampede_rt_channel_host" in command_of(pid))
         os.kill(one, signal.SIGKILL)

@@ -56,7 +56,7 @@ def test_a_ready_service_has_the_address_that_it_announced(make) -> None:
     assert service.alive
 
 
-def test_a_service_that_ends_before_it_is_ready_is_reported_with_its_words(make) -> None:
+def test_a_service_that_ends_before_it_is_ready_is_reported_with_its_output(make) -> None:
     service = make("fails")
     with pytest.raises(ServiceFailed, match=r"(?s)ended with exit code 3 before it was ready.*it cannot be"):
         service.wait_ready(READY_SECONDS)
@@ -87,7 +87,7 @@ def test_a_host_may_move_its_channels_away_and_wait_for_its_calls_before_it_is_k
     assert HostSettings(frontend=["localhost:1"]).drain_seconds + 2 * DRAIN_SECONDS < STOP_SECONDS
 
 
-def test_a_killed_service_is_heard_of_and_can_be_started_again(make, ends: queue.SimpleQueue[ServiceProcess]) -> None:
+def test_a_killed_service_is_reported_and_can_be_started_again(make, ends: queue.SimpleQueue[ServiceProcess]) -> None:
     service = make("good")
     first = service.wait_ready(READY_SECONDS)
     service.kill()
@@ -115,7 +115,7 @@ def test_only_the_last_lines_of_a_chatty_service_are_kept(make) -> None:
     assert len(service.last_lines) == LAST_LINES_MAX
 
 
-def test_our_own_environment_does_not_reach_a_service(make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_service_does_not_inherit_stampede_variables(make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STAMPEDE_LISTEN", "elsewhere:1")
     service = make("environment", "--flag")
     service.wait_ready(READY_SECONDS)
@@ -157,7 +157,7 @@ def test_free_ports_are_different_and_can_be_listened_at() -> None:
         socket.create_server(("localhost", port)).close()
 
 
-def test_two_processes_get_no_port_of_each_other(tmp_path: Path) -> None:
+def test_two_processes_never_choose_the_same_free_port(tmp_path: Path) -> None:
     """A fixed fault: each process took random free ports. One test run then got the port of a restarting service of
     another.
     """

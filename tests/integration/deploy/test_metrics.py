@@ -54,7 +54,7 @@ def test_every_page_passes_the_check_of_prometheus(cluster: LocalCluster) -> Non
         assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), name
 
 
-def test_each_service_tells_all_its_metrics(cluster: LocalCluster) -> None:
+def test_each_service_exports_all_its_metrics(cluster: LocalCluster) -> None:
     of_each = {"host": of_hosts.METRICS, "supernode": of_supernodes.METRICS, "front-end": of_frontends.METRICS}
     of_parts_that_are_not_here = {
         service_metrics.CERTIFICATE_EXPIRY,
@@ -89,7 +89,9 @@ def test_prometheus_scrapes_every_part_and_its_counts_are_true(cluster: LocalClu
 
 
 @needs_prometheus
-def test_parts_that_are_killed_are_seen_to_go_and_to_come_back(cluster: LocalCluster, prometheus: Prometheus) -> None:
+def test_the_metrics_show_that_a_killed_part_is_down_and_up_again(
+    cluster: LocalCluster, prometheus: Prometheus
+) -> None:
     everybody = float(len(cluster.metrics))
     prometheus.until('sum(up{job="stampede"})', lambda values: values == [everybody])
     for process in (cluster.hosts[0], cluster.supernodes[0], cluster.frontends[0]):

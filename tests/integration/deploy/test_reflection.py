@@ -54,7 +54,7 @@ def test_a_tool_without_proto_files_finds_every_service_and_its_methods(
             assert DescriptorPool(found).FindServiceByName(name).methods
 
 
-def test_a_caller_without_a_credential_is_told_nothing(cluster: LocalCluster) -> None:
+def test_a_caller_without_a_credential_gets_no_description(cluster: LocalCluster) -> None:
     with grpc.insecure_channel(address_of(cluster, "host")) as channel:
         with pytest.raises(grpc.RpcError) as caught:
             ProtoReflectionDescriptorDatabase(channel).get_services()

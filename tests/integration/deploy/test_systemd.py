@@ -60,7 +60,7 @@ def test_every_service_has_its_unit() -> None:
 
 
 @has_systemd
-def test_systemd_accepts_the_units_without_a_word(tmp_path: Path) -> None:
+def test_systemd_accepts_the_units_without_a_warning(tmp_path: Path) -> None:
     for unit in UNITS:  # the program must exist
         (tmp_path / unit.name).write_text(unit.read_text().replace("/opt/stampede/bin", str(INSTALLED)))
     assert analyze("verify", "--recursive-errors=no", *tmp_path.iterdir()) == ""

@@ -43,7 +43,7 @@ def test_each_read_returns_the_object_that_was_put(rt: st.Connection) -> None:
     assert [one.payload for one in channel.get(0, 300, payloads=False, newest_first=True)] == [None, None]
 
 
-def test_a_blocked_get_returns_the_object_that_a_later_put_brings(rt: st.Connection) -> None:
+def test_a_waiting_get_returns_the_object_of_a_later_put(rt: st.Connection) -> None:
     channel = rt.channel("reference/waits", max_items=10)
     found: list[st.Item | None] = []
     waiting = threading.Thread(target=lambda: found.append(channel.newest(timeout=LIMIT_S)))
@@ -57,7 +57,7 @@ def test_a_blocked_get_returns_the_object_that_a_later_put_brings(rt: st.Connect
     assert found[0].payload is payload
 
 
-async def test_a_cancelled_get_waits_no_more(cluster: LocalCluster) -> None:
+async def test_a_cancelled_get_of_an_embedded_host_ends(cluster: LocalCluster) -> None:
     async with aio.host(cluster.address, name="rig-aio", drain="0s") as rt:
         channel = await rt.channel("reference/cancelled")
         waiting = asyncio.create_task(channel.newest(timeout=None))
@@ -107,7 +107,7 @@ def test_other_programs_get_and_put_equal_items(rt: st.Connection, cluster: Loca
             assert [(one.seq, one.payload) for one in both] == [(put.seq, put.payload), (put.seq + 1, b"from there")]
 
 
-def test_a_channel_that_moves_away_and_back_is_read_on(rt: st.Connection) -> None:
+def test_reads_continue_after_a_channel_moved_away_and_back(rt: st.Connection) -> None:
     channel = rt.channel("reference/moved", max_items=10)
     payload = b"moved"
     channel.put(payload, time=7)
@@ -146,7 +146,7 @@ def test_threads_that_read_at_the_same_time_see_whole_states(rt: st.Connection) 
     assert wrong == []
 
 
-def test_a_refused_put_says_why(rt: st.Connection) -> None:
+def test_a_refused_put_at_an_embedded_host_has_its_reason(rt: st.Connection) -> None:
     channel = rt.channel("reference/refused", max_items=10)
     channel.advance(1000)
     with pytest.raises(st.TooOld, match="reference/refused"):

@@ -30,7 +30,7 @@ def names_of_hosts(rt: st.Connection) -> set[str]:
     return {host.name for host in rt.hosts() if host.alive}
 
 
-def test_other_programs_use_a_channel_in_a_program_and_go_on_when_it_leaves(cluster: LocalCluster) -> None:
+def test_other_programs_use_a_channel_of_an_embedded_host_and_continue_when_it_leaves(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as other:
         with st.host(cluster.address, name="rig-1") as rt:
             here = rt.channel("embedded/1", max_items=10)
@@ -48,7 +48,7 @@ def test_other_programs_use_a_channel_in_a_program_and_go_on_when_it_leaves(clus
         assert "rig-1" not in names_of_hosts(other)
 
 
-def test_new_channels_and_queues_are_here_unless_the_program_names_a_place(cluster: LocalCluster) -> None:
+def test_a_program_with_a_host_hosts_its_new_channels_and_queues_by_default(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as other, st.host(cluster.address, name="rig-2") as rt:
         other.channel("embedded/elsewhere", host="h1")
         assert rt.channel("embedded/here", max_items=5).host == "rig-2"
@@ -62,7 +62,7 @@ def test_new_channels_and_queues_are_here_unless_the_program_names_a_place(clust
             rt.channel("embedded/here", max_items=3)
 
 
-def test_a_private_host_gets_nothing_that_does_not_name_it(cluster: LocalCluster) -> None:
+def test_a_private_host_gets_only_channels_that_name_it(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as other, st.host(cluster.address, name="rig-private", private=True) as rt:
         (load,) = [one.load for one in rt.hosts() if one.name == "rig-private"]
         assert load is not None
@@ -93,7 +93,7 @@ def test_a_host_refuses_puts_beyond_its_memory(cluster: LocalCluster) -> None:
             channel.put(bytes(500_000), timeout=0)
 
 
-def test_a_host_that_cannot_listen_says_so(cluster: LocalCluster) -> None:
+def test_a_host_that_cannot_listen_reports_the_reason(cluster: LocalCluster) -> None:
     message = r"in use by another process; .*another port with listen$"
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(st.InvalidArgument, match=message):
         st.host(cluster.address, listen=f"127.0.0.1:{taken.getsockname()[1]}")
@@ -101,13 +101,13 @@ def test_a_host_that_cannot_listen_says_so(cluster: LocalCluster) -> None:
         st.host(cluster.address, listen="no address")
 
 
-def test_without_the_extra_the_program_reads_which_one_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_the_missing_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [])
     with pytest.raises(st.InvalidArgument, match=r"\[server\]"):
         st.host("localhost:1")
 
 
-def test_a_client_token_makes_no_host() -> None:
+def test_a_client_token_cannot_start_a_host() -> None:
     with pytest.raises(st.PermissionDenied, match="a process with a client token cannot host channels"):
         st.host("localhost:1", secret="stampede-token-1.a.b")
 

@@ -41,7 +41,7 @@ async def deciding(host: Host, group: group_pb2.GroupRecord, credit: int) -> Cut
     return reader
 
 
-async def test_items_that_become_visible_while_no_event_is_wanted_are_one_event(
+async def test_items_that_become_visible_before_the_reader_asks_form_one_event(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)  # a sign of life would be due at any time
@@ -64,7 +64,7 @@ async def test_items_that_become_visible_while_no_event_is_wanted_are_one_event(
     assert (await reader.event()).times(left) == [t + number for number in range(19, 29)]
 
 
-async def test_a_reader_of_events_that_closes_its_side_gets_those_that_it_asked_for(host: Host) -> None:
+async def test_a_reader_that_half_closes_its_stream_gets_the_events_that_it_asked_for(host: Host) -> None:
     left, right, group = await a_pair(host)
     t = host.now() - S
     reader = await deciding(host, group, credit=1)

@@ -71,7 +71,7 @@ async def test_a_link_is_opened_again_although_a_write_came_after_its_end(
     assert broken.is_set()
 
 
-async def test_hosts_that_part_and_share_another_group_at_once_hear_of_each_other_again(cluster: Cluster) -> None:
+async def test_two_hosts_that_leave_one_group_and_share_another_exchange_times_again(cluster: Cluster) -> None:
     left, right = await two_channels(cluster)
     first, t = cluster.directory.add_group("first", [left, right]), left.host.now()
     await left.put(t)

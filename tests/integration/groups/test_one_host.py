@@ -58,7 +58,7 @@ async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks(host
     assert (await right.get(group))[0] == [t + 1, t + 1]
 
 
-async def test_a_blocked_get_is_released_when_the_cut_comes(host: Host) -> None:
+async def test_a_waiting_get_is_answered_when_the_cut_reaches_its_interval(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
@@ -131,7 +131,7 @@ async def test_a_get_may_read_at_an_earlier_cut(host: Host) -> None:
     assert (times, summary.cut_unix_nano) == ([t], t + 1)
 
 
-async def test_a_reader_that_has_seen_more_gets_nothing_rather_than_less(host: Host) -> None:
+async def test_a_read_is_hidden_until_the_cut_reaches_the_one_that_the_reader_has_seen(host: Host) -> None:
     one, t = await host.open("one"), host.now() - S
     group = host.directory.add_group("alone", [one])
     await one.put(t, t + 1)
@@ -143,7 +143,7 @@ async def test_a_reader_that_has_seen_more_gets_nothing_rather_than_less(host: H
     assert (await waiting)[0] == [t, t + 1]
 
 
-async def test_reading_through_a_group_that_is_not_there_or_has_not_the_channel_is_refused(host: Host) -> None:
+async def test_a_read_through_an_unknown_group_or_of_a_channel_that_is_not_a_member_is_refused(host: Host) -> None:
     one, other = await host.open("one"), await host.open("other")
     group = host.directory.add_group("alone", [other])
     for group_id, reason in (
@@ -158,7 +158,7 @@ async def test_reading_through_a_group_that_is_not_there_or_has_not_the_channel_
         assert responses[-1].error.reason == reason
 
 
-async def test_a_subscription_brings_items_in_the_order_of_becoming_visible(host: Host) -> None:
+async def test_a_subscription_yields_items_in_the_order_in_which_they_become_visible(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     reading = await left.subscribe(group).opened()
@@ -210,7 +210,7 @@ async def test_get_cut_waits_for_the_cut_that_the_caller_has_seen_or_fails(host:
     assert list(answer.waiting_on_channel_ids) == [one.channel_id]
 
 
-async def test_cut_events_bring_each_item_once_and_late_ones_apart(host: Host) -> None:
+async def test_cut_events_have_each_item_once_and_late_items_separately(host: Host) -> None:
     text, video, t = await host.open("text"), await host.open("video"), host.now() - S
     group = host.directory.add_group("tv", [text, video])
     reader = CutReader(host, group, decides=True)
@@ -250,7 +250,7 @@ async def test_a_member_that_lags_is_waited_for_and_then_named(host: Host, clock
     assert (await reader.event()).late(video) == [t - 1]
 
 
-async def test_a_place_of_another_incarnation_is_refused(host: Host) -> None:
+async def test_a_position_of_another_incarnation_is_refused(host: Host) -> None:
     one = await host.open("one")
     group = host.directory.add_group("alone", [one])
     reader = CutReader(host, group, after=pb.CutCursor(incarnation=group.incarnation + 2, cut_unix_nano=5))

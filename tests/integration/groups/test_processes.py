@@ -107,7 +107,7 @@ def members(cluster: LocalCluster) -> Iterator[tuple[list[Member], bytes]]:
         channel.close()
 
 
-def test_two_hosts_show_a_group_up_to_the_same_cut(members: tuple[list[Member], bytes]) -> None:
+def test_two_hosts_use_the_same_cut_of_a_group(members: tuple[list[Member], bytes]) -> None:
     (left, right), group_id = members
     now = left.groups.GetGroupStatus(
         group_service_pb2.GetGroupStatusRequest(group_id=group_id),

@@ -63,7 +63,7 @@ def numbers(items: st.Items) -> list[int]:
     return [int(item.payload) for item in items]
 
 
-def test_reads_through_a_group_go_on_in_the_archives_of_several_hosts(rt: st.Connection) -> None:
+def test_reads_through_a_group_continue_in_the_archives_of_several_hosts(rt: st.Connection) -> None:
     rig = Rig(rt, "through")
     found = rig.group.get(rig.began, st.NOW)
     assert {channel.name: numbers(items) for channel, items in found.items()} == {
@@ -118,7 +118,7 @@ def test_a_get_that_waits_for_hidden_archived_items_returns_when_the_cut_shows_t
     assert got[1:] == [(True, list(range(150, 161)))]
 
 
-def test_a_long_read_through_a_group_comes_in_pages_of_one_cut(rt: st.Connection) -> None:
+def test_all_pages_of_a_long_read_through_a_group_use_one_cut(rt: st.Connection) -> None:
     large = rt.channel("pages/large", max_items=2, archive="forever")
     began = large.stats().host_time - 60 * 10**9
     for number in range(10):
@@ -130,7 +130,7 @@ def test_a_long_read_through_a_group_comes_in_pages_of_one_cut(rt: st.Connection
     assert items.cut == began + 9 * MS
 
 
-def test_a_subscription_through_a_group_begins_in_the_archive_and_goes_on_live(rt: st.Connection) -> None:
+def test_a_subscription_through_a_group_begins_in_the_archive_and_continues_with_live_items(rt: st.Connection) -> None:
     rig = Rig(rt, "subscribed")
     with rig.group[rig.camera].subscribe(start=rig.began + 20 * MS) as items:
         assert [int(next(items).payload) for _ in range(100)] == list(range(20, 120))
@@ -162,7 +162,9 @@ def beside(matched: st.Matched[st.Channel]) -> list[int]:
 
 
 @pytest.mark.parametrize("unique", [True, False])
-def test_matches_begin_in_the_archives_of_several_hosts_and_go_on_live(rt: st.Connection, unique: bool) -> None:
+def test_matches_begin_in_the_archives_of_several_hosts_and_continue_with_live_items(
+    rt: st.Connection, unique: bool
+) -> None:
     rig = Rig(rt, f"matched-{unique}")
     beside_camera = rt.channel(f"matched-{unique}/near", max_items=5, archive="forever", host=rig.camera.host)
     rig.put(beside_camera, 0, ITEMS)
@@ -217,7 +219,7 @@ def as_read(rig: Rig, as_of: int | None) -> list[object]:
     return [*facts, *((one and (one.payload, one.end)) for one in singles), section.time]
 
 
-def test_reads_through_a_group_as_of_an_instant_answer_as_they_did_then(rt: st.Connection) -> None:
+def test_reads_through_a_group_as_of_an_instant_equal_the_reads_at_that_instant(rt: st.Connection) -> None:
     rig = Rig(rt, "past", ahead=3)
     live = []
     for number in range(ITEMS - 3, ITEMS + 3):

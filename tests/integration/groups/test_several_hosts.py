@@ -76,7 +76,7 @@ async def test_an_advance_counts_as_much_as_an_item(pair: Pair) -> None:
     assert (await pair.left.get(pair.group))[0] == [t]
 
 
-async def test_status_tells_how_far_a_channel_of_another_host_is(pair: Pair) -> None:
+async def test_the_status_shows_the_position_of_a_channel_of_another_host(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 5)
@@ -152,7 +152,7 @@ async def test_cut_events_end_when_another_member_comes_to_their_host(pair: Pair
     assert "has come to this host" in await reader.call.details()
 
 
-async def test_matches_reach_over_hosts(pair: Pair) -> None:
+async def test_matches_have_items_of_several_hosts(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t + 10, t + 20)
     await pair.right.put(t + 11, t + 30)
@@ -173,7 +173,7 @@ async def test_matches_reach_over_hosts(pair: Pair) -> None:
     assert found[0].matched[0].position.incarnation == pair.right.record.incarnation
 
 
-async def test_a_host_whose_lease_came_back_tells_its_times_again(pair: Pair) -> None:
+async def test_a_host_that_regains_its_lease_sends_its_times_again(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 1)
@@ -202,7 +202,7 @@ async def test_a_lost_host_holds_the_cut_until_its_channel_has_another_owner(pai
     await pair.left.host.until_cut(pair.group, t + 8)
 
 
-async def test_a_host_that_was_restarted_shows_no_less_than_before(pair: Pair) -> None:
+async def test_the_cut_of_a_restarted_host_does_not_go_back(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 9)
@@ -217,7 +217,7 @@ async def test_a_host_that_was_restarted_shows_no_less_than_before(pair: Pair) -
     assert status.cut_unix_nano == t + 7
 
 
-async def test_a_host_shows_nothing_before_it_knows_how_far_the_others_have_shown(pair: Pair) -> None:
+async def test_a_host_shows_no_item_before_it_knows_the_cuts_of_the_others(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 9)
@@ -261,7 +261,7 @@ async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_le
     assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # the message had its id
 
 
-async def test_a_host_that_says_it_is_another_gets_no_times(pair: Pair) -> None:
+async def test_a_host_with_a_false_identity_gets_no_times(pair: Pair) -> None:
     call = pair.left.host.groups.ExchangeTimes()
     await call.write(pb.ExchangeTimesRequest(update=pb.TimesUpdate()))
     async with asyncio.timeout(45):
@@ -298,7 +298,7 @@ async def test_a_host_that_owns_no_member_cannot_move_the_cut(pair: Pair) -> Non
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 5  # the owner of a member may
 
 
-async def test_no_host_can_move_the_cut_further_than_items_may_be_by_now(pair: Pair) -> None:
+async def test_no_host_can_move_the_cut_beyond_max_lead_and_max_future(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t)

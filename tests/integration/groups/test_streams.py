@@ -51,9 +51,7 @@ def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) 
 
 
 @pytest.mark.parametrize("kind", ["items", "cuts", "matches"])
-async def test_a_stream_gives_signs_of_life_although_new_items_wake_it_all_the_time(
-    host: Host, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_busy_stream_has_heartbeats(host: Host, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.05)
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.05)
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
@@ -72,7 +70,7 @@ async def test_a_stream_gives_signs_of_life_although_new_items_wake_it_all_the_t
             assert await call.read() is not grpc.aio.EOF
 
 
-async def test_a_subscription_gets_a_cursor_at_its_start_so_that_nothing_comes_twice(host: Host) -> None:
+async def test_a_subscription_gets_a_cursor_at_its_start(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)
@@ -87,7 +85,7 @@ async def test_a_subscription_gets_a_cursor_at_its_start_so_that_nothing_comes_t
     assert await resumed.take(2) == [t + 1, t + 4]
 
 
-async def test_a_cursor_comes_only_after_all_runs_that_became_visible_together(
+async def test_a_cursor_is_sent_after_all_runs_that_became_visible_together(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(subscription, "MESSAGE_BYTES_MAX", 1)  # one run in each

@@ -41,7 +41,9 @@ def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluste
 
 
 @pytest.mark.without_rules("it acts as an operator")
-def test_the_commands_drain_and_move(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stampede_move_and_stampede_host_drain_move_channels(
+    cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
+) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel(f"cam/{next(numbers)}", host="h1")
         channel.put(b"x")
@@ -67,7 +69,7 @@ def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytes
         assert hosts_of(rt, [channel.name]) == {"h1"}
 
 
-def test_a_host_that_is_stopped_gives_its_channels_away_under_load(cluster: LocalCluster) -> None:
+def test_a_stopping_host_moves_its_channels_away_under_load(cluster: LocalCluster) -> None:
     words = ["--listen", "localhost:0", "--name", "leaving", "--frontend", cluster.address, "--drain-seconds", "20"]
     words += ["--secret-file", str(cluster.secret_file)]
     leaving = ServiceProcess("host leaving", "stampede_rt_channel_host", words)

@@ -100,7 +100,7 @@ async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_wa
     ]
 
 
-async def test_a_host_that_hears_nothing_of_the_commit_asks_the_directory(
+async def test_a_host_without_an_answer_to_its_commit_asks_the_directory(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It may not take the queue back, because the other host serves it."""
@@ -139,7 +139,7 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     assert await payloads(pair.at_other()) == [b"a", b"b", b"c"]
 
 
-async def test_a_second_host_gets_nothing_of_a_queue_that_is_on_its_way(pair: Pair) -> None:
+async def test_a_second_handover_of_a_moving_queue_gets_no_message(pair: Pair) -> None:
     stub = migration_service_pb2_grpc.MigrationServiceStub(pair.source.connection)
     await pair.allow()
     first, second = stub.HandOverQueue(), stub.HandOverQueue()

@@ -36,7 +36,7 @@ def owner(rt: Any, channel: Any) -> str:
     return next(one.host for one in rt.channels(channel.name))
 
 
-def test_a_moved_channel_has_its_items_and_its_incarnation_and_goes_on(rt: Any, channel: Any) -> None:
+def test_a_moved_channel_keeps_its_items_and_its_incarnation(rt: Any, channel: Any) -> None:
     before = [channel.put(b"%d" % number) for number in range(300)]
     moved = rt.move(channel, "h2")
     assert (moved.channel, moved.host, moved.held) == (channel.name, "h2", 300)
@@ -54,7 +54,7 @@ def test_a_channel_does_not_move_to_its_own_host(rt: Any, channel: Any) -> None:
     assert rt.move(channel, "h1").blackout_nanos == 0
 
 
-def test_an_unused_channel_moves_too(rt: Any) -> None:
+def test_an_unused_channel_can_move(rt: Any) -> None:
     channel = rt.channel(f"cam/{next(numbers)}", host="h1")
     assert rt.move(channel.name, "h3").held == 0
     assert channel.put(b"first").seq == 1
@@ -65,9 +65,7 @@ def test_a_move_to_a_host_that_does_not_exist_says_so(rt: Any, channel: Any) -> 
         rt.move(channel, "h9")
 
 
-def test_a_blocked_get_goes_on_at_the_new_host_with_the_interval_that_the_old_one_resolved(
-    rt: Any, channel: Any
-) -> None:
+def test_a_waiting_get_keeps_its_resolved_interval_after_a_move(rt: Any, channel: Any) -> None:
     before = channel.put(b"before", time=BEFORE)
     found: list[Any] = []
     end = BEFORE + 10**9
@@ -82,7 +80,7 @@ def test_a_blocked_get_goes_on_at_the_new_host_with_the_interval_that_the_old_on
     assert found[0].interval.start == BEFORE
 
 
-def test_a_consumer_goes_on_where_it_was(rt: Any, channel: Any) -> None:
+def test_a_consumer_keeps_its_position_after_a_move(rt: Any, channel: Any) -> None:
     counted = rt.channel(f"counted/{next(numbers)}", consumers=1, host="h1")
     items = [counted.put(b"x") for _ in range(5)]
     counted.consume([items[0], items[2]])

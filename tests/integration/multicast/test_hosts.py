@@ -82,7 +82,7 @@ def test_datagrams_of_others_are_dropped_and_counted(rt: Any) -> None:
     reader.close()
 
 
-def test_a_callback_goes_on_after_its_host_was_killed(cluster: LocalCluster, rt: Any) -> None:
+def test_a_callback_continues_after_its_host_was_killed(cluster: LocalCluster, rt: Any) -> None:
     called: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     channel = rt.channel(f"cam/{next(numbers)}", max_age="60s", host="h1")
     handle = channel.on_item(lambda item: called.put(item.payload), via="multicast")

@@ -112,7 +112,7 @@ def ended(readers: list[Reader]) -> bool:
     return all(reader.end is not None for reader in readers)
 
 
-def test_readers_get_each_item_once_in_order_although_datagrams_are_lost_and_overtake_each_other(rig: Rig) -> None:
+def test_readers_get_each_item_once_in_order_despite_lost_and_reordered_datagrams(rig: Rig) -> None:
     channel = rig.rt.channel("lossy/one", max_items=10**5)
     readers = rig.begin(channel.name)
     follow(channel, readers)
@@ -151,7 +151,7 @@ def test_a_frozen_and_a_killed_reader_harm_no_other_one_and_the_frozen_one_catch
         reader.process.join(20)
 
 
-def test_readers_that_hear_nothing_any_more_continue_without_datagrams(rig: Rig) -> None:
+def test_readers_continue_over_their_stream_if_no_datagram_arrives(rig: Rig) -> None:
     channel = rig.rt.channel("lossy/three", max_items=10**5)
     readers = rig.begin(channel.name)
     follow(channel, readers)

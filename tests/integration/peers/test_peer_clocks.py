@@ -82,7 +82,7 @@ def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
     return clock is not None and abs(clock.offset_nanos - nanos) <= clock.uncertainty_nanos
 
 
-def test_a_participant_whose_clock_is_off_is_seen_by_all_under_any_leader(
+def test_every_leader_reports_the_clock_offset_of_a_participant(
     cluster: LocalCluster, robot: Callable[[str, int], Robot], capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = robot("robot/late", -7200 * SECOND)
@@ -114,7 +114,7 @@ def test_a_participant_whose_clock_is_off_is_seen_by_all_under_any_leader(
         assert told["robot/gone"] == (False, True)
 
 
-async def test_the_same_on_asyncio(cluster: LocalCluster, robot: Callable[[str, int], Robot]) -> None:
+async def test_the_asyncio_client_does_the_same(cluster: LocalCluster, robot: Callable[[str, int], Robot]) -> None:
     early = robot("robot/early", 90 * SECOND)
     async with aio.connect(cluster.address) as rt, asyncio.timeout(PATIENCE_SECONDS):
         while not (known := [peer.clock for peer in await rt.peers(early.name) if peer.clock is not None]):

@@ -64,7 +64,7 @@ def test_a_second_live_peer_of_a_name_is_refused_with_the_reason(cluster: LocalC
         assert names(second, "only/*") == ["only/one"]
 
 
-def test_a_refused_connection_leaves_nothing_running(cluster: LocalCluster) -> None:
+def test_a_refused_connection_leaves_no_thread_running(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="quiet"):
         with pytest.raises(st.PeerExists):
             st.connect(cluster.address, name="quiet")
@@ -121,7 +121,7 @@ def test_a_proof_that_is_easy_to_guess_is_refused(cluster: LocalCluster, proof: 
         st.connect(cluster.address, name="weak", proof=proof)
 
 
-def test_a_watch_shows_peers_that_come_and_go(cluster: LocalCluster) -> None:
+def test_a_watch_shows_peers_that_join_and_leave(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt, rt.watch_peers("seen/*") as changes:
         with st.connect(cluster.address, name="seen/one"), st.connect(cluster.address, name="unseen/one"):
             change = next(changes)
@@ -182,7 +182,7 @@ def leave(rt: st.Connection) -> None:
     rt._session.supernodes.call("DeregisterPeer", request, 5.0)
 
 
-def test_many_named_connections_come_and_go_at_once(cluster: LocalCluster) -> None:
+def test_many_named_connections_open_and_close_at_the_same_time(cluster: LocalCluster) -> None:
     async def all_of_them() -> set[str]:
         made = await asyncio.gather(*(aio.connect(cluster.address, name=f"many/{number}") for number in range(20)))
         found = {peer.name for peer in await made[0].peers("many/*")}

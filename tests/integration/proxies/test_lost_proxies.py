@@ -38,7 +38,7 @@ def has_readers(rt: Any, channel: Any, host: str) -> bool:
     return any(one.host == host and one.subscriptions for one in rt.proxies(channel))
 
 
-def test_readers_of_a_killed_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
+def test_readers_of_a_killed_proxy_continue_at_the_owner(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
@@ -51,7 +51,7 @@ def test_readers_of_a_killed_proxy_go_on_at_the_owner(cluster: LocalCluster) -> 
             assert channel.stats().subscriptions == 6
 
 
-def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> None:
+def test_readers_of_a_frozen_proxy_continue_at_the_owner(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         rt.proxy(channel, "h2")
@@ -63,7 +63,7 @@ def test_readers_of_a_frozen_proxy_go_on_at_the_owner(cluster: LocalCluster) -> 
                 all_saw(readers, producing.stop())
 
 
-def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> None:
+def test_a_proxy_serves_its_readers_while_the_owner_is_frozen(cluster: LocalCluster) -> None:
     """The owner is frozen for less than its lease.
 
     It comes back with its items, and the proxy continues at its place.
@@ -81,7 +81,7 @@ def test_readers_of_a_proxy_outlast_a_frozen_owner(cluster: LocalCluster) -> Non
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy serves readers")
 
 
-def test_after_the_owner_was_killed_the_readers_hear_of_the_loss_and_the_proxy_follows_the_new_owner(
+def test_readers_of_a_proxy_learn_of_the_loss_of_the_owner_and_continue_with_the_new_one(
     cluster: LocalCluster,
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
@@ -103,7 +103,7 @@ def test_after_the_owner_was_killed_the_readers_hear_of_the_loss_and_the_proxy_f
             all_saw(readers, item.seq)
 
 
-def test_a_proxy_goes_on_over_a_link_that_is_cut(tmp_path: Any) -> None:
+def test_a_proxy_continues_after_a_broken_link(tmp_path: Any) -> None:
     """The link from the owner to the proxy breaks in all ways; the readers of the proxy miss and repeat nothing."""
     with running_cluster(hosts=1, supernodes=1) as cluster:
         port, inner_port = free_ports(2)

@@ -29,7 +29,7 @@ def channel(rt: Any) -> Any:
     return rt.channel(f"cam/{next(numbers)}", max_items=100_000, host="h1")
 
 
-def test_a_proxy_has_the_items_from_before_and_those_that_come(rt: Any, channel: Any) -> None:
+def test_a_proxy_has_the_held_items_and_the_new_ones(rt: Any, channel: Any) -> None:
     before = [channel.put(b"%d" % number).seq for number in range(300)]
     proxy = rt.proxy(channel, "h2")
     assert (proxy.channel, proxy.host, proxy.source, proxy.ready) == (channel.name, "h2", "h1", True)
@@ -70,11 +70,11 @@ def test_a_proxy_that_is_added_twice_exists_once(rt: Any, channel: Any) -> None:
     assert [one.host for one in rt.proxies(channel)] == ["h2"]
 
 
-def test_without_a_host_a_proxy_comes_to_one_that_holds_nothing_of_the_channel(rt: Any, channel: Any) -> None:
+def test_a_proxy_without_a_named_host_is_placed_on_a_host_without_a_copy(rt: Any, channel: Any) -> None:
     assert {rt.proxy(channel).host, rt.proxy(channel).host} == {"h2", "h3"}
 
 
-def test_the_owner_is_no_proxy_and_an_unknown_host_is_named(rt: Any, channel: Any) -> None:
+def test_the_owner_cannot_be_a_proxy_and_an_unknown_host_is_refused(rt: Any, channel: Any) -> None:
     with pytest.raises(st.ChannelExists, match="owns it"):
         rt.proxy(channel, "h1")
     with pytest.raises(st.HostNotFound, match="no host 'nowhere'"):
@@ -102,7 +102,7 @@ def test_a_subscription_that_wants_the_owner_stays_there(rt: Any, channel: Any) 
         eventually(lambda: channel.stats().subscriptions == 4, "all are at the owner")
 
 
-def test_proxies_come_and_go_under_load_and_no_reader_misses_or_repeats_an_item(rt: Any, channel: Any) -> None:
+def test_no_reader_misses_or_repeats_an_item_while_proxies_are_added_and_removed(rt: Any, channel: Any) -> None:
     with reading(channel, 8) as readers, produced(channel) as producing:
         for host in ("h2", "h3", "h2"):
             passes(producing, 30)
@@ -114,7 +114,7 @@ def test_proxies_come_and_go_under_load_and_no_reader_misses_or_repeats_an_item(
         all_saw(readers, producing.stop())
 
 
-def test_a_chain_of_proxies_and_the_end_of_its_middle(rt: Any, channel: Any) -> None:
+def test_a_chain_of_proxies_continues_when_its_middle_ends(rt: Any, channel: Any) -> None:
     with produced(channel) as producing:
         rt.proxy(channel, "h2")
         assert rt.proxy(channel, "h3", source="h2").source == "h2"

@@ -64,7 +64,7 @@ def test_a_taker_that_is_killed_loses_nothing(cluster: LocalCluster) -> None:
         assert (stats.consumed, stats.held) == (4, 0)
 
 
-def test_many_threads_share_one_handle_and_each_item_comes_once(cluster: LocalCluster) -> None:
+def test_threads_that_share_a_handle_get_each_item_once(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt, rt.queue("work/shared", prefetch=8) as queue:
         found: list[bytes] = []
 
@@ -134,7 +134,7 @@ def in_the_end(call: Callable[[], Result]) -> Result:
             continue
 
 
-def test_a_queue_of_a_lost_host_goes_on_elsewhere_as_a_new_incarnation(fragile: LocalCluster) -> None:
+def test_a_queue_of_a_lost_host_is_reopened_elsewhere_as_a_new_incarnation(fragile: LocalCluster) -> None:
     with st.connect(fragile.address) as rt:
         queue = rt.queue("work/lost", lease="60s")
         queue.put(b"lost with its host")

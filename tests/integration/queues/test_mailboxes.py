@@ -70,7 +70,7 @@ def test_messages_come_in_order_to_an_iterating_caller(cluster: LocalCluster) ->
         assert (stats.consumed, stats.held) == (5, 0)
 
 
-def test_a_message_that_is_not_acknowledged_comes_again(cluster: LocalCluster) -> None:
+def test_a_message_without_an_acknowledgement_is_delivered_again(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="forgetful") as rt:
         rt.send("forgetful", b"to myself")
         with pytest.raises(ZeroDivisionError), rt.mailbox.get(timeout=10):  # type: ignore[union-attr]
@@ -99,7 +99,7 @@ def is_gone(sender: st.Connection, peer: str) -> bool:
     return False
 
 
-def test_a_peer_that_left_and_came_back_is_found_again(cluster: LocalCluster) -> None:
+def test_a_peer_that_left_and_registered_again_is_found(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as sender:
         with st.connect(cluster.address, name="guest") as first:
             sender.send("guest", b"1")
@@ -129,7 +129,7 @@ def test_closing_the_connection_wakes_the_caller_that_waits_at_its_mailbox(clust
     assert [error.message for error in told] == ["this connection is closed; call connect() again"]
 
 
-async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:
+async def test_the_asyncio_client_does_the_same(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, name="aio") as rt:
         get = asyncio.ensure_future(rt.mailbox.get())
         await rt.send("aio", b"x")

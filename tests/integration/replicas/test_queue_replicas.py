@@ -102,7 +102,7 @@ def owner_of(rt: Any) -> str:
 
 
 @pytest.mark.parametrize("replicas", [1, 2])
-def test_after_a_killed_owner_nothing_acknowledged_is_lost_and_nothing_settled_comes_back(
+def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the_owner_is_killed(
     cluster: LocalCluster, replicas: int
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
@@ -126,7 +126,7 @@ def test_after_a_killed_owner_nothing_acknowledged_is_lost_and_nothing_settled_c
         eventually(lambda: len(in_sync(queue)) >= 1, "the owner has a replica")
 
 
-def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
+def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         queue = opened(rt)
         eventually(lambda: len(in_sync(queue)) == 1, "the replica is in sync")
@@ -141,7 +141,7 @@ def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: Lo
 
 
 @pytest.mark.parametrize("how", ["killed", "frozen"])
-def test_the_queue_goes_on_with_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
+def test_a_queue_gets_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         queue = opened(rt)
         eventually(lambda: len(in_sync(queue)) == 1, "the replica is in sync")

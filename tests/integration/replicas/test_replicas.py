@@ -55,7 +55,7 @@ def holds_all(channel: Any, last: int) -> None:
 
 
 @pytest.mark.parametrize("replicas", [1, 2])
-def test_after_a_killed_owner_nothing_acknowledged_or_seen_is_lost_or_doubled(
+def test_no_acknowledged_or_read_item_is_lost_or_repeated_when_the_owner_is_killed(
     cluster: LocalCluster, replicas: int
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
@@ -83,7 +83,7 @@ def got_all_but_the_lost(seqs: list[int], inherited: int, last: int) -> bool:
 
 
 @pytest.mark.parametrize("transport", ["grpc", None])
-def test_with_ack_host_a_replica_goes_on_and_each_reader_hears_of_the_loss(
+def test_each_reader_learns_of_the_loss_when_a_lagging_replica_takes_over(
     cluster: LocalCluster, transport: Any
 ) -> None:
     with st.connect(cluster.address, transport=transport) as rt:
@@ -115,7 +115,7 @@ def test_with_ack_host_a_replica_goes_on_and_each_reader_hears_of_the_loss(
         eventually(lambda: len(in_sync(channel)) == 1, "the owner has found another replica")
 
 
-def test_a_recording_goes_on_after_a_loss_and_names_it(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_a_recording_continues_after_a_loss_and_names_it(cluster: LocalCluster, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with st.connect(cluster.address) as rt:
         channel = rt.channel("cam", max_items=100_000, host="h1", replicas=1)
@@ -137,7 +137,7 @@ def test_a_recording_goes_on_after_a_loss_and_names_it(cluster: LocalCluster, tm
     assert not verify(path).summary.complete
 
 
-def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
+def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
@@ -155,7 +155,7 @@ def test_after_a_frozen_owner_there_is_one_owner_and_nothing_is_lost(cluster: Lo
 
 
 @pytest.mark.parametrize("how", ["killed", "frozen"])
-def test_puts_go_on_with_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
+def test_puts_continue_with_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")

@@ -88,7 +88,9 @@ class Things:
         return await made if inspect.isawaitable(made) else made
 
 
-async def test_after_the_loss_of_their_host_all_things_with_a_replica_go_on(cluster: LocalCluster, rig: Rig) -> None:
+async def test_channels_queues_groups_and_mailboxes_with_replicas_survive_the_loss_of_their_host(
+    cluster: LocalCluster, rig: Rig
+) -> None:
     things = Things(rig)
     await things.set_up()
     await things.fill()

@@ -41,7 +41,7 @@ async def test_a_put_on_asyncio_waits_for_replicas_and_no_longer_than_its_timeou
         assert [item.seq for item in await channel.get(st.OLDEST, st.NEWEST)] == [1, 2]
 
 
-def test_a_producer_hears_of_items_that_were_not_replicated_in_time(cluster: LocalCluster) -> None:
+def test_a_producer_gets_the_errors_of_items_that_were_not_replicated_in_time(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("produced", max_items=10, replicas=1, ack="replica", min_replicas=0)
         with channel.producer() as producer:
@@ -80,7 +80,7 @@ async def test_on_asyncio_a_put_waits_for_lagging_replicas_only_if_it_asks_to(cl
         ({"replicas": 1, "ack": "disc"}, "'host', 'disk', 'replica'"),
     ],
 )
-def test_a_policy_that_cannot_be_served_is_refused_with_the_way_out(
+def test_a_policy_that_cannot_be_served_is_refused_with_advice(
     cluster: LocalCluster, policy: dict[str, Any], says: str
 ) -> None:
     with st.connect(cluster.address) as rt, pytest.raises(st.InvalidArgument, match=says):

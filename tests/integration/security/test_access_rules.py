@@ -211,7 +211,7 @@ def test_only_peers_own_their_mailboxes(cluster: LocalCluster, operator: Operato
         assert message.payload == b"hello"
 
 
-def test_no_listing_and_no_watch_tells_of_things_that_its_caller_may_not_list(
+def test_listings_and_watches_hide_things_that_the_caller_may_not_list(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     """A fixed fault: a page token held the name of a hidden thing, and the change of a hidden thing made an empty

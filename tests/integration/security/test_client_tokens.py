@@ -35,7 +35,7 @@ def test_a_client_with_a_token_puts_reads_and_subscribes(cluster: LocalCluster, 
             queue.put(b"job")
 
 
-def test_a_clients_token_makes_no_tokens_and_changes_no_members(
+def test_a_client_token_can_neither_make_tokens_nor_change_members(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "cam.token"))
@@ -47,7 +47,7 @@ def test_a_clients_token_makes_no_tokens_and_changes_no_members(
         assert "client cam may not call" in capsys.readouterr().err
 
 
-def test_an_operators_token_makes_tokens(
+def test_an_operator_token_can_make_tokens(
     cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     issued(cluster, tmp_path, "ops", "--role", "operator")

@@ -73,7 +73,7 @@ def client(cluster: LocalCluster, operator: Operator, monkeypatch: pytest.Monkey
         yield rt
 
 
-def test_a_client_beyond_its_quota_sees_the_quota_and_advice_and_keeps_its_streams(
+def test_a_client_above_its_quota_gets_an_error_with_advice_and_keeps_its_streams(
     operator: Operator, client: st.Connection
 ) -> None:
     channel = client.channel("quotas/video")
@@ -112,7 +112,7 @@ def test_the_use_and_the_refusals_of_each_caller_are_shown_for_each_part(
     assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
 
 
-def test_members_and_others_are_not_bound_by_the_quota_of_one(
+def test_the_quota_of_one_caller_does_not_limit_members_and_other_callers(
     cluster: LocalCluster, operator: Operator, client: st.Connection
 ) -> None:
     operator.set("team/*", "streams=0", "waiting-calls=0")
@@ -193,7 +193,7 @@ def test_a_client_has_as_many_groups_and_peers_as_its_quotas(cluster: LocalClust
         rt.group("quotas/g2", members)
 
 
-def test_a_share_of_an_event_loop_above_all_of_it_is_refused(operator: Operator) -> None:
+def test_a_quota_above_the_whole_event_loop_is_refused(operator: Operator) -> None:
     said = operator.says("quota", "set", "cam", "cpu-percent=300", status=2)
     assert "cpu-percent is 300; a service has 100 % of its event loop" in said
 
@@ -215,7 +215,7 @@ def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operat
     assert operator.says("quota", "rm", "cam-9") == "No such limit was set for cam-9.\n"
 
 
-def test_a_mistake_is_named_with_the_way_out(operator: Operator) -> None:
+def test_a_wrong_quota_is_refused_with_advice(operator: Operator) -> None:
     assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
     for asked in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):  # it was taken for a client's name
         assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *asked, status=2)

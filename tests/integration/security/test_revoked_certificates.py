@@ -48,7 +48,7 @@ def operator(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("operator")
-def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(cluster: LocalCluster, transport: str) -> None:
+def test_a_revoked_certificate_is_refused_and_its_open_streams_end(cluster: LocalCluster, transport: str) -> None:
     files = issued(cluster, Role.CLIENT, f"lost-{transport}")
     with st.connect(cluster.address, tls=files) as rt:
         channel = rt.channel("revoked")

@@ -69,7 +69,9 @@ def test_a_certificate_of_the_cluster_is_enough(connect: Connect, cluster: Local
 
 
 @both_surfaces
-def test_a_caller_without_a_certificate_is_told_to_bring_one(connect: Connect, cluster: LocalCluster) -> None:
+def test_the_error_of_a_caller_without_a_certificate_says_that_it_needs_one(
+    connect: Connect, cluster: LocalCluster
+) -> None:
     told = refusal(connect, cluster.address, None)
     assert told.startswith(f"{cluster.address} asks for certificates (TLS), and this caller has none; name yours with")
 
@@ -122,7 +124,7 @@ def test_a_certificate_that_only_the_caller_trusts_is_refused(
 
 
 @both_surfaces
-def test_a_cluster_that_is_told_to_ask_for_the_secret_asks_for_both(
+def test_a_cluster_can_require_both_a_certificate_and_the_secret(
     connect: Connect, secret_cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret_cluster.secret_file))

@@ -45,7 +45,9 @@ def supernode_command(cluster: LocalCluster, files: st.TlsFiles | None, *words: 
     return done.returncode, done.stdout + done.stderr
 
 
-def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_a_new_supernode_joins_with_an_operator_token_and_its_own_certificate(
+    cluster: LocalCluster, tmp_path: Path
+) -> None:
     newcomer = cluster.tls_files("s9", Role.SUPERNODE)
     words = ("join", "--data-dir", str(tmp_path / "s9"), "--listen", "localhost:7599", "--id", "s9")
     code, printed = supernode_command(cluster, newcomer, *words)

@@ -211,7 +211,7 @@ def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(clus
         assert queue.get().payload == b"kept"
 
 
-def test_a_host_gets_no_channel_of_another_host_by_its_own_word(cluster: LocalCluster) -> None:
+def test_a_host_cannot_claim_a_channel_of_another_host(cluster: LocalCluster) -> None:
     supernode, own = cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST)
     assert ask(supernode, own, registering("h9")) == ""
     with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
@@ -279,7 +279,7 @@ def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: Loca
         (None, "", "asks for certificates (TLS), and this caller has none"),
     ],
 )
-def test_a_host_that_is_not_let_in_ends_with_one_sentence(
+def test_a_refused_host_exits_with_one_sentence(
     role: Role | None, name: str, complaint: str, cluster: LocalCluster, foreign: ClusterCertificates
 ) -> None:
     files = cluster.tls_files(name, role) if role else foreign.issue(Role.HOST, "h8") if name else None
@@ -356,7 +356,7 @@ async def outcome(call: Any) -> grpc.StatusCode:
     return grpc.StatusCode(await call.code())
 
 
-def test_random_bytes_and_pickles_do_nothing_at_any_port(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_random_bytes_and_pickles_have_no_effect_at_any_port(cluster: LocalCluster, tmp_path: Path) -> None:
     place = tmp_path / "exploded"
     bombs = [pickle.dumps(Bomb(place), protocol) for protocol in (0, 2, 5)]
     preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
@@ -388,7 +388,7 @@ def test_random_bytes_and_pickles_do_nothing_at_any_port(cluster: LocalCluster, 
 
 
 @pytest.mark.parametrize(("role", "believed"), [(Role.CLIENT, False), (Role.OPERATOR, False), (Role.HOST, True)])
-async def test_hosts_alone_say_where_a_dead_letter_comes_from(
+async def test_only_a_host_can_set_the_origin_of_a_dead_letter(
     cluster: LocalCluster, role: Role, believed: bool
 ) -> None:
     async with aio.connect(cluster.address, tls=cluster.tls_files("reader")) as rt:

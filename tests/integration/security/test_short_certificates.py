@@ -46,7 +46,7 @@ def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     return str(request.param)
 
 
-def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
+def test_streams_end_with_their_certificate_and_continue_with_the_renewed_one(
     cluster: LocalCluster, certificates: ClusterCertificates, transport: str
 ) -> None:
     files = certificates.issue(Role.CLIENT, "cam", lifetime=SHORT)
@@ -73,7 +73,7 @@ def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
             assert set(heard) == {b"next"}
 
 
-async def test_everything_that_waits_goes_on_with_the_renewed_certificate(
+async def test_waiting_calls_continue_with_the_renewed_certificate(
     cluster: LocalCluster, certificates: ClusterCertificates
 ) -> None:
     rig = Rig(cluster.address, None)
@@ -96,7 +96,7 @@ async def test_everything_that_waits_goes_on_with_the_renewed_certificate(
 
 
 @pytest.mark.skipif(not futexes.is_supported(), reason="shared memory needs Linux on x86-64")
-def test_a_ring_ends_for_all_with_the_certificate_of_one_reader_and_comes_again_for_the_renewed_one(
+def test_a_ring_ends_with_the_certificate_of_a_reader_and_is_shared_again_with_the_renewed_one(
     cluster: LocalCluster, certificates: ClusterCertificates
 ) -> None:
     files = certificates.issue(Role.CLIENT, "reads", lifetime=SHORT)
@@ -117,7 +117,7 @@ def test_a_ring_ends_for_all_with_the_certificate_of_one_reader_and_comes_again_
             assert one.stats().transport == "shared"
 
 
-def test_a_connection_that_has_outlived_its_certificate_is_good_for_nothing_more(
+def test_every_call_on_a_connection_with_an_expired_certificate_is_refused(
     cluster: LocalCluster, certificates: ClusterCertificates
 ) -> None:
     files = certificates.issue(Role.CLIENT, "late", lifetime=SHORT)

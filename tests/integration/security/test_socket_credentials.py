@@ -127,7 +127,7 @@ async def test_an_expired_token_ends_all_streams_of_its_caller(cluster: LocalClu
             assert "the token of client brief has ended" in await told(found[name]), name
 
 
-async def test_after_a_lost_right_subscriptions_end_and_waiting_gets_are_refused(
+async def test_subscriptions_end_and_waiting_gets_are_refused_when_the_right_is_lost(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     operator.add("reader", "read,put", "sockets/*")

@@ -66,7 +66,7 @@ async def test_only_the_ticket_of_a_certificate_opens_a_stream(cluster: LocalClu
         assert "by the ticket of its endpoint" in text
 
 
-async def test_each_certificate_has_a_ticket_of_its_own_that_stays(cluster: LocalCluster) -> None:
+async def test_each_certificate_keeps_its_own_ticket(cluster: LocalCluster) -> None:
     cam, arm = cluster.tls_files("cam"), cluster.tls_files("arm")
     tickets = [(await socket_of(cluster, files)).ticket for files in (cam, arm, cam)]
     assert tickets[0] == tickets[2] != tickets[1]

@@ -35,7 +35,7 @@ def test_a_whole_backup_replaces_the_former_file(tmp_path: Path, part_bytes: int
 
 
 @pytest.mark.parametrize("data", [b"", BODY, BODY[1:] + SHA256, b"W" + BODY[1:] + SHA256, BODY + bytes(32)])
-def test_a_damaged_one_leaves_the_older_backup_as_it_was(tmp_path: Path, data: bytes) -> None:
+def test_a_damaged_backup_does_not_replace_the_former_file(tmp_path: Path, data: bytes) -> None:
     out = tmp_path / "backup"
     out.write_bytes(b"older")
     with pytest.raises(StampedeError, match="came damaged"):
@@ -69,7 +69,7 @@ def test_an_error_of_the_disk_names_the_file(tmp_path: Path, monkeypatch: pytest
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_connection_that_breaks_leaves_nothing(tmp_path: Path) -> None:
+def test_a_broken_connection_leaves_no_backup_file(tmp_path: Path) -> None:
     def broken() -> Iterator[TakeSnapshotResponse]:
         yield FACTS
         raise Unavailable("gone")

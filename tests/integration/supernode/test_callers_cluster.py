@@ -215,7 +215,7 @@ async def test_front_ends_of_different_clusters_are_refused_with_both_names(worl
 
 
 @pytest.mark.usefixtures("short_calls")
-async def test_a_front_end_that_serves_another_cluster_by_now_takes_no_client_along(world: World, kind: str) -> None:
+async def test_a_client_leaves_a_front_end_that_now_serves_another_cluster(world: World, kind: str) -> None:
     own, stranger = FakeSupernode("x"), FakeSupernode("y")
     serves = FakeFrontend("x", [await world.supernode(own)])
     frontend = await world.frontend(serves)
@@ -232,7 +232,7 @@ async def test_a_front_end_that_serves_another_cluster_by_now_takes_no_client_al
 
 
 @pytest.mark.parametrize(("before", "after", "former"), [("memory-x", "memory-y", ()), ("x", "y", ("x",))])
-async def test_a_client_goes_over_to_the_successor_of_its_cluster(
+async def test_a_client_follows_the_successor_of_its_cluster(
     world: World, kind: str, before: str, after: str, former: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (async_directory, sync_directory):
@@ -246,7 +246,7 @@ async def test_a_client_goes_over_to_the_successor_of_its_cluster(
     assert one.served == [before, after]
 
 
-async def test_a_client_that_met_no_cluster_yet_is_of_the_one_that_answers_it(world: World, kind: str) -> None:
+async def test_a_new_client_belongs_to_the_first_cluster_that_answers(world: World, kind: str) -> None:
     one = FakeSupernode("x")
     frontend = await world.frontend(FakeFrontend("", [await world.supernode(one)]))
     async with connected(kind, frontend) as client:

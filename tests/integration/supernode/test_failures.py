@@ -17,7 +17,7 @@ def owner(cluster: LocalCluster, channel: st.Channel) -> object:
     return next(host for host in cluster.hosts if channel.host in host.name or host.name in channel.host)
 
 
-def test_clients_go_on_after_the_loss_of_a_supernode_and_a_front_end(cluster: LocalCluster) -> None:
+def test_clients_continue_after_the_loss_of_a_supernode_and_a_front_end(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("cam/left", max_age="60s")
         channel.put(b"before")
@@ -45,7 +45,7 @@ def test_the_directory_survives_a_restart_of_all_supernodes(cluster: LocalCluste
         assert len(channel.get(st.OLDEST, st.NEWEST)) == 2
 
 
-def test_a_channel_of_a_lost_host_goes_on_elsewhere_as_a_new_incarnation(cluster: LocalCluster) -> None:
+def test_a_channel_of_a_lost_host_is_reopened_elsewhere_as_a_new_incarnation(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         channel = rt.channel("cam/left", max_age="60s")
         first = channel.put(b"lost with its host")
@@ -64,7 +64,7 @@ def test_a_channel_of_a_lost_host_goes_on_elsewhere_as_a_new_incarnation(cluster
         assert [one.payload for one in channel.get(st.OLDEST, st.NEWEST)] == [b"new life"]
 
 
-def test_without_any_host_left_the_error_names_it_and_a_restart_heals(alone: LocalCluster) -> None:
+def test_the_error_names_the_lost_host_and_a_restart_repairs_the_channel(alone: LocalCluster) -> None:
     with st.connect(alone.address) as rt:
         channel = rt.channel("cam/left", max_age="60s")
         channel.put(b"lost")

@@ -17,7 +17,7 @@ def copied(original: Supernode, folder: Path, port: int) -> Supernode:
     return Supernode(original.name, address, ["--listen", address, "--data-dir", str(folder / "copy")])
 
 
-async def test_a_copy_that_is_started_beside_the_supernode_ends_and_says_so(tmp_path: Path) -> None:
+async def test_a_copy_of_a_running_supernode_exits_with_the_reason(tmp_path: Path) -> None:
     ports = free_ports(2)
     original = await prepared("init", "a", ports[0], tmp_path)
     running = [original]
@@ -32,7 +32,7 @@ async def test_a_copy_that_is_started_beside_the_supernode_ends_and_says_so(tmp_
             await one.close()
 
 
-async def test_a_copy_that_was_started_first_ends_once_the_supernode_comes(tmp_path: Path) -> None:
+async def test_a_copy_that_was_started_first_exits_when_the_supernode_starts(tmp_path: Path) -> None:
     ports = free_ports(2)
     original = await prepared("init", "a", ports[0], tmp_path)
     running = [original]

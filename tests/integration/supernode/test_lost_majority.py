@@ -44,7 +44,7 @@ def short_calls(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_calls")
-def test_without_a_majority_callers_hear_just_that_and_doctor_leaves_the_clocks_alone(
+def test_without_a_majority_errors_name_the_reason_and_doctor_does_not_judge_clocks(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with running_cluster(hosts=1, supernodes=3) as cluster:

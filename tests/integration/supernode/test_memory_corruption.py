@@ -66,7 +66,7 @@ async def served_by(one: Supernode) -> None:
 
 
 @pytest.mark.parametrize("leads", [True, False])
-async def test_the_one_of_three_that_differs_is_found_even_if_it_leads_and_the_others_serve(
+async def test_a_supernode_whose_state_differs_from_two_others_is_found_and_the_others_serve(
     tmp_path: Path, leads: bool
 ) -> None:
     async with three(tmp_path) as cluster:
@@ -85,7 +85,7 @@ async def test_the_one_of_three_that_differs_is_found_even_if_it_leads_and_the_o
         assert printed.count("diverged") == 1
 
 
-async def test_of_two_that_differ_neither_is_said_to_be_wrong_and_a_restart_ends_the_doubt(tmp_path: Path) -> None:
+async def test_two_supernodes_whose_states_differ_are_both_reported_until_a_restart(tmp_path: Path) -> None:
     ports = free_ports(2)
     founder = await prepared("init", "a", ports[0], tmp_path)
     founder.module = MODULE

@@ -77,7 +77,7 @@ async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_w
             await one.close()
 
 
-async def test_founders_with_different_lists_found_nothing_and_say_so(tmp_path: Path) -> None:
+async def test_founders_with_different_lists_create_no_cluster_and_report_the_difference(tmp_path: Path) -> None:
     ports = free_ports(5)
     listed = [f"s{number}=127.0.0.1:{port}" for number, port in enumerate(ports, start=1)]
 

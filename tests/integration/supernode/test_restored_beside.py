@@ -84,7 +84,7 @@ def heard(process: ServiceProcess, text: str) -> bool:
     return any(text in line for line in process.last_lines)
 
 
-def test_hosts_and_front_ends_stay_with_their_cluster_and_lose_no_item(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: LocalCluster, tmp_path: Path) -> None:
     *living, gone = cluster.supernodes
     backup = tmp_path / "backup"
     with st.connect(cluster.address) as rt:
@@ -130,7 +130,7 @@ def test_hosts_and_front_ends_stay_with_their_cluster_and_lose_no_item(cluster: 
             assert len(asyncio.run(hosts_at(cluster, living[0].address, include_dead=False))) == len(cluster.hosts)
 
 
-def test_hosts_and_connected_clients_go_over_to_the_cluster_that_takes_the_place_of_theirs(
+def test_hosts_and_connected_clients_follow_the_cluster_that_replaces_theirs(
     cluster: LocalCluster, tmp_path: Path
 ) -> None:
     backup, at = tmp_path / "backup", cluster.supernodes[1].address

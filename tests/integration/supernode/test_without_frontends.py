@@ -33,7 +33,7 @@ def bound(cluster: LocalCluster, address: str) -> BindResponse:
     return response
 
 
-def test_bound_clients_go_on_without_front_ends_also_to_new_channels_hosts_and_supernodes(
+def test_clients_reach_new_channels_hosts_and_supernodes_without_front_ends(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     first, second = (bound(cluster, address) for address in cluster.address.split(","))

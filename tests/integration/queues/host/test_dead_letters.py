@@ -54,7 +54,7 @@ async def test_an_item_stays_until_the_dead_letter_queue_takes_it() -> None:
         await queue.until(lambda status: status.counters.dead_lettered == 1)
 
 
-async def test_an_item_delivered_too_often_is_expelled_where_no_dead_letter_queue_is_named(rig: QueueRig) -> None:
+async def test_an_item_delivered_too_often_is_expelled_without_a_dead_letter_queue(rig: QueueRig) -> None:
     queue = rig.open(max_deliveries=1)
     await queue.put(b"poison")
     taker = await queue.take(credit=1).open()
@@ -62,7 +62,7 @@ async def test_an_item_delivered_too_often_is_expelled_where_no_dead_letter_queu
     assert (await queue.status()).counters.expelled == 1
 
 
-async def test_a_terminated_item_leaves_for_the_dead_letter_queue_and_tells_where_it_was() -> None:
+async def test_a_terminated_item_moves_to_the_dead_letter_queue_with_its_origin() -> None:
     clock = ManualClock()
     async with queue_directory() as directory, host_of(directory, clock=clock) as rig:
         graveyard = rig.open("dead")

@@ -31,7 +31,7 @@ async def test_an_enqueue_on_a_full_queue_waits_until_a_taker_made_room(rig: Que
 
 
 @pytest.mark.parametrize("wait_nanos", [0, 20 * MS])
-async def test_a_wait_for_room_that_is_over_ends_in_queue_full(rig: QueueRig, wait_nanos: int) -> None:
+async def test_an_enqueue_fails_with_queue_full_at_its_timeout(rig: QueueRig, wait_nanos: int) -> None:
     queue = rig.open(max_items=1)
     await queue.put(b"a")
     refused = await queue.put(b"b", wait_nanos=wait_nanos)
@@ -41,7 +41,7 @@ async def test_a_wait_for_room_that_is_over_ends_in_queue_full(rig: QueueRig, wa
     assert (status.counters.rejected_full, status.waiting_enqueues) == (1, 0)
 
 
-async def test_a_cancelled_enqueue_leaves_nothing_behind(rig: QueueRig) -> None:
+async def test_a_cancelled_enqueue_is_not_counted_as_waiting(rig: QueueRig) -> None:
     queue = rig.open(max_items=1)
     await queue.put(b"a")
     call = rig.stub.Enqueue(iter((queue.enqueue_request(run_of(b"b"), producer_id=5),)))

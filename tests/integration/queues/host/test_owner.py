@@ -47,7 +47,7 @@ async def test_a_queue_of_another_host_has_moved_and_an_unknown_queue_is_not_fou
     assert acked.error.reason == error_pb2.ERROR_REASON_QUEUE_NOT_FOUND
 
 
-async def test_a_changed_set_up_holds_as_soon_as_the_directory_tells_of_it(rig: QueueRig) -> None:
+async def test_a_changed_policy_applies_when_the_directory_reports_it(rig: QueueRig) -> None:
     queue = rig.open(max_items=1)
     await queue.put(b"a")
     await rig.directory.called("Watch", times=1)
@@ -58,7 +58,7 @@ async def test_a_changed_set_up_holds_as_soon_as_the_directory_tells_of_it(rig: 
     assert (await waiting).first_seq == 2
 
 
-async def test_takers_of_a_deleted_queue_are_told_and_its_items_are_gone(rig: QueueRig) -> None:
+async def test_takers_of_a_deleted_queue_get_an_error_and_its_items_are_deleted(rig: QueueRig) -> None:
     queue = rig.open()
     taker = await queue.take(credit=1).open()
     await rig.directory.called("Watch", times=1)
@@ -119,7 +119,7 @@ async def test_another_incarnation_begins_with_an_empty_queue(rig: QueueRig) -> 
     assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
 
 
-async def test_a_host_that_stops_says_so_to_takers_and_producers() -> None:
+async def test_a_stopping_host_ends_the_streams_of_takers_and_producers_with_a_reason() -> None:
     async with running_queue_host() as rig:
         queue = rig.open(max_items=1)
         taker = await queue.take().open()

@@ -48,7 +48,7 @@ async def test_a_waiting_taker_gets_new_messages(rig: QueueRig) -> None:
     assert item.payload == b"x"
 
 
-async def test_a_given_back_item_comes_again_at_its_place_and_is_counted(rig: QueueRig) -> None:
+async def test_a_nacked_item_is_delivered_again_before_later_items_and_counted(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"a", b"b", b"c")
     taker = await queue.take(credit=1).open()
@@ -60,7 +60,7 @@ async def test_a_given_back_item_comes_again_at_its_place_and_is_counted(rig: Qu
     assert again.delivery_id != first.delivery_id
 
 
-async def test_a_killed_takers_items_come_again_when_its_lease_ends() -> None:
+async def test_the_items_of_a_killed_taker_are_delivered_again_when_its_lease_ends() -> None:
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)
@@ -77,7 +77,7 @@ async def test_a_killed_takers_items_come_again_when_its_lease_ends() -> None:
         assert (await queue.status()).counters.leases_expired == 2
 
 
-async def test_a_taker_that_comes_back_settles_by_id_and_a_repeated_ack_succeeds(rig: QueueRig) -> None:
+async def test_a_taker_with_a_new_stream_settles_by_id_and_may_repeat_an_ack(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"a", b"b")
     taker = await queue.take(taker_id=7, credit=2).open()
@@ -164,7 +164,7 @@ async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() 
         assert {(await frozen.items(1))[0].payload, (await live.items(1))[0].payload} == {b"b", b"c"}
 
 
-async def test_a_taker_that_was_heard_since_its_lease_began_goes_on_being_served() -> None:
+async def test_a_taker_that_was_heard_of_since_its_lease_began_gets_further_items() -> None:
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)
@@ -200,7 +200,7 @@ async def test_leased_messages_are_listed_page_by_page(rig: QueueRig) -> None:
     assert caught.value.code() == grpc.StatusCode.INVALID_ARGUMENT
 
 
-async def test_a_taker_is_shown_a_sign_of_life(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_stream_of_a_waiting_taker_has_heartbeats(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(take_stream, "SIGN_OF_LIFE_SECONDS", 0.01)
     taker = await rig.open().take(credit=1).open()
     assert await taker.read() == pb.TakeResponse()
