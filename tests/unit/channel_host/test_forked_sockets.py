@@ -9,7 +9,9 @@ from pathlib import Path
 from stampede_rt_channel_host.forked_sockets import close_copies
 
 
-def test_only_the_sockets_of_the_server_are_closed_and_their_descriptors_stay_taken(tmp_path: Path) -> None:
+def test_a_forked_child_closes_only_the_sockets_of_the_server_and_keeps_their_descriptors_reserved(
+    tmp_path: Path,
+) -> None:
     path = str(tmp_path / "at")
     with ExitStack() as opened:
         server = opened.enter_context(socket.create_server(("127.0.0.1", 0)))

@@ -62,7 +62,7 @@ async def test_blocked_gets_are_ended_in_pieces(rig: Rig) -> None:
         assert response.error.message == "gone"
 
 
-async def test_each_waiting_caller_of_a_deleted_channel_is_told_and_its_items_are_freed(rig: Rig) -> None:
+async def test_each_waiting_caller_of_a_deleted_channel_gets_an_error_and_its_items_are_freed(rig: Rig) -> None:
     channel = await rig.open()
     hosted = rig.host.store.find(channel.channel_id, channel.epoch)
     await channel.put(*(run_of(b"x", number=number) for number in range(1, 2001)))
@@ -143,7 +143,7 @@ async def test_puts_that_wait_are_refused_in_pieces_and_in_their_order_and_none_
     assert ack.first_seq == 2
 
 
-async def test_room_that_comes_without_the_lease_goes_to_a_put_once_the_lease_is_back(rig: Rig) -> None:
+async def test_a_waiting_put_gets_room_when_the_lease_is_held_again(rig: Rig) -> None:
     hosted, (run,) = await full(rig, 1)
     hosted.puts._may_serve = lambda: False
     hosted.channel.configure(Policy(max_items=10, on_full="block", max_age_nanos=3600 * 10**9), rig.now())

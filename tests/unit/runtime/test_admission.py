@@ -184,7 +184,7 @@ async def test_new_connections_get_the_new_certificate_and_open_ones_go_on(
         await channel.close()
 
 
-async def test_a_channel_that_has_lost_its_connection_comes_back_with_the_new_certificate(
+async def test_a_channel_that_has_lost_its_connection_reconnects_with_the_new_certificate(
     made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
@@ -245,7 +245,7 @@ async def test_a_client_reads_the_fault_of_the_services_certificate(made: Cluste
             assert expected in await refusal(server.address, asks)
 
 
-async def test_a_client_hears_that_the_service_speaks_plain_text(made: ClusterCertificates) -> None:
+async def test_the_error_of_a_client_says_that_the_service_uses_plain_text(made: ClusterCertificates) -> None:
     async with serving(lambda _: None) as server:
         told = await refusal(server.address, made.issue(Role.CLIENT, "cam"))
         assert told == (

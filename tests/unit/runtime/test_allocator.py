@@ -38,6 +38,6 @@ print("given back")
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the allocator of another C library is left as it is")
 @pytest.mark.parametrize("how", ["as usual", "without descriptors"])
-def test_memory_freed_between_blocks_that_stay_goes_back_to_the_system(how: str) -> None:
+def test_memory_freed_between_used_blocks_is_returned_to_the_system(how: str) -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM, how], capture_output=True, text=True, timeout=50)
     assert (done.stdout.split("\n"), done.stderr) == (["True", "given back", ""], "")

@@ -140,14 +140,14 @@ async def first_of_watch(address: str, secret: Secret | None) -> health_pb2.Heal
         return await health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=LIMIT_S).read()
 
 
-async def test_a_call_with_the_secret_goes_through() -> None:
+async def test_a_call_with_the_secret_is_accepted() -> None:
     async with serving(register, secret=RIGHT) as server:
         answer = await first_of_watch(server.address, RIGHT)
     assert answer.status == health_pb2.HealthCheckResponse.SERVING
 
 
 @pytest.mark.parametrize(("secret", "what"), [(None, "brought no secret"), (WRONG, "a secret that differs")])
-async def test_a_call_without_the_right_secret_is_refused_and_told_where_it_lies(
+async def test_a_call_without_the_right_secret_is_refused_with_the_places_of_secrets(
     secret: Secret | None, what: str
 ) -> None:
     async with serving(register, secret=RIGHT) as server:

@@ -66,7 +66,9 @@ async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_cal
     assert "2 streams are open at this port, as many as it serves" in error.message
 
 
-async def test_single_requests_that_come_together_go_on_a_few_in_each_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A fixed fault: one turn of the event loop took all requests. 32 requests of one caller took 4 ms."""
     came, calls, turns = asyncio.Event(), 40, list[int]()
     gate, done = TurnGate(), 0

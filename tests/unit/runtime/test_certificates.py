@@ -138,9 +138,7 @@ def test_a_wrong_command_gets_one_sentence(
     assert "Traceback" not in said
 
 
-def test_show_says_that_a_certificate_has_expired(
-    made: ClusterCertificates, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_show_reports_an_expired_certificate(made: ClusterCertificates, capsys: pytest.CaptureFixture[str]) -> None:
     files = made.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
     assert stampede(["certs", "show", str(files.certificate)]) == 0
     assert "EXPIRED on" in capsys.readouterr().out
@@ -286,7 +284,7 @@ def test_the_environment_names_all_three_files_or_none(made: ClusterCertificates
     assert found.paths() == files.paths()
 
 
-def test_a_service_is_told_which_flag_is_missing(tmp_path: Path) -> None:
+def test_the_error_names_the_missing_flag(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="--tls-certificate and --tls-key must be given, too"):
         ServiceSettings(tls_ca=tmp_path / "ca.pem").load_tls(Role.HOST)
 

@@ -18,7 +18,7 @@ def test_the_boot_time_never_goes_back() -> None:
     assert readings == sorted(readings)
 
 
-def test_setting_the_wall_clock_leaves_the_boot_time_alone() -> None:
+def test_setting_the_wall_clock_does_not_change_the_boot_time() -> None:
     clock = ManualClock()
     as_interface: HostClock = clock
     before = as_interface.boottime_nanos()

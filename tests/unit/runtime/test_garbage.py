@@ -50,7 +50,7 @@ async def test_the_event_loop_collects_circles() -> None:
         await gone.wait()
 
 
-def test_long_collections_come_sooner_and_short_ones_later() -> None:
+def test_a_long_collection_is_started_earlier_the_next_time_and_a_short_one_later() -> None:
     pace = CollectionPace(0.0)
     assert pace.interval_s == INTERVAL_SECONDS_MAX
     intervals = []

@@ -47,7 +47,7 @@ async def test_a_service_that_cannot_serve_lives_and_is_not_ready(server: Servic
     assert [await status(server, name) for name in (LIVENESS, READINESS, "")] == [SERVING, NOT_SERVING, NOT_SERVING]
 
 
-async def test_a_watch_tells_each_name_apart(server: ServiceServer) -> None:
+async def test_a_watch_reports_the_health_of_the_named_service(server: ServiceServer) -> None:
     async with grpc.aio.insecure_channel(server.address) as channel:
         stub = health_pb2_grpc.HealthStub(channel)
         live = stub.Watch(health_pb2.HealthCheckRequest(service=LIVENESS), timeout=10)

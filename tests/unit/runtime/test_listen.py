@@ -34,7 +34,7 @@ def test_a_port_in_use_is_refused_with_its_address(taken_port: int) -> None:
         check_listen(f"localhost:{taken_port}", allow_insecure_anywhere=False)
 
 
-def test_a_port_in_use_is_seen_behind_the_wildcard_address(taken_port: int) -> None:
+def test_a_port_in_use_at_the_wildcard_address_is_noticed(taken_port: int) -> None:
     with pytest.raises(CannotListen, match="is in use"):
         check_listen(f"0.0.0.0:{taken_port}", allow_insecure_anywhere=True)
 

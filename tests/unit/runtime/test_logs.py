@@ -45,7 +45,7 @@ def test_no_value_can_break_or_forge_a_line(value: object, shown: str) -> None:
     assert LineFormatter().format(record("m", value=value)).endswith(f" msg=m value={shown}")
 
 
-def test_a_traceback_stays_on_the_line() -> None:
+def test_a_traceback_is_written_on_one_line() -> None:
     try:
         raise RuntimeError("the cause")
     except RuntimeError:

@@ -50,7 +50,7 @@ async def serve(settings: Settings) -> int | None:
     return int(settings.what) if settings.what else None
 
 
-def test_a_service_leaves_the_certificates_of_clients_alone_and_says_so(
+def test_a_service_ignores_the_certificate_settings_of_clients_and_logs_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("STAMPEDE_TLS_CERTIFICATE", "/nowhere/client.pem")
@@ -110,7 +110,7 @@ def test_an_address_that_cannot_be_listened_at_is_code_1(capsys: pytest.CaptureF
     assert "is not an address of this machine" in capsys.readouterr().err
 
 
-def test_help_goes_to_standard_output_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_printed_to_standard_output_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_service(Settings, "sample", ["--help"], serve) == 0
     said = capsys.readouterr()
     assert "usage: stampede sample" in said.out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_runtime.overload import LOG_PERIOD_NANOS, Overload
 
 
-def test_every_refused_item_counts_and_a_line_tells_of_all_since_the_last_one() -> None:
+def test_each_log_line_has_the_number_of_items_refused_since_the_last_line() -> None:
     overload = Overload()
     assert overload.ago_nanos(5) is None
     assert overload.note(3, 100) == 3

@@ -60,7 +60,7 @@ async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -
     assert len(turns.went_on) >= STREAMS / STREAMS_PER_TURN - 1
 
 
-async def test_however_many_streams_of_one_caller_wait_the_next_of_another_one_goes_on_in_the_next_turn() -> None:
+async def test_many_waiting_streams_of_one_caller_do_not_delay_a_stream_of_another_one() -> None:
     gate, turns = TurnGate(), LoopTurns()
     crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.admits(ONE)]
     assert len(crowd) == STREAMS - STREAMS_PER_TURN
@@ -74,14 +74,14 @@ async def test_however_many_streams_of_one_caller_wait_the_next_of_another_one_g
     await turns.until(lambda: all(one.done() for one in crowd))
 
 
-async def test_a_caller_that_comes_alone_does_not_wait() -> None:
+async def test_a_single_caller_does_not_wait() -> None:
     gate = TurnGate()
     for _ in range(3):
         assert gate.admits(ONE)
         await asyncio.sleep(0)
 
 
-async def test_a_caller_that_leaves_the_line_takes_no_place_of_others() -> None:
+async def test_a_caller_that_leaves_the_line_uses_up_no_turn() -> None:
     gate = TurnGate()
 
     async def enter() -> None:
@@ -141,7 +141,7 @@ async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_tu
     assert {*done} == {b"request" if operation == "read" else None}
 
 
-def test_the_other_methods_of_a_context_stay_as_they_are() -> None:
+def test_the_other_methods_of_a_context_are_unchanged() -> None:
     assert PacedContext(Stream(), TurnGate(), TurnGate()).peer() == "ipv4:1.2.3.4:5"  # type: ignore[arg-type]
 
 

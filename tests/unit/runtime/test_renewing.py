@@ -61,7 +61,7 @@ class Renewals:
         return RenewingChannel(self.connect, cast(TlsReader, self))
 
 
-async def test_calls_after_a_renewal_go_over_a_new_connection_and_those_before_it_stay_where_they_are() -> None:
+async def test_calls_after_a_renewal_use_a_new_connection_and_earlier_calls_keep_theirs() -> None:
     renewals = Renewals()
     call = renewals.channel().unary_unary("/test.Probe/Echo")
     before = call()

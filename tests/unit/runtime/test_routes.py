@@ -28,5 +28,5 @@ def test_an_address_without_a_route_is_refused_with_advice() -> None:
         ("ipv6:%5B2001:db8::7%5D:4000", True),
     ],
 )
-def test_a_caller_of_another_machine_is_told_from_one_of_this(peer: str, elsewhere: bool) -> None:
+def test_callers_of_this_machine_and_of_others_are_distinguished(peer: str, elsewhere: bool) -> None:
     assert is_of_another_machine(peer) is elsewhere

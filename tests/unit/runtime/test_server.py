@@ -84,7 +84,7 @@ async def test_a_port_taken_between_check_and_bind_is_refused_too(monkeypatch: p
             ServiceServer(secret=None).bind(first.address)
 
 
-async def test_health_is_not_serving_until_the_service_says_so() -> None:
+async def test_health_is_not_serving_until_the_service_is_ready() -> None:
     server = ServiceServer(secret=None)
     address = server.bind("localhost:0")
     await server.start()
@@ -94,7 +94,7 @@ async def test_health_is_not_serving_until_the_service_says_so() -> None:
     await server.stop()
 
 
-async def test_stopping_says_not_serving_ends_streams_and_lets_them_finish() -> None:
+async def test_a_stopping_server_reports_not_serving_and_lets_streams_finish() -> None:
     probe = Probe()
     seen: list[int] = []
 

@@ -239,7 +239,7 @@ async def test_a_caller_cannot_send_more_than_a_small_window_on_an_unread_stream
         await raw.aclose()
 
 
-async def test_a_message_over_the_limit_is_refused_before_it_has_come() -> None:
+async def test_a_message_above_the_limit_is_refused_before_it_has_arrived() -> None:
     async with port() as one:
         raw = await RawConnection.open(one.address)
         await raw.greeted.wait()

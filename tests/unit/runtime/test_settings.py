@@ -224,7 +224,7 @@ def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> Non
     assert load_settings(Demanding, service="sample", argv=argv, environ={}).name == "rig1"
 
 
-def test_the_help_is_told_apart_from_a_run_a_wrong_flag_and_a_verb() -> None:
+def test_help_is_distinguished_from_a_run_a_wrong_flag_and_a_verb() -> None:
     def told(*words: str) -> str | None:
         return help_of(Sample, service="host", argv=words)
 

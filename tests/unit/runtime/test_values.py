@@ -88,7 +88,7 @@ def test_a_list_may_have_spaces_and_empty_places() -> None:
 
 
 @pytest.mark.parametrize("text", ["s3://bucket/rig", "s3://bucket", "gs://b/p", "az://c/p", "file:///mnt/nas"])
-def test_the_url_of_an_object_store_stays_a_url(text: str) -> None:
+def test_the_url_of_an_object_store_is_not_made_a_path(text: str) -> None:
     assert parse_archive(text) == text
     assert parse_archive(f" {text}/ ") == text
 

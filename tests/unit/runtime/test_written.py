@@ -17,7 +17,7 @@ def no_room(_descriptor: int) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_an_error_without_a_file_gets_its_name_and_others_stay() -> None:
+def test_an_error_without_a_file_name_gets_one() -> None:
     with pytest.raises(OSError, match="No space left") as raised, naming("/a/file"):
         no_room(0)
     assert raised.value.filename == "/a/file"

@@ -98,6 +98,6 @@ def test_a_mixed_list_of_members_is_refused_wherever_it_was_written(address: str
 
 
 @pytest.mark.parametrize("addresses", [("localhost:1", "[::1]:2"), ("10.0.0.5:1", "host.example:2")])
-def test_a_list_of_members_that_can_call_each_other_is_taken(addresses: tuple[str, str]) -> None:
+def test_a_list_of_members_that_can_call_each_other_is_accepted(addresses: tuple[str, str]) -> None:
     members = tuple(f"s{number}={address}" for number, address in enumerate(addresses, 1))
     assert SupernodeSettings(id="s1", listen="localhost:1", members=members).members == members

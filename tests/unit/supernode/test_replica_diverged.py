@@ -40,7 +40,7 @@ def test_a_member_that_skips_an_unknown_command_has_another_digest_for_good() ->
     assert knows.digest() != does_not.digest()
 
 
-def test_refusals_count_for_nothing_since_releases_may_word_them_differently() -> None:
+def test_the_texts_of_refusals_are_not_compared_between_releases() -> None:
     refused = encoded(2, DeleteChannel(channel_id=id_of(9)))
     one, other = done(encoded(1, TENURE), refused), done(encoded(1, TENURE), UNKNOWN)
     assert one.digest() == other.digest()
@@ -59,7 +59,7 @@ async def node() -> AsyncIterator[Node]:
         yield node
 
 
-async def test_it_refuses_reads_and_updates_and_says_where_it_went_wrong(node: Node) -> None:
+async def test_a_diverged_supernode_refuses_reads_and_updates_with_the_position_of_the_difference(node: Node) -> None:
     await node.register(1)
     await node.open("cam/1")
     node.log.diverged_at = 7
@@ -87,7 +87,7 @@ async def test_a_supernode_reports_that_its_disk_does_not_answer_and_doctor_give
     ), advice
 
 
-def test_doctor_tells_a_release_that_is_refused_from_a_store() -> None:
+def test_doctor_distinguishes_a_refused_release_from_a_refused_store() -> None:
     state, advice = refusal(f"'s2' {TOO_OLD}: it knows feature level 1 (says s1)")
     assert (state, "release of the others and the same data folder" in advice) == ("release refused", True)
     assert "remove" not in advice

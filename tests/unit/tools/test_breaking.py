@@ -68,7 +68,7 @@ def test_an_unchanged_contract_passes_in_silence(
     assert capsys.readouterr().out == ""
 
 
-def test_an_addition_passes_and_is_told_to_be_unprotected(
+def test_an_addition_passes_with_the_remark_that_it_is_unprotected(
     contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, stable = contract
@@ -93,7 +93,7 @@ def test_a_missing_image_is_an_error_with_the_way_out(
     assert "--accept" in capsys.readouterr().out
 
 
-def test_sources_that_do_not_compile_are_not_taken_for_a_breaking_change(contract: tuple[Path, Path]) -> None:
+def test_sources_that_do_not_compile_are_not_reported_as_a_breaking_change(contract: tuple[Path, Path]) -> None:
     source, stable = contract
     source.write_text(FIRST_PROTO.replace("message LookResponse {}", ""))
     assert guard(source, stable) == 2
@@ -148,7 +148,7 @@ def test_the_mark_alone_takes_nothing_out_of_the_accepted_contract(contract: tup
     assert guard(source, stable) == 1
 
 
-def test_a_file_is_accepted_once_its_mark_is_gone(contract: tuple[Path, Path]) -> None:
+def test_a_file_is_accepted_when_its_mark_is_removed(contract: tuple[Path, Path]) -> None:
     source, stable = contract
     planned = source.with_name("planned_service.proto")
     served = UNSERVED_PROTO.replace(breaking.UNSERVED, "// ")

@@ -31,7 +31,7 @@ def test_a_png_has_the_pixels_of_its_first_chunk() -> None:
     assert pixels_of(png(3, 4, first=b"tEXt")) is None
 
 
-def test_a_jpeg_has_the_pixels_of_its_frame_behind_other_segments_and_filling() -> None:
+def test_the_size_of_a_jpeg_is_found_after_other_segments_and_padding() -> None:
     segments = segment(APP, b"Exif" * 9), b"\xff\xff", segment(TABLE, b"\xff\xc0 no frame")
     assert pixels_of(jpeg(65_535, 2, *segments)) == 131_070
     assert pixels_of(jpeg(5, 5, b"damage")) is None

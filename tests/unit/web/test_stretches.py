@@ -31,7 +31,7 @@ def test_only_the_windows_that_were_read_last_are_kept() -> None:
     assert stretches.track_of(window(1)) is None
 
 
-def test_a_stretch_with_more_items_than_were_read_tells_where_the_read_ends() -> None:
+def test_a_stretch_with_more_items_than_were_read_has_the_end_of_the_read() -> None:
     track = ItemTrack()
     track.prepend([TrackItem(2_000, ABSENT, 1, 10), TrackItem(3_000, ABSENT, 2, 10)])
     assert "ends" not in draw(track, window(1_000))

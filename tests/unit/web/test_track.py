@@ -19,7 +19,7 @@ def track_of(*items: TrackItem) -> ItemTrack:
     return track
 
 
-def test_a_left_out_seq_is_missing_until_its_item_comes_late() -> None:
+def test_a_skipped_seq_is_missing_until_its_late_item_arrives() -> None:
     track = track_of(item(10, 1), item(30, 3))
     assert track.has_missing
     track.add_late([item(10, 1), item(20, 2), item(30, 3)], now=99)
@@ -28,7 +28,7 @@ def test_a_left_out_seq_is_missing_until_its_item_comes_late() -> None:
     assert not track.has_missing
 
 
-def test_a_missing_item_that_is_gone_already_is_marked_as_missed() -> None:
+def test_a_missing_item_that_was_collected_is_marked_as_missed() -> None:
     track = track_of(item(10, 1), item(40, 4))
     track.add_late([item(30, 3)], now=99)
     assert [(mark.kind, mark.time) for mark in track.marks] == [("late", 30), ("missed", 99)]
@@ -43,7 +43,7 @@ def test_a_channel_that_accepted_more_than_the_page_saw_has_missing_items() -> N
     assert list(track.times) == [5, 10]
 
 
-def test_another_incarnation_is_marked_as_a_loss_and_its_seqs_begin_anew() -> None:
+def test_a_new_incarnation_is_marked_as_a_loss_and_its_seqs_begin_again() -> None:
     track = track_of(item(10, 7))
     track.begin_incarnation(2, now=50)
     track.extend([item(60, 1)])
@@ -55,7 +55,7 @@ def test_the_first_incarnation_is_no_loss() -> None:
     assert not track_of(item(10, 1)).marks
 
 
-def test_older_items_come_before_the_others_as_far_as_there_is_room() -> None:
+def test_older_items_are_added_before_the_others_while_there_is_room() -> None:
     track = track_of(*(item(1000 + n, 1000 + n) for n in range(ITEMS_MAX - 2)))
     track.prepend(item(n, n) for n in range(1, 6))
     assert len(track) == ITEMS_MAX

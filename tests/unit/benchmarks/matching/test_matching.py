@@ -45,7 +45,7 @@ def test_a_set_that_is_not_the_nearest_counts_as_wrong() -> None:
 
 
 @pytest.mark.parametrize("conditions", SCENARIOS, ids=lambda one: one.name)
-def test_our_match_gives_no_wrong_set_and_tells_of_every_item_without_one(conditions: object) -> None:
+def test_our_match_gives_no_wrong_set_and_reports_every_item_without_a_set(conditions: object) -> None:
     found = next(one for one in SCENARIOS if one is conditions)
     arrivals = record(found, 15, 3)
     judgement = judge(ours.replay(arrivals, found.tolerance_nanos), arrivals, found.tolerance_nanos)
@@ -54,7 +54,7 @@ def test_our_match_gives_no_wrong_set_and_tells_of_every_item_without_one(condit
     assert 0 <= judgement.unmatched - judgement.told <= 2  # the last ones are not settled when the recording ends
 
 
-def test_the_table_has_every_synchroniser_or_says_how_to_get_it(
+def test_the_table_has_every_synchroniser_or_advice_how_to_get_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = compare(15, 1)

@@ -33,7 +33,7 @@ def frames(count: int, late: dict[int, int] | None = None) -> list[Receipt]:
     ]
 
 
-def test_frames_that_come_with_their_caption_have_no_skew() -> None:
+def test_frames_read_with_their_caption_have_no_skew() -> None:
     run = judge(frames(31), CAPTIONS)
     assert run.skew_ms == 0
     assert run.frames_together == [15, 15]

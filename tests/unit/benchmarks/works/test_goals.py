@@ -49,7 +49,7 @@ def test_more_is_better_for_a_rate_and_no_item_may_be_lost() -> None:
     ]
 
 
-def test_a_goal_whose_peer_was_not_measured_says_so() -> None:
+def test_a_goal_whose_peer_was_not_measured_is_marked() -> None:
     found = rows(Results(runs={WORKS["newest"]: {SHARED: [measured()]}}), SHARED)
     assert [row[2:] for row in found] == [
         ["at most 1/30 x the time of the best of Redis and Redis, Unix socket", "not measured", ""]

@@ -34,7 +34,7 @@ def test_a_publisher_ends_with_the_run() -> None:
     assert list(at_rate(shared, 64, 30, NEVER)) == []
 
 
-def test_a_publisher_at_a_rate_says_how_long_to_wait_for_the_next_item() -> None:
+def test_a_publisher_with_a_rate_computes_the_wait_until_the_next_item() -> None:
     steps = at_rate(progress(), 64, 0.001, NEVER)
     before = time.monotonic_ns()
     first = next(steps)

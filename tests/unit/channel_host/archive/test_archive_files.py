@@ -151,7 +151,7 @@ def test_a_note_of_a_stop_that_cannot_be_read_is_none(tmp_path: Path, text: byte
     assert SegmentFiles(tmp_path, {}).open(0, 7).stop is None
 
 
-def test_a_folder_tells_which_process_stopped_last_with_everything_in_it(tmp_path: Path) -> None:
+def test_a_folder_names_the_process_that_stopped_last_with_all_items_written(tmp_path: Path) -> None:
     folder = ArchiveFolder(tmp_path)
     folder.open(HOST)
     assert folder.continued() == 0

@@ -76,7 +76,7 @@ def test_items_count_from_their_acceptance_on_and_a_new_folder_with_them() -> No
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 
-def test_the_bytes_of_a_channel_count_for_the_caller_that_made_it_also_when_the_channel_is_gone() -> None:
+def test_the_bytes_of_a_deleted_channel_still_count_for_its_maker() -> None:
     accounts = Accounts()
     disk = DiskUse(4 * MIB, accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, MIB)
@@ -101,7 +101,7 @@ def test_a_start_finds_the_folders_and_makers_of_all_channels(folder: ArchiveFol
     assert found[ONE].bytes == FOLDER_BYTES + size
 
 
-def test_the_folder_of_a_channel_without_items_goes_with_its_channel(tmp_path: Path) -> None:
+def test_the_folder_of_a_channel_without_items_is_deleted_with_the_channel(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "empty")
     files.close(None)
     assert [*tmp_path.iterdir()] == []

@@ -96,7 +96,7 @@ def test_the_files_stay_within_the_limit(
             one.files.close(None)
 
 
-def test_a_channel_at_its_own_limit_goes_on_while_the_archive_is_full(tmp_path: Path) -> None:
+def test_a_channel_at_its_own_limit_is_still_recorded_while_the_archive_is_full(tmp_path: Path) -> None:
     disk = DiskUse(LIMIT)
     ring, other = (Recorded(disk, tmp_path, number, ArchiveLimits(None, own)) for number, own in ((0, MIB), (1, None)))
     for at in range(40):

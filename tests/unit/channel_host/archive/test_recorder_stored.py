@@ -97,9 +97,7 @@ def test_a_channel_that_fails_waits_for_its_next_try_without_the_writer(
     assert asyncio.run(scenario()) == ["", "", "", ""]
 
 
-def test_an_fsync_that_fails_is_not_taken_for_success_by_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_fsync_after_a_failed_fsync_fails_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> tuple[str, str]:
         archive = archive_in(tmp_path / "a", monkeypatch)
         monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)

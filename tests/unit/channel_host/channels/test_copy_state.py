@@ -67,7 +67,7 @@ async def test_a_reader_that_is_ahead_waits_until_the_copy_has_caught_up_with_it
     await waiting
 
 
-async def test_a_reader_that_is_ahead_for_too_long_goes_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_reader_that_is_ahead_of_a_copy_for_too_long_is_sent_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_channel_host.channels.copy_state.REACH_SECONDS_MAX", 0.01)
     with pytest.raises(StaleBinding, match="wants seq 6"):
         await state_at(Clock()).reach("cam", lambda: 5, 7)

@@ -40,7 +40,7 @@ def fed(*copies: FedCopy) -> FedCopies:
     return made
 
 
-def test_a_new_reader_goes_to_the_copy_with_the_fewest_if_the_host_has_more() -> None:
+def test_a_new_reader_is_sent_to_the_copy_with_the_fewest_readers() -> None:
     copies = fed(copy_with(2, "h2:1"), copy_with(1, "h3:1"))
     assert copies.less_loaded("cam", 1) is None
     sent = copies.less_loaded("cam", 2)
@@ -48,7 +48,7 @@ def test_a_new_reader_goes_to_the_copy_with_the_fewest_if_the_host_has_more() ->
     assert (sent.reason, sent.metadata["copy_target"]) == ("MOVED", "h3:1")
 
 
-def test_readers_that_come_together_are_counted_before_the_copy_reports_them() -> None:
+def test_readers_that_arrive_together_are_counted_before_the_copy_reports_them() -> None:
     copies = fed(copy_with(0))
     assert [copies.less_loaded("cam", 3) is None for _ in range(4)] == [False, False, False, True]
 

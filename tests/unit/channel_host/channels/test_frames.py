@@ -53,7 +53,7 @@ def test_a_get_response_equals_the_bytes_of_protobuf(call_id: int, lengths: list
     assert message.is_last
 
 
-def test_the_time_of_the_next_bucket_goes_with_the_last_run_only() -> None:
+def test_only_the_last_run_has_the_time_of_the_next_bucket() -> None:
     channel, _ = channel_of([1, 1, 1])
     (message,) = get_responses(1, read_all(channel, limit=2), pb.GetSummary(), without_payloads=False)
     runs = pb.GetResponse.FromString(message.encoded).runs
@@ -106,7 +106,7 @@ def test_a_message_for_a_single_reader_is_not_kept() -> None:
     assert shared.kept_bytes == 0
 
 
-def test_kept_messages_are_bounded_in_bytes_and_the_newest_always_stays() -> None:
+def test_kept_messages_are_bounded_in_bytes_and_the_newest_is_always_kept() -> None:
     shared = SharedDeliveries(bytes_max=100_000)
     small = [delivered([20_000])[0] for _ in range(5)]
     for slices in small:
@@ -122,7 +122,7 @@ def test_kept_messages_are_bounded_in_bytes_and_the_newest_always_stays() -> Non
     assert 400_000 <= shared.kept_bytes < 410_000  # the message and the run of it, and nothing else
 
 
-def test_a_message_for_others_is_made_anew() -> None:
+def test_a_message_for_other_readers_is_encoded_again() -> None:
     slices, stored = delivered([3])
     shared = SharedDeliveries()
     plain = shared.encode(slices, b"", without_payloads=False, readers=2)

@@ -47,7 +47,7 @@ def test_seqs_that_are_consumed_out_of_order_are_refused_when_the_spare_memory_i
     assert spare - (memory.used_bytes - memory.bytes_max) <= 32 * CONSUMED_RANGE_BYTES, "all of it can be used"
 
 
-def test_a_consumer_that_consumes_in_order_goes_on_although_the_memory_is_used_up_and_frees_it() -> None:
+def test_a_consumer_that_consumes_in_order_is_accepted_although_the_memory_is_used_up() -> None:
     channel, memory, clock = full_channel(4096)
     with pytest.raises(Overloaded):
         channel.consume(7, range(2, 4096, 2), LEASE_NANOS)
@@ -58,7 +58,7 @@ def test_a_consumer_that_consumes_in_order_goes_on_although_the_memory_is_used_u
     assert channel.channel.counters(clock.time_unix_nano()).held == 0
 
 
-def test_the_consumption_of_one_caller_leaves_memory_for_the_consumption_of_others() -> None:
+def test_the_consumption_of_one_caller_does_not_use_up_the_memory_of_others() -> None:
     """A fixed fault: one caller that consumed every second item could use up the spare memory of the host for all
     channels.
     """

@@ -114,7 +114,7 @@ async def test_an_observer_that_listens_before_it_looks_misses_no_change() -> No
     assert (reader.seen, book.state) == (3, 3)
 
 
-async def test_an_observer_that_has_gone_does_not_listen_again() -> None:
+async def test_a_removed_observer_does_not_listen_again() -> None:
     book = Book(1)
     book.readers_are_busy = True
     book.change()
@@ -124,7 +124,7 @@ async def test_an_observer_that_has_gone_does_not_listen_again() -> None:
     assert book.woken == [0]
 
 
-async def test_an_observer_that_has_gone_is_neither_woken_nor_ended() -> None:
+async def test_a_removed_observer_is_neither_woken_nor_ended() -> None:
     book = Book(MANY)
     book.change()
     ending = book.observers.ending(Unavailable("gone"))

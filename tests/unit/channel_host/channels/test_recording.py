@@ -22,7 +22,7 @@ from tests.unit.channel_host.archive.test_archive_files import opened, write
 from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
 
 
-def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_goes(
+def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_vanishes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)

@@ -129,7 +129,7 @@ async def test_memory_that_time_has_outdated_is_freed_before_a_put_is_refused() 
     assert host.memory.used_bytes < 6_000
 
 
-async def test_a_channel_that_goes_gives_its_memory_back() -> None:
+async def test_a_dropped_channel_frees_its_memory() -> None:
     host = Host()
     channel = host.open(Policy(max_items=10))
     host.put(channel, b"x")

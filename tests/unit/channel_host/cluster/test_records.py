@@ -71,7 +71,7 @@ def test_a_record_holds_the_owner_and_the_settings_of_a_channel() -> None:
     assert (group.definition.members, group.incarnation, group.spec_version) == (frozenset([b"c" * 16]), 9, 2)
 
 
-def test_a_full_queue_blocks_if_its_set_up_says_something_unknown() -> None:
+def test_a_full_queue_blocks_if_its_policy_has_an_unknown_value() -> None:
     unknown = queue_pb2.QueueRecord(spec=queue_pb2.QueueSpec(on_full=UNKNOWN))
     assert QueueLimits.of(recorded_queue(unknown).policy).on_full == "block"
 

@@ -84,7 +84,7 @@ async def test_a_host_enters_and_holds_its_lease() -> None:
         await host.supernodes.aclose()
 
 
-async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_after_a_restart(tmp_path: Path) -> None:
+async def test_a_host_names_the_cluster_of_its_first_registration_after_a_restart(tmp_path: Path) -> None:
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         first = Host(fake.target, folder=tmp_path)
         await first.registration.enter("localhost:1")
@@ -262,7 +262,7 @@ async def test_a_host_that_is_started_again_takes_its_own_place_with_the_next_nu
         assert fake.hosts[host.identity.host_id].registration_epoch == 2
 
 
-async def test_a_host_whose_newer_process_lives_does_not_take_its_place_back_until_that_one_is_gone() -> None:
+async def test_an_older_process_of_a_host_does_not_register_again_while_the_newer_one_lives() -> None:
     """A fixed fault: the two processes took the channels from each other again and again."""
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         former, newer = Host(fake.target), Host(fake.target, boot=8)
@@ -282,7 +282,7 @@ async def test_a_host_whose_newer_process_lives_does_not_take_its_place_back_unt
         await newer.supernodes.aclose()
 
 
-async def test_a_refusal_that_stays_ends_the_start_at_once() -> None:
+async def test_a_permanent_refusal_ends_the_start_at_once() -> None:
     async with directory() as fake:
         fake.refuse["RegisterHost"] = PermissionDenied("not this one")
         host = Host(fake.target)

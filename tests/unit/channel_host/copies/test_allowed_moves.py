@@ -28,7 +28,7 @@ def test_only_the_named_host_may_ask_and_only_at_this_epoch() -> None:
             moves.check("channel cam", subject_id, epoch, host_id)
 
 
-def test_the_word_ends_after_a_minute_unless_it_is_given_again() -> None:
+def test_a_permission_to_move_ends_after_a_minute_unless_it_is_repeated() -> None:
     clock = Clock()
     moves = AllowedMoves(KEY, clock)
     moves.allow(CHANNEL, 3, HOST)
@@ -41,7 +41,7 @@ def test_the_word_ends_after_a_minute_unless_it_is_given_again() -> None:
         moves.check("channel cam", CHANNEL, 3, HOST)
 
 
-def test_the_oldest_word_goes_if_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_permission_is_dropped_if_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(allowed_moves, "ALLOWED_MAX", 2)
     moves = AllowedMoves(KEY)
     for epoch in (1, 2, 3):

@@ -90,7 +90,7 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Draine
         return await drain.run(SECONDS_MAX)
 
 
-async def test_a_channel_for_which_a_host_has_no_room_goes_to_another() -> None:
+async def test_a_drained_channel_goes_to_another_host_if_the_first_has_no_room() -> None:
     full, free = Host(always=FULL), Host()
     assert await drained(3, full, free) == Drained(3, {})
     assert sorted(free.taken) == [b"c0", b"c1", b"c2"]
@@ -102,7 +102,7 @@ async def test_a_host_that_has_too_many_moves_under_way_is_asked_again() -> None
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
 
 
-async def test_a_recorded_channel_goes_to_a_host_with_an_archive_or_nowhere() -> None:
+async def test_a_recorded_channel_is_drained_only_to_a_host_with_an_archive() -> None:
     plain, archiving = Host(), Host(has_archive=True)
     assert await drained(3, plain, archiving, recorded=True) == Drained(3, {})
     assert (len(plain.taken), len(archiving.taken)) == (0, 3)

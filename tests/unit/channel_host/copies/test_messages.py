@@ -35,7 +35,7 @@ def test_a_feed_state_leaves_out_unchanged_fields() -> None:
     assert (cleared_of(state), collection_of(state), advance_of(state)) == (None, None, None)
 
 
-def test_a_place_comes_back_as_it_was_and_needs_a_seq() -> None:
+def test_a_position_is_decoded_as_it_was_encoded_and_needs_a_seq() -> None:
     place = FeedPlace(11, 12, 13, 14)
     assert place_of(place_to(place, 3), 3) == place
     with pytest.raises(InvalidArgument, match="no next_seq"):

@@ -23,7 +23,7 @@ MADE = RecordedChannel(
 )
 
 
-def test_one_maker_leaves_moves_for_others() -> None:
+def test_one_maker_cannot_take_all_moves() -> None:
     slots = MoveSlots("to host h1")
     mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
     for _ in range(MOVES_OF_ONE_MAX):

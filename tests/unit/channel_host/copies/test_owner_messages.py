@@ -25,7 +25,7 @@ COUNTERS = Counters(
 PLACES = FedPlaces(True, (ConsumerPlace(7, 50, 3, ((5, 6), (8, 12)), "ann"), ConsumerPlace(8, 0, 1, ())), ends=False)
 
 
-def test_the_facts_of_an_owner_come_back_in_the_clock_of_the_copy() -> None:
+def test_the_facts_of_an_owner_are_converted_to_the_clock_of_the_copy() -> None:
     refused = ItemRefusal(1, ChannelFull("full"))
     outcome = RunOutcome(6, 5, (RunPart(0, 20, 2, None), RunPart(3, 24, 2, 95)), (refused,), 90)
     whole = RunOutcome(2, 2, (RunPart(0, 22, 2, None),), (), 95)

@@ -16,7 +16,7 @@ def sent(parts: list[pb.FedQueuePart]) -> list[pb.FedQueuePart]:
     return [pb.FedQueuePart.FromString(part.SerializeToString()) for part in parts]
 
 
-def test_a_step_with_much_content_goes_in_several_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_step_is_sent_in_several_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(queue_steps, "PART_BYTES", 64)
     core = Core()
     journal = core.queue.journal()

@@ -68,7 +68,7 @@ def test_a_run_of_which_nothing_was_accepted_is_not_kept() -> None:
     assert window.footprint_bytes == 0
 
 
-def test_a_number_that_was_left_out_is_new_when_it_comes_late() -> None:
+def test_a_skipped_number_is_new_when_it_arrives_late() -> None:
     window = RetryWindow()
     window.record(PRODUCER, 1, accepted(2, 1))
     window.record(PRODUCER, 5, accepted(2, 3))
@@ -184,7 +184,7 @@ def test_producer_zero_asks_for_nothing_to_be_recognised() -> None:
     assert len(window) == 0
 
 
-def test_a_retry_window_goes_to_another_owner_as_values() -> None:
+def test_a_retry_window_is_exported_and_imported_as_values() -> None:
     window = RetryWindow()
     window.record(2, 1, accepted(1, 1, now=KEPT_NANOS))
     window.record(PRODUCER, 1, accepted(3, 2, now=10))

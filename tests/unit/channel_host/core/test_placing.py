@@ -9,7 +9,7 @@ def host(name: str, busy_permille: int = 0, channels: int = 0) -> OtherHost:
     return OtherHost(name.encode(), name, f"{name}:1", busy_permille, channels)
 
 
-def test_channels_that_share_groups_stay_together_also_over_other_channels() -> None:
+def test_channels_that_share_groups_directly_or_indirectly_are_placed_together() -> None:
     groups = {b"a": [b"1"], b"b": [b"2"], b"c": [], b"d": [b"1", b"2"], b"e": [b"3"]}
     assert sorted(sorted(bunch) for bunch in together(groups)) == [[b"a", b"b", b"d"], [b"c"], [b"e"]]
 

@@ -60,7 +60,7 @@ def test_a_resumed_feed_has_only_the_records_since_and_a_repeated_one_changes_no
     assert copy.footprint_bytes == window.footprint_bytes
 
 
-def test_a_run_that_was_judged_in_two_steps_comes_with_its_latest_outcome() -> None:
+def test_the_feed_has_the_latest_outcome_of_a_partly_accepted_run() -> None:
     window, copy = RetryWindow(), RetryWindow()
     feed = WindowFeed(window, None)
     window.record(1, 1, RunOutcome(3, 1, (RunPart(0, 5, 1, None),), (), 1))

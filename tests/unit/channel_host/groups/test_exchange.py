@@ -98,7 +98,7 @@ def groups(monkeypatch: pytest.MonkeyPatch) -> Groups:
     return Groups()
 
 
-async def test_a_host_wants_the_channels_of_all_groups_until_the_last_of_them_has_gone(groups: Groups) -> None:
+async def test_a_host_follows_the_channels_of_all_groups_until_the_last_group_is_deleted(groups: Groups) -> None:
     groups.adopt(1, (1, LEFT), (2, RIGHT), (3, OWN))
     groups.adopt(2, (2, RIGHT), (4, RIGHT))
     assert (groups.wanted(LEFT), groups.wanted(RIGHT), groups.wanted(OWN)) == ({1}, {2, 4}, set())

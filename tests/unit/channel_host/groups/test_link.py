@@ -116,7 +116,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     await wire.end()
 
 
-async def test_it_says_when_the_other_side_has_told_all_that_it_knew() -> None:
+async def test_a_link_reports_when_the_other_side_has_sent_all_that_it_knew() -> None:
     notebook = Notebook()
     wire = Wire(notebook)
     await wire.greet()

@@ -111,7 +111,7 @@ async def test_a_put_looks_only_at_the_groups_that_it_can_move() -> None:
     assert {one.cut.cut for one in groups} == {15}
 
 
-async def test_a_reader_of_news_hears_of_each_member_until_it_leaves() -> None:
+async def test_a_reader_of_changes_gets_each_member_until_it_leaves() -> None:
     shown = Shown()
     one, _ = shown.group(0, 1, 2), shown.group(1, 1, 2)
     shown.note(1, 10)

@@ -103,7 +103,7 @@ def test_the_newest_item_has_an_age() -> None:
     assert ("stampede_channel_newest_item_age_seconds", "empty") not in found
 
 
-def test_a_counter_goes_on_when_its_channel_leaves() -> None:
+def test_a_counter_does_not_fall_when_its_channel_leaves() -> None:
     host = Host()
     host.put(host.open("left"), b"x")
     metrics = metrics_of(host)
@@ -115,7 +115,7 @@ def test_a_counter_goes_on_when_its_channel_leaves() -> None:
     assert found["stampede_items_held",] == 1
 
 
-def test_no_counter_falls_when_a_channel_leaves_while_the_host_looks() -> None:
+def test_no_counter_falls_when_a_channel_leaves_during_a_scrape() -> None:
     host = Host()
     for number in range(2 * CHANNELS_PER_PIECE):
         host.put(host.open(f"{number:04}"), b"x")

@@ -72,7 +72,7 @@ def test_a_forgotten_action_is_never_performed() -> None:
     assert owner.done == ["two"]
 
 
-def test_without_enough_replicas_nothing_leaves_and_the_queue_stalls() -> None:
+def test_a_queue_without_enough_replicas_delivers_nothing_and_stalls() -> None:
     owner = Owner(in_sync=False)
     owner.put("one")
     owner.report(2)
@@ -89,7 +89,7 @@ def test_without_enough_replicas_nothing_leaves_and_the_queue_stalls() -> None:
     assert (owner.done, owner.replication.is_stalled) == (["one"], False)
 
 
-def test_without_a_minimum_the_owner_goes_on_alone() -> None:
+def test_an_owner_without_a_minimum_continues_without_replicas() -> None:
     owner = Owner(min_replicas=0, in_sync=False)
     owner.put("one")
     assert owner.done == ["one"]
@@ -131,7 +131,7 @@ def test_a_released_queue_answers_everything(waits: bool) -> None:
     assert owner.replication.journal.size_bytes == 0
 
 
-def test_the_status_says_how_far_a_replica_is() -> None:
+def test_the_status_shows_the_position_of_a_replica() -> None:
     owner = Owner()
     owner.put("one")
     owner.clock += 30

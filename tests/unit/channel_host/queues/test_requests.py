@@ -27,7 +27,7 @@ def test_an_invalid_settlement_is_refused(settlement: queue_pb2.Settlement, why:
         settlements_of([settlement])
 
 
-def test_at_most_1024_settlements_come_at_once() -> None:
+def test_a_request_has_at_most_1024_settlements() -> None:
     one = queue_pb2.Settlement(delivery_id=1, acknowledge=queue_pb2.Acknowledge())
     assert len(settlements_of(itertools.repeat(one, 1024))) == 1024
     with pytest.raises(InvalidArgument, match="1025 settlements"):

@@ -16,7 +16,7 @@ def named(kind: CallerKind, role: Role) -> Caller:
 
 
 @pytest.mark.parametrize("kind", [CallerKind.CERTIFICATE, CallerKind.TOKEN])
-def test_a_client_with_a_name_goes_by_it_wherever_it_calls_from(kind: CallerKind) -> None:
+def test_a_named_client_is_identified_by_its_name_at_every_address(kind: CallerKind) -> None:
     assert subject_of(named(kind, Role.CLIENT), PEER) == "one"
 
 

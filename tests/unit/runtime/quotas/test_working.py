@@ -55,7 +55,7 @@ async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> No
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() -> None:
+async def test_a_caller_that_leaves_its_line_does_not_delay_later_callers() -> None:
     accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 50}, loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     CallerWork(light).spend(CALL_NANOS)
@@ -167,7 +167,7 @@ async def test_a_charged_call_gets_its_cancellation_and_its_clean_up_counts(cloc
     assert clock.used_ms() == 50
 
 
-async def test_a_charged_task_that_is_cancelled_before_it_begins_leaves_no_coroutine_behind(clock: Clock) -> None:
+async def test_the_coroutine_of_a_charged_task_that_is_cancelled_before_it_begins_is_closed(clock: Clock) -> None:
     async def work() -> None:
         await asyncio.Event().wait()
 
@@ -232,7 +232,7 @@ def test_a_failed_look_at_the_statistics_does_not_stop_the_usable_time_for_long(
     assert usable() == 40_030 * MS
 
 
-def test_the_system_tells_how_long_a_thread_has_waited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_system_reports_how_long_a_thread_has_waited(monkeypatch: pytest.MonkeyPatch) -> None:
     before = usable_time()()
     assert usable_time()() >= before
     monkeypatch.setattr(working, "SCHEDULER_STATISTICS", Path("/nowhere"))

@@ -32,7 +32,7 @@ async def test_a_free_frame_buffer_goes_to_the_first_waiting_stream() -> None:
     assert buffers.place(busy).take_now(PLACE_BYTES)
 
 
-async def test_a_stream_that_is_cancelled_as_it_gets_a_place_leaves_it_to_the_next() -> None:
+async def test_a_stream_that_is_cancelled_when_it_gets_a_buffer_passes_it_to_the_next_stream() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     taken = [buffers.place(busy) for _ in range(PLACES)]
     assert all(one.take_now(PLACE_BYTES) for one in taken)
@@ -65,7 +65,7 @@ async def test_a_longer_frame_takes_more_places_and_the_frames_after_it_wait() -
     assert whole.take_now(PLACES * PLACE_BYTES + 1), "a frame that needs more places than there are takes all"
 
 
-async def test_the_next_frame_goes_on_when_a_long_frame_stops_waiting() -> None:
+async def test_the_next_frame_is_read_when_a_long_frame_stops_waiting() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     half, whole, small = (buffers.place(busy) for _ in range(3))
     assert half.take_now(PLACES * PLACE_BYTES // 2)

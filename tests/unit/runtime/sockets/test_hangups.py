@@ -31,7 +31,7 @@ async def test_the_close_of_a_watched_socket_is_reported_once_without_a_read() -
     assert told.empty()
 
 
-async def test_a_socket_that_has_the_number_of_a_closed_one_stays_watched() -> None:
+async def test_a_socket_with_the_descriptor_of_a_closed_one_is_still_watched() -> None:
     hangups = HangupWatcher()
     closed, closed_far = socket.socketpair()
     near, far = socket.socketpair()

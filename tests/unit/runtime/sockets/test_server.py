@@ -80,7 +80,7 @@ async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open)
         assert (error.message, error.metadata) == ("not like this", {"field": "x"})
 
 
-async def test_a_method_may_answer_messages_as_they_come_and_gets_the_others(port: Open) -> None:
+async def test_a_method_may_answer_messages_as_they_arrive_and_gets_the_others(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(AT_ONCE)
         for message in (b"short", b"longer", b"x", bytes(100_000)):
@@ -198,7 +198,7 @@ async def test_a_close_cancels_a_method_at_once_that_takes_no_more_messages(port
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
-async def test_unread_bytes_stay_with_the_caller_and_are_read_later(port: Open) -> None:
+async def test_unread_bytes_are_left_in_the_socket_and_read_later(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(READ_LATER)
         await one.streams.held.acquire()

@@ -62,7 +62,7 @@ async def test_another_version_of_the_frames_is_refused(port: Open) -> None:
         (frame_of(FrameKind.END) + frame_of(FrameKind.MESSAGE, b"x"), "came out of place"),
     ],
 )
-async def test_a_frame_that_may_not_come_ends_the_stream(port: Open, sent: bytes, why: str) -> None:
+async def test_a_forbidden_frame_ends_the_stream(port: Open, sent: bytes, why: str) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(READ_LATER)
         await one.streams.held.acquire()
@@ -95,7 +95,7 @@ async def test_a_frame_that_is_never_finished_is_ended_after_a_while(
         assert "6 bytes of a frame came, and not the rest within 0.05 s" in status.message
 
 
-async def test_a_frame_that_comes_byte_by_byte_is_ended_after_a_while(
+async def test_a_frame_that_arrives_byte_by_byte_ends_its_stream_after_a_while(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream_socket, "FRAME_SECONDS_MAX", 0.05)
@@ -276,7 +276,7 @@ async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
             assert await stream.message() == frame[5:]
 
 
-async def test_the_place_of_a_frame_that_never_ends_goes_to_another_one(
+async def test_the_buffer_of_a_frame_that_never_ends_is_given_to_another_one(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)

@@ -165,7 +165,7 @@ async def test_the_tls_of_an_ended_connection_is_freed_without_the_garbage_colle
             gc.enable()
 
 
-async def test_an_unfinished_handshake_takes_the_signs_of_life_from_nobody(
+async def test_an_unfinished_handshake_does_not_stop_the_heartbeats_of_others(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fixed fault: one connection without a handshake ended all signs of life of the host."""

@@ -14,7 +14,7 @@ class Connection:
         self.machine = machine
 
 
-def test_a_machine_that_holds_its_share_leaves_room_for_others() -> None:
+def test_a_machine_that_uses_up_its_share_does_not_affect_others() -> None:
     unopened = UnopenedStreams(4, 3)
     held: list[Any] = [Connection("10.0.0.3") for _ in range(3)]
     for one in held:

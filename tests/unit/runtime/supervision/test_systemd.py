@@ -20,7 +20,7 @@ def test_the_supervisor_gets_the_state_at_a_path_or_an_abstract_name(
         assert one.recv(100, socket.MSG_DONTWAIT) == b"READY=1"
 
 
-def test_a_supervisor_that_is_gone_is_only_logged(
+def test_a_missing_supervisor_is_only_logged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))

@@ -299,13 +299,13 @@ RESULTS: list[Result] = [
 
 
 @pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: type(operation).__name__)
-def test_a_command_comes_out_as_it_went_in(operation: Operation) -> None:
+def test_a_command_is_decoded_as_it_was_encoded(operation: Operation) -> None:
     command = Command(op_id=id_of(3), time_unix_nano=-1, operation=operation, as_of_index=9)
     assert decode_command(encode_command(command)) == command
 
 
 @pytest.mark.parametrize("result", RESULTS, ids=lambda result: type(result).__name__)
-def test_a_result_comes_out_as_it_went_in(result: Result) -> None:
+def test_a_result_is_decoded_as_it_was_encoded(result: Result) -> None:
     assert decode_result(encode_result(result)) == result
 
 
@@ -365,7 +365,7 @@ def test_the_greatest_command_fits_the_log() -> None:
         (b"\xba\x3e\x02hi", "VERSION_MISMATCH"),  # a field of a newer version
     ],
 )
-def test_an_entry_that_cannot_be_read_is_refused_and_the_log_goes_on(entry: bytes, reason: str) -> None:
+def test_an_unreadable_entry_is_refused_and_later_entries_are_applied(entry: bytes, reason: str) -> None:
     replica = DirectoryReplica()
     result = decode_result(replica.apply(4, entry))
     assert isinstance(result, Refused)
@@ -395,7 +395,7 @@ def test_a_group_that_this_version_cannot_read_is_refused(field: str, value: Any
     assert field in result.message
 
 
-def test_a_snapshot_of_another_form_is_not_taken_for_ours() -> None:
+def test_a_snapshot_of_another_format_is_refused() -> None:
     with pytest.raises(VersionMismatch, match="format 4"):
         decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=4).SerializeToString())
 

@@ -30,13 +30,13 @@ def test_a_reader_gets_every_change_once_and_in_order() -> None:
     assert read(ring, ring.end_position) == ([], 12)
 
 
-def test_the_index_of_a_page_that_splits_a_log_position_stays_below_it() -> None:
+def test_the_index_of_a_page_that_splits_a_log_position_is_below_it() -> None:
     ring = ring_of(3, 5, 5, 9)
     assert read(ring, 0, most=2) == ([3, 5], 4)
     assert read(ring, 2, most=1) == ([5], 8)
 
 
-def test_a_reader_that_was_overtaken_is_told_so() -> None:
+def test_a_reader_that_lags_too_far_gets_an_error() -> None:
     ring = ring_of(1, 2, 3, 4, 5, 6)
     assert ring.floor_index == 2
     assert ring.read(1, 10) is None

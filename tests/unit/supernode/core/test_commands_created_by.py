@@ -42,7 +42,7 @@ def makers(tables: Tables) -> list[str]:
     return [one.created_by for one in records if one is not None]
 
 
-def test_the_maker_of_a_thing_stays_when_others_open_it_when_it_moves_and_in_snapshots() -> None:
+def test_the_maker_of_a_thing_does_not_change() -> None:
     log = filled(feature_level=OWNERS_LEVEL)
     assert makers(log.directory.tables) == ["alice", "bob", "@cluster"]
     log.apply(deregister(1))

@@ -114,7 +114,7 @@ def test_live_peers_have_a_quota_and_a_peer_that_registers_again_counts_once() -
     assert log.directory.tables.peers.creators["cam"] == 1
 
 
-def test_one_caller_leaves_room_for_the_groups_of_others_with_a_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_caller_cannot_use_up_the_groups_of_a_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(group_transitions, "GROUPS_PER_CHANNEL_AND_CALLER_MAX", 2)
     log = log_with_a_host()
     for name in ("shared", "own"):

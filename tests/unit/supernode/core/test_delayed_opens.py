@@ -215,7 +215,7 @@ def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(
     assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), Refused)
 
 
-def test_an_open_that_comes_after_its_answer_may_be_forgotten_is_late(log: Log) -> None:
+def test_an_open_is_late_if_its_answer_may_be_forgotten(log: Log) -> None:
     asked = log.directory.applied_index
     for _ in range(MARKS_KEPT):
         log.mark_time()

@@ -173,7 +173,7 @@ def test_marks_survive_a_snapshot() -> None:
     assert (again.marks, list(again)) == (log.directory.kept_answers.marks, list(log.directory.kept_answers))
 
 
-def test_one_caller_leaves_room_for_the_answers_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_caller_cannot_use_up_the_room_for_kept_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fixed fault: one caller with very many changes in a minute made the directory refuse the updates of all
     callers.
     """

@@ -185,7 +185,7 @@ def test_very_many_leases_are_looked_at_and_ended_a_part_at_a_time(monkeypatch: 
     assert len(ended) == count
 
 
-def test_a_holder_that_has_registered_since_it_was_gone_keeps_its_lease_and_its_end(table: LeaseTable) -> None:
+def test_a_holder_that_has_registered_again_keeps_its_lease(table: LeaseTable) -> None:
     again = host(1, registered_index=9)
     assert table.renew(again, TTL)
     table.note_gone(again.host_id, 8)

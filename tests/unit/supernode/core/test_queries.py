@@ -64,7 +64,7 @@ def test_a_pattern_that_can_match_nothing_is_refused(glob: str) -> None:
         matcher(glob)
 
 
-def test_hosts_come_in_the_order_of_names_dead_ones_only_if_asked_for(log: Log) -> None:
+def test_hosts_are_listed_by_name_and_dead_ones_only_on_request(log: Log) -> None:
     log.apply(deregister(1))
     tables = log.directory.tables
     assert [host.name for host in host_page(tables, ("", b""), 0, include_dead=False).hosts] == ["a", "c"]

@@ -62,7 +62,7 @@ def assert_stale(result: Result, *, reached: int, alive: bool = True) -> None:
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_registration_of_an_older_process_that_comes_late_is_refused(log: Log, made: Make) -> None:
+def test_a_late_registration_of_an_older_process_is_refused(log: Log, made: Make) -> None:
     assert epoch_in(log.apply(made(boot=1, epoch=0))) == 0
     assert_stale(log.apply(made(boot=2, epoch=0)), reached=0)
     late = made(boot=2, epoch=1)  # the next request of the second process, which the network holds
@@ -131,7 +131,7 @@ def test_the_name_counts_where_the_newer_process_has_another_id(log: Log) -> Non
     assert log.directory.tables.peers.ids["it"] == id_of(2)
 
 
-def test_an_error_for_a_taken_name_tells_another_caller_no_epoch(log: Log) -> None:
+def test_the_error_for_a_used_name_shows_no_epoch_to_another_caller(log: Log) -> None:
     log.apply(register_peer(1, "it", boot=1, proof=5))
     refused = log.apply(register_peer(2, "it", boot=2, epoch=7, proof=6))
     assert isinstance(refused, Refused)

@@ -31,7 +31,7 @@ FOUNDER = Member(member_id="r", address="r:1")
         ("public:7590", "10.0.0.1:7591", "public:7590", False),
     ],
 )
-def test_a_supernode_that_listens_at_an_unlisted_address_says_so(
+def test_a_supernode_that_listens_at_an_unlisted_address_reports_it(
     told: str, here: str, advertise: str, is_misplaced: bool
 ) -> None:
     founding = Founding(supernode_id="a", address=told, members={"a": told})
@@ -39,7 +39,7 @@ def test_a_supernode_that_listens_at_an_unlisted_address_says_so(
     assert (f"listens at {here}, but the others call it at {told}" in words) is is_misplaced
 
 
-def test_a_folder_in_which_a_restore_was_cut_off_says_so(tmp_path: Path) -> None:
+def test_a_folder_with_an_unfinished_restore_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "new"
     folder.mkdir()
     (folder / DATABASE_NAME).touch()

@@ -21,7 +21,7 @@ from tests.support.supernode.processes import (
 )
 
 
-async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_path: Path) -> None:
+async def test_a_cluster_is_founded_joined_and_left_and_no_id_is_used_again(tmp_path: Path) -> None:
     ports = free_ports(2)
     founder = await prepared("init", "a", ports[0], tmp_path)
     newcomer = None
@@ -121,7 +121,7 @@ async def test_a_folder_is_not_started_under_the_id_of_another_supernode(tmp_pat
         await own.close()
 
 
-async def test_a_command_that_fails_says_why_in_one_line(tmp_path: Path) -> None:
+async def test_a_failed_command_prints_its_reason_in_one_line(tmp_path: Path) -> None:
     nobody, folder = f"127.0.0.1:{free_ports(1)[0]}", str(tmp_path / "b")
     join = ("join", "--member", nobody, "--data-dir", folder)
     for words, expected, text in (

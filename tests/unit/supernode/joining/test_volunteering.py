@@ -82,7 +82,7 @@ async def test_a_refused_newcomer_notes_it_and_waits_longer_each_time_until_it_i
         assert (joined.refusals, joined.refused, joined.token) == (0, "", "")
 
 
-async def test_a_newcomer_of_an_older_release_is_told_to_come_with_the_same_folder_and_is_let_in_with_it(
+async def test_a_new_member_of_an_older_release_is_refused_and_joins_with_the_newer_release_and_the_same_folder(
     tmp_path: Path,
 ) -> None:
     leader = Leader()

@@ -26,7 +26,7 @@ class Rig:
         return task
 
 
-async def test_callers_that_come_during_a_confirmed_read_share_the_next_one() -> None:
+async def test_callers_that_arrive_during_a_confirmed_read_share_the_next_one() -> None:
     rig = Rig()
     first = await rig.ask()
     later = [await rig.ask() for _ in range(3)]
@@ -52,7 +52,7 @@ async def test_a_shared_read_lasts_as_long_as_the_most_patient_of_its_callers() 
     assert await patient == 5
 
 
-async def test_a_reader_that_goes_away_leaves_the_others_their_answer() -> None:
+async def test_a_cancelled_reader_does_not_cancel_the_shared_read_of_others() -> None:
     rig = Rig()
     first, second = await rig.ask(), await rig.ask()
     first.cancel()
@@ -63,7 +63,7 @@ async def test_a_reader_that_goes_away_leaves_the_others_their_answer() -> None:
     assert await second == 2
 
 
-async def test_when_the_log_closes_all_are_told_and_no_other_read_begins() -> None:
+async def test_a_closed_log_fails_all_waiting_reads_and_begins_no_other() -> None:
     rig = Rig()
     first, second = await rig.ask(), await rig.ask()
     rig.shared.close()

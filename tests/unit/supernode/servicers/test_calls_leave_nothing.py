@@ -71,7 +71,7 @@ def is_of_a_call(found: object) -> bool:
 
 
 @pytest.mark.parametrize("work", [make_channel, make_queue, make_group, make_peer, open_nothing, list_channels])
-async def test_no_call_leaves_anything_to_the_collector(work: Callable[[Node, str], Awaitable[None]]) -> None:
+async def test_no_call_makes_garbage_in_cycles(work: Callable[[Node, str], Awaitable[None]]) -> None:
     async with running_node() as node:
         await node.register(1, name="one")
         await work(node, "warm")

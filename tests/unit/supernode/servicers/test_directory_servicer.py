@@ -111,7 +111,7 @@ async def test_an_update_survives_a_proposal_that_fails_and_is_done_once(node: N
     assert opened.host.channels == 1
 
 
-async def test_an_outcome_that_stays_unknown_is_ambiguous(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_unknown_outcome_is_reported_as_ambiguous(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calls, "ANSWER_SECONDS", 2.0)  # the answer comes within it on a busy machine, too
     node.log.outcomes.extend([ProposalOutcome.LOST] + [ProposalOutcome.REFUSED] * 1000)
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))
@@ -120,7 +120,7 @@ async def test_an_outcome_that_stays_unknown_is_ambiguous(node: Node, monkeypatc
     assert "same request id" in error.message
 
 
-async def test_without_a_majority_updates_and_default_reads_say_so_and_stale_reads_answer(node: Node) -> None:
+async def test_without_a_majority_updates_and_default_reads_fail_and_stale_reads_are_answered(node: Node) -> None:
     await node.open("cam")
     node.log.quorum = False
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))

@@ -72,7 +72,7 @@ async def test_the_key_of_join_tokens_is_random_and_survives_in_snapshots() -> N
     assert {len(key) for key in keys} == {32}
 
 
-def test_a_token_tells_a_newcomer_which_log_it_is_for() -> None:
+def test_a_join_token_names_its_log() -> None:
     assert log_cluster_of(token()) == "log"
     assert log_cluster_of(token(log_cluster_id="")) == ""
     for text in ("", "sj3", token().rpartition(".")[0], token().replace("sj3", "sj1"), token().replace(".6c", ".6x")):
@@ -142,7 +142,7 @@ async def test_a_newcomer_with_a_token_is_added(rig: tuple[Node, Any]) -> None:
         ({"endpoint": directory_pb2.Endpoint(target="nowhere")}, "INVALID_ARGUMENT"),
     ],
 )
-async def test_a_newcomer_that_cannot_be_let_in_is_told_why(
+async def test_a_new_member_that_cannot_be_admitted_gets_the_reason(
     rig: tuple[Node, Any], changes: dict[str, Any], reason: str
 ) -> None:
     _, stub = rig
@@ -191,7 +191,7 @@ async def test_the_outcome_of_a_change_of_members_reaches_the_caller(
     assert error.reason == reason
 
 
-async def test_a_snapshot_comes_with_its_facts_first_and_then_the_backup_if_asked_for(rig: tuple[Node, Any]) -> None:
+async def test_a_snapshot_begins_with_its_facts_and_has_the_backup_on_request(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     await node.register(1)
     [facts] = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10)]

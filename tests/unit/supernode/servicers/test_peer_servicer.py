@@ -212,7 +212,7 @@ async def test_peers_without_a_lease_are_listed_on_request(node: Node) -> None:
     assert [(peer.peer_id, peer.alive) for peer in both.peers] == [(id_of(7), False), (id_of(8), True)]
 
 
-async def test_a_watch_of_peers_brings_every_change_and_goes_on_where_another_ended(node: Node) -> None:
+async def test_a_watch_of_peers_has_every_change_and_continues_where_another_one_ended(node: Node) -> None:
     watch = node.peers.WatchPeers(pb.WatchPeersRequest())
     begin = (await watch.read()).applied_index
     await node.peers.RegisterPeer(entering(7, "planner"))
@@ -241,7 +241,7 @@ async def _changes(watch: Any, count: int) -> list[peer_pb2.PeerChange]:
     return seen
 
 
-async def test_a_watch_from_an_index_that_is_not_kept_must_begin_anew(node: Node) -> None:
+async def test_a_watch_from_a_forgotten_index_is_refused(node: Node) -> None:
     watch = node.peers.WatchPeers(pb.WatchPeersRequest(after_index=node.log.index + 1))
     assert (await reason_of(watch.read())).reason == "WATCH_RESTART"
 
@@ -284,7 +284,7 @@ async def test_the_clocks_of_peers_are_in_no_log_and_no_snapshot(node: Node) -> 
     assert (node.log.index, node.replica.begin_snapshot()()) == (index, snapshot)
 
 
-async def test_a_renewal_tells_the_time_of_the_leader_and_how_long_it_was_held(node: Node) -> None:
+async def test_a_renewal_has_the_time_of_the_leader_and_how_long_the_leader_held_it(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7))
     node.log.reads_may_end.clear()
     node.log.read_waits.clear()
@@ -315,7 +315,7 @@ async def test_a_new_leader_knows_only_clocks_reported_to_it_and_a_follower_name
     assert await clocks(node) == {"late": None, "planner": None}
 
 
-async def test_the_clock_of_a_peer_goes_with_its_lease_and_its_registration(node: Node) -> None:
+async def test_the_clock_of_a_peer_is_removed_with_its_lease_and_its_registration(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7, "planner", proof=PROOF, clock=BEHIND))
     await node.peers.RegisterPeer(entering(7, "planner", boot=2, proof=PROOF))
     assert await clocks(node) == {"planner": None}

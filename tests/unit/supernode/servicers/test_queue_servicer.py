@@ -82,7 +82,7 @@ async def test_a_queue_whose_host_is_lost_gets_another_one_when_it_is_opened(nod
     assert after.incarnation != before.incarnation
 
 
-async def test_a_host_hears_of_its_queues_when_it_registers_again(node: Node) -> None:
+async def test_a_host_gets_its_queues_when_it_registers_again(node: Node) -> None:
     before = (await node.queues.OpenQueue(open_request(1, "jobs", host="one"))).queue
     assert list((await node.register(1, name="one")).queues) == [before]
     (after,) = (await node.register(1, name="one", boot=2)).queues

@@ -28,7 +28,7 @@ async def node() -> AsyncIterator[Node]:
 
 
 @pytest.mark.parametrize("quota", sorted(LATER_QUOTAS))
-async def test_a_quota_that_a_member_cannot_read_does_not_come_into_the_log(node: Node, quota: Quota) -> None:
+async def test_a_quota_that_a_member_cannot_read_is_not_written_to_the_log(node: Node, quota: Quota) -> None:
     servicer, call = QuotaServicer(DirectoryCalls(node.replica, node.submission)), Call()
     context: Any = call
     level = LATER_QUOTAS[quota]

@@ -29,7 +29,7 @@ class SlowLog(MemoryLog):
         return await super().propose(command, timeout=timeout)
 
 
-async def test_one_caller_leaves_room_in_the_log_for_the_commands_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_one_caller_cannot_fill_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fixed fault: one caller with very many parallel calls filled the line of commands that wait for the log."""
     monkeypatch.setattr(module, "UNDER_WAY_OF_ONE_MAX", 3)
     replica = DirectoryReplica()

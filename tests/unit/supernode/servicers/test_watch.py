@@ -41,7 +41,7 @@ ADDED, UPDATED, REMOVED = (
 )
 
 
-async def test_the_first_response_says_where_the_watch_begins_and_changes_follow(node: Node) -> None:
+async def test_the_first_response_has_the_start_of_the_watch_and_changes_follow(node: Node) -> None:
     await node.open("before")
     stream = begin(node)
     first = await stream.read()
@@ -88,7 +88,7 @@ async def test_a_watch_from_an_index_brings_everything_after_it_once(node: Node)
     stream.cancel()
 
 
-async def test_a_response_says_up_to_which_index_everything_was_sent(
+async def test_a_response_has_the_index_up_to_which_everything_was_sent(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(watch, "CHANGES_PER_RESPONSE_MAX", 2)
@@ -126,7 +126,7 @@ async def test_an_index_that_is_not_kept_or_not_reached_must_start_again() -> No
             assert "list again" in error.message
 
 
-async def test_a_watcher_that_is_overtaken_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_watcher_that_lags_too_far_gets_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(change_ring.ChangeRing.__init__, "__kwdefaults__", {"changes_max": 3})
     async with running_node() as node:
         await node.register(1)
@@ -161,7 +161,7 @@ async def test_watches_end_when_the_supernode_stops(node: Node) -> None:
     assert (await reason_of(stream.read())).reason == "SHUTTING_DOWN"
 
 
-async def test_signs_of_life_come_until_no_leader_is_known() -> None:
+async def test_a_watch_has_heartbeats_while_a_leader_is_known() -> None:
     async with running_node(sign_of_life_seconds=0.02) as node:
         stream = begin(node)
         for _ in range(3):
@@ -173,7 +173,7 @@ async def test_signs_of_life_come_until_no_leader_is_known() -> None:
         assert "knows no leader" in error.message
 
 
-async def test_signs_of_life_come_although_commits_wake_the_watch_more_often_and_change_nothing_for_it() -> None:
+async def test_a_watch_has_heartbeats_although_unrelated_commits_wake_it() -> None:
     async with running_node(sign_of_life_seconds=0.02) as node:
         stream = begin(node, name_glob="mic")
 
@@ -226,7 +226,7 @@ async def test_a_change_is_reported_to_a_few_watches_in_each_turn_and_to_all_of_
     await asyncio.gather(*watching, return_exceptions=True)
 
 
-async def test_a_watch_that_is_far_behind_looks_at_one_page_of_changes_in_a_turn(
+async def test_a_watch_that_lags_far_reads_one_page_of_changes_in_a_turn(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(watch, "CHANGES_PER_RESPONSE_MAX", 2)

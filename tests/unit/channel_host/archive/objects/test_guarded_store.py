@@ -45,7 +45,7 @@ def test_a_store_that_fails_is_asked_again_only_after_a_pause(monkeypatch: pytes
     assert guarded.failure == ""
 
 
-def test_a_missing_object_and_a_listing_that_nobody_reads_on_are_no_failures() -> None:
+def test_a_missing_object_and_an_abandoned_listing_are_not_failures_of_the_store() -> None:
     store = FakeStore()
     store.objects.update({"a": b"1", "b": b"2"})
     guarded = GuardedStore(store)
@@ -108,7 +108,9 @@ async def test_a_store_that_refuses_to_make_or_delete_objects_still_gives_them()
 
 
 @pytest.mark.asyncio
-async def test_an_upload_always_tries_and_its_end_tells_the_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_upload_is_always_tried_and_its_result_decides_whether_readers_try(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Hanging(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             if name == "hangs":

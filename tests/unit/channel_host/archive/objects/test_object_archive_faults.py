@@ -93,7 +93,7 @@ async def test_on_a_full_disk_files_move_and_reads_go_on_without_the_cache(
 
 
 @pytest.mark.asyncio
-async def test_in_a_read_only_folder_a_moved_file_stays_and_its_items_are_read_once(
+async def test_a_moved_file_in_a_read_only_folder_is_kept_and_its_items_are_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = FakeStore()

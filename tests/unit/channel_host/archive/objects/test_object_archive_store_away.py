@@ -43,7 +43,7 @@ async def left(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) 
 
 @pytest.mark.parametrize("epoch", [1, 2])
 @pytest.mark.asyncio
-async def test_a_host_goes_on_with_its_seqs_and_reads_its_own_files_while_the_store_is_away(
+async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store_is_away(
     tmp_path: Path, epoch: int
 ) -> None:
     store = FakeStore()

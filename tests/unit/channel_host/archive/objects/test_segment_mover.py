@@ -130,7 +130,7 @@ async def test_closed_files_move_and_give_their_room_on_the_disk_back(tmp_path: 
 
 
 @pytest.mark.asyncio
-async def test_while_the_store_is_away_files_stay_up_to_the_limit_of_the_disk_and_move_afterwards(
+async def test_files_are_kept_on_disk_up_to_its_limit_while_the_store_is_away(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = FakeStore()
@@ -202,7 +202,7 @@ async def test_the_files_of_a_channel_that_moved_away_follow_it_now_or_after_a_r
 
 
 @pytest.mark.asyncio
-async def test_a_channel_that_moved_away_leaves_no_folder_behind(tmp_path: Path) -> None:
+async def test_the_folder_of_a_channel_that_moved_away_is_deleted(tmp_path: Path) -> None:
     store = FakeStore()
     async with host(tmp_path, store) as one:
         await one.serve(1)
@@ -235,7 +235,7 @@ async def test_a_channel_that_moved_here_gets_the_last_files_of_its_former_owner
 
 
 @pytest.mark.asyncio
-async def test_an_idle_channel_that_moved_here_gets_files_that_come_after_the_first_look(tmp_path: Path) -> None:
+async def test_an_idle_channel_that_moved_here_finds_files_that_are_uploaded_later(tmp_path: Path) -> None:
     store = FakeStore()
     async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
         await former.serve(1)

@@ -29,7 +29,7 @@ def test_each_request_is_read_as_if_it_were_the_first(requests: list[tuple[int, 
         assert (call.plan.query.limit, call.plan.epoch) == (limit, 3)
 
 
-def test_the_same_question_is_taken_apart_once() -> None:
+def test_the_plan_of_a_repeated_get_is_made_once() -> None:
     plans = GetPlans()
     assert plans.read(request(1)).plan is plans.read(request(2**63)).plan is plans.read(request(0)).plan
 

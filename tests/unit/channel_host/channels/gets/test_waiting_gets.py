@@ -218,7 +218,7 @@ def kept_gets() -> int:
     return sum(isinstance(one, WaitingGet | Pending) for one in gc.get_objects())
 
 
-async def test_cancelled_gets_leave_nothing_behind() -> None:
+async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> None:
     blocked = Blocked()
     before, kept_before = timers(), kept_gets()
     ahead = Query(interval=parse_interval(START + S, MAX_INSTANT))
@@ -306,7 +306,7 @@ async def test_the_looks_of_one_step_find_a_bounded_number_of_slices_in_all(gets
     assert all(len(found_times(one)) == held for one in blocked.outcomes)
 
 
-async def test_gets_that_a_change_leaves_blocked_are_released_by_the_one_behind_it() -> None:
+async def test_gets_that_one_change_does_not_release_are_released_by_the_next_one() -> None:
     blocked = Blocked(max_items=1)
     pieces = InPieces(blocked)
     for number in range(200):
@@ -355,7 +355,7 @@ async def test_gets_that_one_instant_releases_have_one_timer_and_are_looked_at_i
     assert timers() == before
 
 
-async def test_changes_that_come_faster_than_gets_are_released_are_kept_up_to_a_most() -> None:
+async def test_changes_that_arrive_faster_than_gets_are_released_are_kept_up_to_a_limit() -> None:
     blocked = Blocked(max_items=1)
     pieces = InPieces(blocked)
     for number in range(500):

@@ -104,7 +104,7 @@ def test_a_refused_stranger_takes_no_number_from_its_owner(caller: list[str]) ->
     assert len(owners) == 1
 
 
-def test_a_number_stays_with_its_caller_if_one_of_two_first_calls_succeeds(caller: list[str]) -> None:
+def test_an_id_belongs_to_its_caller_if_one_of_two_first_calls_succeeds(caller: list[str]) -> None:
     owners = IdOwners()
     with suppress(KeyError), owners.using(QUEUE, 7, "consumer", allowed):
         use(owners, QUEUE, 7, "consumer")

@@ -75,7 +75,7 @@ async def test_a_caller_gets_half_of_the_room_and_lets_others_pass_while_it_wait
         assert some.under_way == ["hostile 0", "hostile 1", "good", "hostile 2"]
 
 
-async def test_a_request_whose_caller_goes_gives_its_room_and_its_place_in_line_to_others() -> None:
+async def test_a_request_of_a_vanished_caller_frees_its_bytes_and_its_place_in_line() -> None:
     async with uploads() as some:
         await some.begin("first", "a", 50)
         await some.begin("second", "b", 50)
@@ -129,7 +129,7 @@ async def test_the_waiting_requests_of_a_caller_that_has_used_up_its_part_take_n
         assert some.under_way[-1] == "good 99"
 
 
-async def test_requests_whose_callers_go_while_they_wait_leave_nothing_behind() -> None:
+async def test_waiting_requests_of_vanished_callers_are_removed() -> None:
     async with uploads() as some:
         await some.begin("first", "a", 50)
         for number in range(100):

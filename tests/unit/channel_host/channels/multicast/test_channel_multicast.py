@@ -118,7 +118,7 @@ async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.Monke
         assert {staying.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
 
 
-async def test_readers_hear_that_the_host_serves_the_channel_no_more() -> None:
+async def test_readers_learn_that_the_host_no_longer_serves_the_channel() -> None:
     rig = Rig()
     async with rig.reader() as opener:
         rig.put(b"one")
@@ -134,7 +134,7 @@ async def test_readers_hear_that_the_host_serves_the_channel_no_more() -> None:
             assert (await rig.group.parts(again, 1))[0].first_seq == 2
 
 
-async def test_the_end_is_told_although_the_streams_of_all_readers_end_with_the_channel() -> None:
+async def test_the_end_is_sent_although_the_streams_of_all_readers_end_with_the_channel() -> None:
     rig = Rig()
     async with rig.reader() as opener:
         for _ in rig.hosted.ending(ChannelNotFound("deleted")):
@@ -151,7 +151,7 @@ async def test_an_item_that_is_too_large_is_only_announced() -> None:
         assert (part.kind, part.first_seq) == (MessageKind.BEAT, 2)
 
 
-async def test_a_multicast_that_is_too_slow_leaves_items_out_and_a_beat_announces_them() -> None:
+async def test_a_multicast_that_is_too_slow_skips_items_and_announces_them_in_a_heartbeat() -> None:
     rig = Rig()
     async with rig.reader() as opener:
         rig.group.may_send.clear()
@@ -171,7 +171,7 @@ async def test_a_multicast_that_is_too_slow_leaves_items_out_and_a_beat_announce
         assert (MessageKind.ITEMS, 4) in {(part.kind, part.first_seq) for part in found}
 
 
-async def test_a_multicast_that_is_never_at_the_end_of_a_busy_channel_but_keeps_up_leaves_nothing_out() -> None:
+async def test_a_multicast_that_keeps_up_with_a_busy_channel_skips_nothing() -> None:
     rig = Rig()
     async with rig.reader() as opener:
         one = rig.multicasts.find(rig.hosted)

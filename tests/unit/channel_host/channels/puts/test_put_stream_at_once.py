@@ -51,7 +51,7 @@ def newest(channel: Opened, call_id: int, **fields: object) -> bytes:
     return channel.newest_request(call_id, **fields).SerializeToString()
 
 
-async def test_a_single_put_is_acked_in_the_turn_in_which_it_comes() -> None:
+async def test_a_single_put_is_acked_in_the_turn_in_which_it_arrives() -> None:
     async with stream_of("Put") as (stream, channel):
         for number in (1, 2, 3):
             [ack] = acks_in(stream.send(put_of(channel, number)))
@@ -60,7 +60,9 @@ async def test_a_single_put_is_acked_in_the_turn_in_which_it_comes() -> None:
 
 
 @pytest.mark.parametrize("payload_bytes", [4096, 18_000, 250_000])
-async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_bytes_come(payload_bytes: int) -> None:
+async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_bytes_arrive(
+    payload_bytes: int,
+) -> None:
     async with stream_of("Put") as (stream, channel):
         payloads = [bytes([number]) * (payload_bytes - number) for number in range(1, 4)]
         for number, payload in enumerate(payloads, start=1):
@@ -70,7 +72,7 @@ async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_
 
 
 @pytest.mark.parametrize(("runs", "is_at_once"), [(16, True), (17, False)])
-async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_comes(runs: int, is_at_once: bool) -> None:
+async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_arrives(runs: int, is_at_once: bool) -> None:
     async with stream_of("Put") as (stream, channel):
         head, run = put_head(channel.channel_id, channel.epoch, PRODUCER), run_parts((bytes(3000),), times=None)
         request = head + b"".join(put_request(b"", number, run, 10**9) for number in range(1, runs + 1))
@@ -87,7 +89,7 @@ async def test_a_repeated_put_gets_its_former_ack_at_once() -> None:
         assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == acks_in(former)[0].first_seq == 1
 
 
-async def test_a_put_into_another_epoch_is_refused_and_the_stream_goes_on() -> None:
+async def test_a_put_into_another_epoch_is_refused_and_does_not_end_the_stream() -> None:
     async with stream_of("Put") as (stream, channel):
         assert stream.send(put_of(channel, 1, epoch=9)) == []
         [refusal] = acks_in(await stream.until_written(1))
@@ -95,7 +97,7 @@ async def test_a_put_into_another_epoch_is_refused_and_the_stream_goes_on() -> N
         assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 1
 
 
-async def test_puts_that_come_together_are_acked_together_and_in_order() -> None:
+async def test_puts_that_arrive_together_are_acked_together_and_in_order() -> None:
     async with stream_of("Put") as (stream, channel):
         assert stream.send(*(put_of(channel, number) for number in range(1, 30))) == []
         assert acks_in(stream.send(put_of(channel, 30))) == [], "the earlier ones come first"
@@ -105,7 +107,7 @@ async def test_puts_that_come_together_are_acked_together_and_in_order() -> None
         assert acks_in(stream.send(put_of(channel, 31)))[0].first_seq == 31
 
 
-async def test_the_runs_of_a_producer_that_come_one_by_one_are_acked_at_once() -> None:
+async def test_runs_of_a_producer_that_arrive_one_by_one_are_acked_at_once() -> None:
     async with stream_of("Put") as (stream, channel):
         assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == 1
         for number in (2, 3):
@@ -120,7 +122,7 @@ async def test_a_first_run_that_names_no_channel_is_refused() -> None:
         assert "names no channel" in refusal.error.message
 
 
-async def test_a_put_that_may_wait_for_room_goes_to_the_stream() -> None:
+async def test_a_put_that_may_wait_for_room_is_passed_to_the_stream() -> None:
     policy = {"max_items": 1, "max_age": "10s", "on_full": "block"}
     async with stream_of("Put", **policy) as (stream, channel):
         assert stream.send(put_of(channel, 1)) == []
@@ -129,7 +131,7 @@ async def test_a_put_that_may_wait_for_room_goes_to_the_stream() -> None:
         assert stream.send(put_of(channel, 3)) == [], "the second put comes first"
 
 
-async def test_nothing_is_taken_out_of_the_middle_of_a_request_in_pieces() -> None:
+async def test_no_put_is_answered_out_of_the_middle_of_a_request_in_pieces() -> None:
     async with stream_of("Put") as (stream, channel):
         pieces = list(messages_of(put_of(channel, 1, bytes(400_000))))
         assert stream.send(pieces[0]) == []
@@ -138,7 +140,7 @@ async def test_nothing_is_taken_out_of_the_middle_of_a_request_in_pieces() -> No
         assert b"holds something else" in status
 
 
-async def test_the_newest_item_is_read_in_the_turn_in_which_the_request_comes() -> None:
+async def test_the_newest_item_is_read_in_the_turn_in_which_the_request_arrives() -> None:
     async with stream_of("Get") as (stream, channel):
         for call_id, payload in ((1, b"small"), (2, bytes(200_000))):
             await channel.put(run_of(payload, number=call_id))
@@ -148,7 +150,7 @@ async def test_the_newest_item_is_read_in_the_turn_in_which_the_request_comes() 
             assert response.HasField("summary")
 
 
-async def test_an_answer_of_several_messages_begins_at_once_and_comes_whole() -> None:
+async def test_an_answer_of_several_messages_begins_at_once_and_is_complete() -> None:
     async with stream_of("Get") as (stream, channel):
         for number in range(1, 8):
             await channel.put(run_of(bytes(300_000), number=number))
@@ -159,7 +161,7 @@ async def test_an_answer_of_several_messages_begins_at_once_and_comes_whole() ->
         assert [one.HasField("summary") for one in responses] == [False, False, True]
 
 
-async def test_a_get_behind_one_that_waits_goes_to_the_stream_and_is_answered() -> None:
+async def test_a_get_after_a_waiting_one_is_passed_to_the_stream_and_answered() -> None:
     async with stream_of("Get") as (stream, channel):
         assert stream.send(newest(channel, 1, wait_nanos=-1)) == []
         assert stream.send(newest(channel, 2)) == []
@@ -188,7 +190,7 @@ async def test_beyond_the_budget_of_a_turn_messages_go_to_the_stream_and_the_nex
         assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 2
 
 
-async def test_the_end_of_the_callers_side_behind_a_put_ends_the_stream_after_the_ack() -> None:
+async def test_a_half_close_after_a_put_ends_the_stream_after_the_ack() -> None:
     async with stream_of("Put") as (stream, channel):
         stream.send_frames(frame_of(FrameKind.MESSAGE, put_of(channel, 1)) + frame_of(FrameKind.END))
         ack, status = await stream.until_written(2)

@@ -28,7 +28,7 @@ def a_channel(max_items: int) -> ChannelCore:
     return ChannelCore(Policy(max_items=max_items, on_full="block", consumers=1), incarnation=7)
 
 
-async def test_a_run_that_is_accepted_in_part_goes_on_at_the_next_owner() -> None:
+async def test_a_partly_accepted_run_continues_at_the_next_owner() -> None:
     source = puts_of(a_channel(3))
     waiting = run_of(4)
     assert source.put(waiting, NOW) is None

@@ -38,7 +38,7 @@ async def turns() -> None:
         await asyncio.sleep(0)
 
 
-async def test_requests_read_ahead_are_charged_until_they_are_taken_or_the_stream_ends() -> None:
+async def test_requests_read_ahead_are_charged_until_they_are_handled_or_the_stream_ends() -> None:
     memory, requests = MemoryBudget(2**30), Requests(bytes(2**20))
     ahead = ReadAhead(requests, memory, unlimited())
     await ahead.next()

@@ -36,7 +36,7 @@ def piece(content: bytes, request_bytes: int = 0) -> bytes:
     return pb.PutRequest(piece=pb.RequestPiece(request_bytes=request_bytes, content=content)).SerializeToString()
 
 
-async def test_large_and_small_requests_come_whole_and_in_order() -> None:
+async def test_large_and_small_requests_arrive_complete_and_in_order() -> None:
     requests = [b"\x0asmall", b"\x0a" + bytes(3 * MESSAGE_BYTES_MAX), b"\x0alast"]
     whole, room = stream_of(message for request in requests for message in messages_of(request))
     assert [await whole.read() for _ in requests] == requests

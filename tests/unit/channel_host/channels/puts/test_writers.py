@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.channels.puts.writers import WRITERS_MAX, Writers
 
 
-def test_the_latest_writer_comes_first_with_the_time_of_its_last_put() -> None:
+def test_the_latest_writer_is_listed_first_with_the_time_of_its_last_put() -> None:
     writers = Writers()
     for name, now in (("a", 1), ("b", 2), ("a", 3)):
         writers.note(name, now)

@@ -107,7 +107,7 @@ async def reading(
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_a_reader_hears_of_a_loss_although_it_asks_before_the_host_has_told_it() -> None:
+async def test_a_reader_that_asks_early_still_learns_of_a_loss() -> None:
     async with reading(incarnation=4, credit=0, begin=lambda served, reader: None) as reader:
         reader.ask(3)
         answer = await reader.answer()
@@ -115,7 +115,7 @@ async def test_a_reader_hears_of_a_loss_although_it_asks_before_the_host_has_tol
         assert (answer.repair_next_seq, answer.cursor.incarnation) == (3, 5)
 
 
-async def test_a_question_that_comes_while_the_host_waits_for_its_turn_is_answered_at_once() -> None:
+async def test_a_request_that_arrives_while_the_host_waits_for_its_turn_is_answered_at_once() -> None:
     class Work:
         must_wait = True
 

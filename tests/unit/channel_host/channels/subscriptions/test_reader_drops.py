@@ -45,7 +45,7 @@ def test_a_channel_counts_drops_of_its_open_readers_and_the_sums_keep_those_of_c
     assert readers.sums() == (21, 7)
 
 
-def test_the_host_looks_at_the_readers_of_a_channel_in_pieces_and_leaves_out_other_channels() -> None:
+def test_the_host_visits_the_readers_of_one_channel_in_pieces() -> None:
     readers = Readers()
     with ExitStack() as open_:
         for number in range(3 * READERS_PER_PIECE):

@@ -28,7 +28,7 @@ def segments(draw: st.DrawFn) -> Segment:
 
 
 @given(segments())
-def test_the_name_of_an_object_tells_its_segment(segment: Segment) -> None:
+def test_the_name_of_an_object_names_its_segment(segment: Segment) -> None:
     name = object_name(segment)
     assert segment_named(name) == segment
     assert len(name) < 255  # a store in a folder makes a file of it

@@ -51,7 +51,7 @@ def test_refused_items_do_not_hold_up_the_others_and_leave_no_hole_in_the_seqs()
     assert channel.next_seq == 3
 
 
-def test_an_item_too_far_ahead_is_told_the_measured_offset() -> None:
+def test_the_error_of_an_item_too_far_ahead_has_the_measured_offset() -> None:
     channel = a_channel(clock_ahead=100, max_items=9)
     error = put(channel, CLOCK + 101).rejections[0].error
     assert isinstance(error, InFuture)
@@ -77,7 +77,7 @@ def test_an_item_that_age_would_collect_at_once_is_too_old() -> None:
     assert "max_age" in short.rejections[0].error.message
 
 
-def test_an_old_item_in_an_empty_channel_is_its_newest_and_stays() -> None:
+def test_an_old_item_in_an_empty_channel_is_its_newest_and_is_kept() -> None:
     channel = a_channel(max_age_nanos=100)
     assert put(channel, 5).run is not None
     assert channel.oldest == 5
@@ -115,7 +115,7 @@ def test_a_put_on_a_full_blocking_channel_waits_for_the_age_of_the_oldest_as_if_
     assert times_of(get(channel, now=CLOCK + 110).slices) == [CLOCK + 10]
 
 
-def test_the_part_of_a_run_that_fits_is_taken_and_the_rest_waits() -> None:
+def test_the_part_of_a_run_that_fits_is_accepted_and_the_rest_waits() -> None:
     channel = a_channel(max_items=2, max_age_nanos=100, on_full="block")
     offer = Offer(times=[CLOCK, CLOCK + 1, CLOCK + 2, CLOCK + 3], durations=None, lengths=[1, 1, 1, 1])
     outcome = channel.put(offer, CLOCK, seal)
@@ -137,7 +137,7 @@ def wait_untimed(channel: ChannelCore, since: int, now: int) -> PutOutcome:
     return channel.put(Offer(times=None, durations=None, lengths=[1], since=since), now, seal)
 
 
-def test_a_put_without_a_time_waits_behind_an_item_whose_producer_is_ahead() -> None:
+def test_a_put_without_a_time_waits_for_an_item_from_the_future() -> None:
     """A fixed fault: such a put counted into the newest bucket, which never becomes too old, so the put waited for
     ever.
     """
@@ -165,7 +165,7 @@ def test_the_second_of_two_puts_that_wait_for_one_place_waits_for_the_age_of_the
     assert wait_untimed(channel, CLOCK + 5, CLOCK + 206).stamped_time == CLOCK + 206
 
 
-def test_the_rest_of_a_run_without_times_goes_on_when_its_first_item_is_old_enough() -> None:
+def test_the_rest_of_a_run_without_times_is_accepted_when_its_first_item_is_old_enough() -> None:
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     offer = Offer(times=None, durations=None, lengths=[1, 1])
     outcome = channel.put(offer, CLOCK, seal)

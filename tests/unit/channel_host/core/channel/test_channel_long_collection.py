@@ -51,7 +51,7 @@ def test_late_items_that_crowd_a_block_split_it(looked: SliceCounter) -> None:
     assert looked.slices <= 2 * BLOCK_ITEMS + 20
 
 
-def test_items_that_all_come_late_are_counted_in_blocks_too(looked: SliceCounter) -> None:
+def test_late_items_are_counted_in_blocks(looked: SliceCounter) -> None:
     channel = backwards(ITEMS)
     looked.slices = 0
     channel.configure(Policy(max_items=ITEMS // 2, max_age_nanos=10**12), CLOCK)

@@ -120,7 +120,7 @@ def test_the_state_of_a_consumer_is_bounded_by_the_held_items() -> None:
     assert len(done.ranges) <= 150
 
 
-def test_a_consumer_that_has_much_behind_a_gap_goes_on_behind_it_by_and_by() -> None:
+def test_a_consumer_with_many_consumed_items_after_a_gap_advances_over_them_in_steps() -> None:
     channel = filled(4000, consumers=2)
     channel.consume(1, range(3, 4001, 2), CLOCK)
     channel.consume(2, [], CLOCK)

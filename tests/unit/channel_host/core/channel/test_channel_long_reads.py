@@ -31,7 +31,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
 
 
 @pytest.mark.parametrize("newest_first", [False, True])
-def test_a_get_of_many_slices_comes_in_pieces_of_a_bounded_number(looked: SliceCounter, newest_first: bool) -> None:
+def test_a_get_of_many_slices_is_answered_in_bounded_pieces(looked: SliceCounter, newest_first: bool) -> None:
     channel, most = shuffled(), 0
     looked.slices = 0
     reading = channel.reading(everything(newest_first=newest_first), CLOCK)

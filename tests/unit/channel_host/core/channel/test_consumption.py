@@ -29,7 +29,7 @@ def three_items(consumers: int = 2, **policy: int | str) -> ChannelCore:
     return channel
 
 
-def test_an_item_leaves_when_a_consumer_of_each_place_has_consumed_it() -> None:
+def test_an_item_is_collected_when_the_consumer_of_each_place_has_consumed_it() -> None:
     channel = three_items()
     assert channel.consume(ANN, [1, 2], CLOCK).items == 2
     assert held(channel) == [1, 2, 3], "one place was never taken, and holds all"
@@ -45,7 +45,7 @@ def test_consuming_twice_has_the_same_effect_as_once() -> None:
     assert held(channel) == [1, 2, 3], "one consumer counts once"
 
 
-def test_an_item_stays_until_the_items_before_it_leave_so_that_no_span_grows() -> None:
+def test_an_item_is_kept_until_earlier_items_are_collected_so_that_no_span_grows() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [2, 3], CLOCK)
     assert times_of(get(channel, 25, 25).slices) == [20]
@@ -82,14 +82,14 @@ def test_a_consumer_that_takes_an_ended_place_starts_at_the_newest_item() -> Non
     assert owed == {BOB: 3, CYD: 1}
 
 
-def test_a_consumer_that_comes_back_before_its_lease_ends_goes_on_where_it_was() -> None:
+def test_a_consumer_that_returns_before_its_lease_ends_keeps_its_position() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [1], CLOCK)
     assert channel.consume(ANN, [2], CLOCK + LEASE_NANOS - 1).items == 1
     assert held(channel, CLOCK + LEASE_NANOS) == [3], "each consume renews the lease"
 
 
-def test_a_new_consumer_takes_an_ended_place_before_a_place_that_was_never_taken() -> None:
+def test_a_new_consumer_gets_an_ended_place_before_an_unused_one() -> None:
     channel = three_items()
     channel.consume(ANN, [1], CLOCK, lease_nanos=5)
     channel.consume(BOB, [1, 2, 3], CLOCK + 5)
@@ -110,7 +110,7 @@ def test_a_consumer_without_a_place_that_gives_it_up_takes_none() -> None:
     assert channel.consumers(CLOCK) == []
 
 
-def test_the_newest_bucket_stays_when_the_last_consumer_is_gone() -> None:
+def test_the_newest_bucket_is_kept_when_the_last_consumer_leaves() -> None:
     channel = three_items(consumers=1)
     channel.consume(ANN, [], CLOCK, lease_nanos=5)
     assert held(channel, CLOCK + 5) == [3]
@@ -138,7 +138,7 @@ def test_a_late_item_is_accepted_below_consumed_items() -> None:
     assert channel.frontier is None
 
 
-def test_the_rest_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_below_it() -> None:
+def test_the_rest_of_a_bucket_keeps_the_order_of_seqs_when_a_late_item_arrives_before_it() -> None:
     """A fixed fault: a trimmed first entry of the bucket came after the others, and reads returned 7 to 12 before 3 to
     6.
     """
@@ -152,7 +152,7 @@ def test_the_rest_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_
     assert (held(channel), channel.look(CLOCK)[0].backlog_bytes) == ([], 0)
 
 
-def test_a_late_item_below_a_run_that_is_half_consumed_leaves_the_other_half() -> None:
+def test_a_late_item_before_a_half_consumed_run_does_not_remove_the_other_half() -> None:
     channel = a_channel(consumers=1)
     put(channel, 10, 20, 30, 40)
     channel.consume(ANN, [1, 2], CLOCK)
@@ -170,7 +170,7 @@ def test_the_other_limits_also_collect_items_that_are_not_consumed() -> None:
     assert channel.consume(ANN, [1, 2], CLOCK).items == 1, "the first was gone"
 
 
-def test_an_interval_stays_finished_when_the_item_after_it_is_consumed() -> None:
+def test_an_interval_is_still_finished_when_the_item_after_it_is_consumed() -> None:
     channel = three_items(consumers=1)
     assert get(channel, 21, 29).complete
     channel.consume(ANN, [1, 2, 3], CLOCK)
@@ -271,7 +271,7 @@ def test_the_window_follows_the_slowest_live_consumer_between_its_two_bounds() -
     assert channel.counters(CLOCK + 1030).collected == {"age": 3, "count": 0, "bytes": 0, "consumption": 0}
 
 
-def test_the_window_falls_back_to_its_lower_bound_when_the_slow_consumer_is_gone() -> None:
+def test_the_window_returns_to_its_lower_bound_when_the_slow_consumer_leaves() -> None:
     channel = a_channel(max_age_nanos=100, max_age_unconsumed_nanos=10**12)
     put(channel, CLOCK, CLOCK + 10)
     channel.consume(ANN, [], CLOCK)
@@ -395,7 +395,7 @@ def test_only_seqs_that_are_next_to_no_consumed_or_collected_ones_need_memory() 
     assert channel.consumption_bytes(BOB, [20]) == CONSUMER_BYTES + CONSUMED_RANGE_BYTES
 
 
-def test_one_caller_leaves_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_caller_cannot_take_all_consumer_places(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(consumer_places, "PLACES_OF_ONE_MAX", 2)
     channel = three_items(consumers=5)
     for consumer in (1, 2):

@@ -5,14 +5,14 @@ from __future__ import annotations
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, LagWatch
 
 
-def test_a_copy_whose_lag_grows_stays_behind_after_a_while() -> None:
+def test_a_copy_whose_lag_grows_is_marked_as_lagging_after_a_while() -> None:
     watch = LagWatch()
     assert not watch.stays_behind(100, 0)
     assert not watch.stays_behind(150, CATCH_UP_NANOS - 1)
     assert watch.stays_behind(150, CATCH_UP_NANOS)
 
 
-def test_a_copy_that_comes_nearer_or_was_level_does_not_stay_behind() -> None:
+def test_a_copy_that_catches_up_or_was_level_is_not_marked_as_lagging() -> None:
     watch = LagWatch()
     for step in range(9):
         assert not watch.stays_behind(100 - step, step * CATCH_UP_NANOS)

@@ -72,7 +72,7 @@ def test_a_late_item_splits_the_run_that_it_falls_into_and_shares_it() -> None:
     assert [part.is_whole for part in slices] == [False, False, True, False]
 
 
-def test_entries_are_taken_out_from_the_front_until_one_reaches_the_floor() -> None:
+def test_entries_are_removed_from_the_front_until_one_reaches_the_floor() -> None:
     rng, index = random.Random(4), ChannelIndex()
     entries = fill(index, rng, 800, late=40)
     floor = entries[len(entries) // 2]

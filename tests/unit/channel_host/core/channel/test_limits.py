@@ -46,7 +46,7 @@ def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: s
         ChannelLimits.of(policy)
 
 
-def test_blocking_is_taken_with_an_age_by_which_it_ends() -> None:
+def test_on_full_block_is_accepted_with_an_age_that_ends_the_wait() -> None:
     assert ChannelLimits.of(Policy(max_items=4, max_age_nanos=1, on_full="block")).on_full == "block"
     assert ChannelLimits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
 

@@ -37,7 +37,7 @@ def test_keys_of_a_part_are_read_only_when_a_caller_takes_the_part() -> None:
     assert [*chain.from_iterable(parts)] == [*range(20, 1000)]
 
 
-def test_keys_may_come_and_go_between_two_parts() -> None:
+def test_keys_may_be_added_and_removed_between_two_parts() -> None:
     things = SortedDict(dict.fromkeys(range(0, 40, 2), "thing"))
     parts = batched_keys(things, 5)
     assert next(parts) == [0, 2, 4, 6, 8]

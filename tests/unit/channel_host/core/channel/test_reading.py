@@ -93,7 +93,7 @@ def test_the_next_time_behind_an_answer_ends_its_last_bucket() -> None:
 
 @pytest.mark.parametrize("newest_first", [False, True])
 @pytest.mark.parametrize("steps", [1, 1000])
-def test_with_overlap_an_answer_tells_where_it_leaves_out_the_next_bucket(
+def test_with_overlap_an_answer_names_the_next_bucket_that_it_leaves_out(
     monkeypatch: pytest.MonkeyPatch, newest_first: bool, steps: int
 ) -> None:
     monkeypatch.setattr(pieces, "STEPS_PER_PIECE", steps)
@@ -130,7 +130,7 @@ def test_pages_by_after_bring_every_item_once(newest_first: bool) -> None:
     assert seen == ([6, 4, 3, 2, 5, 1] if newest_first else [1, 5, 2, 3, 4, 6])
 
 
-def test_an_empty_answer_says_whether_it_was_collected_never_came_or_may_come() -> None:
+def test_an_empty_answer_has_the_reason_collected_never_or_not_yet() -> None:
     channel = a_channel(max_items=2)
     assert get(channel, OLDEST, NOW).reason == "NOT_YET"
     assert get(channel, OLDEST, NOW).interval is None
@@ -227,7 +227,7 @@ def test_items_that_a_group_hides_reach_no_reader_until_they_are_visible() -> No
     assert tracker.reach(CLOCK, cut=31) == Reach(passed=30, time=30, end=35)
 
 
-def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() -> None:
+def test_a_waiting_get_for_a_future_instant_is_tried_at_that_instant() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     pending = channel.begin(Query(interval=parse_interval(CLOCK + 50, CLOCK + 60, "(]")), CLOCK)

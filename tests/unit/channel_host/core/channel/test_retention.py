@@ -30,7 +30,7 @@ def test_a_quiet_stream_keeps_its_newest_bucket() -> None:
     assert channel.next_deadline(CLOCK + 10**6) is None
 
 
-def test_a_bucket_goes_whole_when_its_last_span_is_past() -> None:
+def test_a_bucket_is_collected_as_a_whole_when_its_last_span_is_too_old() -> None:
     channel = a_channel(max_age_nanos=100)
     put(channel, CLOCK, CLOCK, CLOCK + 90, durations=[1, 60, -1])
     assert channel.next_deadline(CLOCK) == CLOCK + 160
@@ -50,7 +50,7 @@ def test_the_oldest_go_by_count_and_by_bytes_with_64_bytes_for_each_item() -> No
     assert by_bytes.counters(CLOCK).collected == {"age": 0, "count": 0, "bytes": 1, "consumption": 0}
 
 
-def test_a_narrower_policy_outdates_at_once_and_tells_which_it_was() -> None:
+def test_a_narrower_policy_collects_at_once_and_the_reason_names_it() -> None:
     channel = a_channel(max_items=100)
     put(channel, *range(10, 100, 10))
     channel.configure(Policy(max_items=2), CLOCK)
@@ -61,7 +61,7 @@ def test_a_narrower_policy_outdates_at_once_and_tells_which_it_was() -> None:
     assert "max_items (2)" in answer.reason.detail
 
 
-def test_a_late_item_may_come_between_collected_and_held_items() -> None:
+def test_a_late_item_may_be_stored_between_collected_and_held_items() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 20, 40)
     channel.configure(Policy(max_items=9), CLOCK)
@@ -131,7 +131,7 @@ def test_age_counts_each_item_that_it_outdates_however_late_the_item_came() -> N
             assert (counters.held, counters.held_bytes, channel.oldest) == (len(held), 10 * len(held), held[0])
 
 
-def test_freeing_keeps_pace_with_puts_so_that_memory_stays_bounded() -> None:
+def test_freeing_keeps_pace_with_puts() -> None:
     channel = a_channel(max_items=10)
     for first in range(0, 20_000, 20):
         put(channel, *range(first, first + 20))
@@ -150,7 +150,7 @@ def test_one_large_item_that_outdates_many_small_ones_does_not_double_the_memory
     assert not channel.collect(CLOCK, entries_max=1000)
 
 
-def test_a_clock_that_is_told_an_earlier_time_stays_where_it_was() -> None:
+def test_a_clock_ignores_an_earlier_time() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     assert get(channel, OLDEST, NOW, now=CLOCK + 5).interval.end == CLOCK + 5  # type: ignore[union-attr]

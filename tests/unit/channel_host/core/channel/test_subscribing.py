@@ -13,7 +13,7 @@ from tests.support.channel_host.channel_cores import CLOCK, a_channel, put, seqs
 ALL = 10**9
 
 
-def test_without_a_start_only_new_items_come_with_any_time() -> None:
+def test_a_subscription_without_a_start_yields_new_items_of_any_time() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20)
     cursor = channel.subscribe_all(CLOCK)
@@ -27,7 +27,7 @@ def test_without_a_start_only_new_items_come_with_any_time() -> None:
     assert (cursor.delivered, cursor.next_seq) == (2, 5)
 
 
-def test_held_items_from_the_start_come_first_in_seq_order() -> None:
+def test_a_subscription_with_a_start_yields_held_items_first_in_the_order_of_seqs() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20)
     put(channel, 15)
@@ -40,7 +40,7 @@ def test_held_items_from_the_start_come_first_in_seq_order() -> None:
     assert seqs_of([one.slice for one in channel.since(exclusive, CLOCK, ALL).slices]) == [2, 4]
 
 
-def test_a_start_at_the_newest_of_an_empty_channel_means_everything_to_come() -> None:
+def test_a_start_at_the_newest_of_an_empty_channel_means_all_new_items() -> None:
     channel = a_channel(max_items=9)
     cursor = channel.subscribe_all(CLOCK, start=NEWEST)
     put(channel, 10)
@@ -62,7 +62,7 @@ def test_items_that_were_collected_before_they_were_sent_are_a_gap_with_its_coun
     assert (cursor.delivered, cursor.dropped) == (3, 2)
 
 
-def test_a_reader_that_is_far_behind_gets_gaps_that_adjoin() -> None:
+def test_a_reader_that_lags_far_gets_adjoining_gaps() -> None:
     """A fixed fault: one call looked at all collected items. A million items took half a second and delayed all
     callers.
     """
@@ -92,7 +92,7 @@ def test_a_part_ends_at_the_byte_bound_but_brings_one_slice_at_least() -> None:
     assert len(channel.since(cursor, CLOCK, 1).slices) == 1
 
 
-def test_a_subscription_resumes_behind_an_item_by_its_seq() -> None:
+def test_a_subscription_resumes_after_the_seq_of_an_item() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20, 30)
     cursor = channel.subscribe_all(CLOCK, after=Position(20, 2, incarnation=3))
@@ -109,7 +109,7 @@ def test_a_resumption_that_cannot_hold_is_refused() -> None:
         channel.subscribe_all(CLOCK, start=NEWEST, after=Position(20, 2))
 
 
-def test_the_newest_never_goes_back_and_counts_skipped_items() -> None:
+def test_a_newest_subscription_never_goes_back_and_counts_skipped_items() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     cursor = channel.subscribe_newest(CLOCK)
@@ -143,7 +143,7 @@ def test_a_run_is_split_where_the_bound_is_reached() -> None:
     ]  # fmt: skip
 
 
-def test_a_resumed_cursor_leaves_out_the_items_before_its_start() -> None:
+def test_a_resumed_cursor_skips_the_items_before_its_start() -> None:
     channel = a_channel(max_items=99)
     put(channel, 30, 5, 10, 7, 20)
     cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))
@@ -156,7 +156,7 @@ def test_a_resumed_cursor_leaves_out_the_items_before_its_start() -> None:
     assert again.saved(3) == SavedCursor(incarnation=3, next_seq=7)
 
 
-def test_items_that_are_collected_before_a_cursor_goes_on_are_reported() -> None:
+def test_items_that_are_collected_before_a_cursor_continues_are_reported() -> None:
     channel = a_channel(max_items=4)
     put(channel, 10, 20, 30)
     cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))
@@ -170,7 +170,7 @@ def test_items_that_are_collected_before_a_cursor_goes_on_are_reported() -> None
     assert seqs_of([one.slice for one in delivery.slices]) == [3, 4, 5, 6]
 
 
-def test_the_newest_goes_on_from_its_place_and_counts_each_once() -> None:
+def test_a_resumed_newest_subscription_counts_each_skipped_item_once() -> None:
     channel = a_channel(max_items=99)
     put(channel, 10, 20)
     cursor = channel.subscribe_newest(CLOCK)

@@ -86,7 +86,7 @@ def test_the_cut_never_moves_back() -> None:
     assert (cut.cut, cut.waiting_on(0)) == (150, [A])
 
 
-def test_a_member_that_comes_leaves_the_cut_where_it_is_and_one_that_goes_releases_it() -> None:
+def test_an_added_member_does_not_move_the_cut_back_and_a_removed_one_releases_it() -> None:
     cut, board = group(a=at(100), b=at(70))
     cut.define(GroupDefinition(members=frozenset((A, B, b"c")), spec_version=2))
     board.hear(b"c", at(10), 0, 0)
@@ -191,7 +191,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     assert (found.times, found.known_until) == (at(70, epoch=4), 30)
 
 
-def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
+def test_a_new_incarnation_of_a_channel_holds_the_cut_until_it_has_passed_it() -> None:
     cut, board = group(a=at(90), b=at(100))
     board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # its host was lost
     board.hear(A, at(95), 0, 0)
@@ -202,7 +202,7 @@ def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
     assert cut.cut == 95
 
 
-def test_the_lowest_of_many_channels_is_found_however_they_move_and_begin_anew() -> None:
+def test_the_lowest_of_many_channels_is_always_known() -> None:
     draw, ids = random.Random(3), [bytes([number]) for number in range(9)]
     board, known = TimesBoard(), dict.fromkeys(ids, at(0))
     cut = GroupCut(GroupDefinition(members=frozenset(ids[:6])), board)

@@ -25,7 +25,7 @@ def test_an_event_is_due_when_every_member_has_reached_the_cut() -> None:
     assert decider.wake_at() is None
 
 
-def test_after_max_wait_the_event_comes_and_names_the_missing_members() -> None:
+def test_after_max_wait_the_event_is_sent_and_names_the_missing_members() -> None:
     decider = EventDecider(0, WAIT)
     decider.note(50, now=7)
     assert decider.wake_at() == 107
@@ -67,7 +67,7 @@ def test_a_slow_reader_gets_merged_events_and_nothing_grows() -> None:
     assert decider.due([member(b"a", 10**6)], 0) == Boundary(PENDING_MAX * 3 - 1)
 
 
-def test_fifteen_frames_come_with_each_text_item() -> None:
+def test_an_event_has_fifteen_frames_for_each_text_item() -> None:
     """Figure 7 of the paper, with the frames' channel as a member and the text as the reference."""
     second, frame = 30_000_000, 2_000_000
     video, text = channel(), channel()
@@ -100,7 +100,7 @@ def put_at(into: ChannelCore, time: int, clock: int) -> None:
     into.put(Offer(times=[time], durations=None, lengths=[1]), clock, lambda first_seq, kept, stamped: b"")
 
 
-def test_late_items_come_with_the_next_event_in_a_part_of_their_own() -> None:
+def test_late_items_are_a_separate_part_of_the_next_event() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 15, NOW)
     put(made, 12)
@@ -139,7 +139,7 @@ def test_items_that_were_collected_before_they_were_shown_are_counted() -> None:
     assert (step.loss.items, step.loss.is_exact, step.loss.before, step.loss.reason) == (2, True, 21, "COLLECTED")
 
 
-def test_a_follower_goes_on_in_another_process_with_cut_and_seq() -> None:
+def test_a_follower_continues_in_another_process_with_its_cut_and_seqs() -> None:
     made = channel(10, 20, 30)
     first = CutFollower(made, 0, NOW)
     first.begin(25)

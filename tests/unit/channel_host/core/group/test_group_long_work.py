@@ -54,7 +54,7 @@ def late() -> tuple[ChannelCore, CutFollower]:
     return made, follower
 
 
-def test_the_late_items_of_a_reader_that_goes_during_a_step_are_freed_in_parts() -> None:
+def test_the_late_items_of_a_reader_that_leaves_during_a_step_are_freed_in_parts() -> None:
     _, follower = late()
     follower.begin(1_000_002)
     while not follower._late._heap or not follower._is_searched:
@@ -65,7 +65,7 @@ def test_the_late_items_of_a_reader_that_goes_during_a_step_are_freed_in_parts()
     assert counts[0] >= ITEMS // pieces.STEPS_PER_PIECE
 
 
-def test_many_late_items_are_looked_at_once_each_and_come_in_order_in_bounded_parts(looked: Counter) -> None:
+def test_many_late_items_are_sent_in_order_in_bounded_parts(looked: Counter) -> None:
     _, follower = late()
     looked.slices = 0
     follower.begin(1_000_002)

@@ -104,7 +104,7 @@ def test_for_a_member_at_another_host_a_bounded_number_of_keys_is_kept() -> None
     assert remote.nearest(99 + 2 * TRACK_ITEMS_MAX, 5, NOW) is not None
 
 
-def test_matching_begins_with_new_items_and_resumes_behind_an_item() -> None:
+def test_matching_begins_with_new_items_and_resumes_after_an_item() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     assert pairs(Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW), right) == []
     resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
@@ -134,7 +134,7 @@ def test_after_a_new_incarnation_all_earlier_items_are_counted_as_dropped() -> N
     assert resumed.dropped == 2
 
 
-def test_matching_behind_a_time_drops_and_counts_items_at_that_time() -> None:
+def test_matching_after_a_time_drops_and_counts_items_at_that_time() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     matcher = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=Position(10))
     assert pairs(matcher, right) == [(20, 20)]
@@ -176,7 +176,7 @@ def test_with_unique_matches_the_nearer_of_two_items_gets_their_common_partner()
     assert matched(unique(left, right, 6), left, right) == [(10, 5), (14, 13), (40, None)]
 
 
-def test_with_unique_matches_an_item_leaves_its_partner_for_a_nearer_one() -> None:
+def test_a_unique_match_gives_a_partner_to_the_nearest_item() -> None:
     left, right = channel(0, 9, 40), channel(5, 9, 60)
     assert matched(unique(left, right, 5), left, right) == [(0, 5), (9, 9), (40, None)]
 
@@ -205,7 +205,7 @@ def test_a_chain_of_ever_nearer_items_is_followed_for_a_bounded_number_of_steps(
     assert len(asked) < 3 * STEPS_MAX
 
 
-def test_a_position_says_which_partners_are_taken_so_that_another_gives_none_of_them_again() -> None:
+def test_a_position_has_the_used_partners_so_that_no_match_repeats_them() -> None:
     left, right = channel(10, 14, 40), channel(12, 60)
     matcher = unique(left, right, 3)
     (first,) = matcher.take(lambda name, instant: True, NOW, 1)

@@ -66,7 +66,7 @@ def test_complete_waits_for_the_cut_too() -> None:
     assert times(answer.slices) == [10, 20]
 
 
-def test_a_reader_that_has_seen_more_is_told_that_the_host_is_stalled() -> None:
+def test_a_reader_that_has_seen_a_later_cut_learns_that_the_host_is_stalled() -> None:
     answer = VisibleChannel(channel(10)).stalled(40, horizon(5))
     assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
 
@@ -114,13 +114,13 @@ def test_a_subscription_with_a_start_begins_with_the_visible_items_from_the_star
     assert delivered(reader, 40) == [30]
 
 
-def test_a_resumed_subscription_leaves_nothing_out() -> None:
+def test_a_resumed_group_subscription_skips_nothing() -> None:
     made = channel(10, 20, 30, 15)  # the last one came late
     reader = VisibleAll(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
     assert delivered(reader, 40) == [15, 30]
 
 
-def test_a_subscription_resumed_amid_a_step_leaves_out_no_late_item() -> None:
+def test_a_subscription_resumed_within_a_step_skips_no_late_item() -> None:
     """The item at 5 was readable before the one at 20, and comes before it: 20 has the higher seq."""
     made = channel(10)
     reader = VisibleAll(made, horizon(15), CLOCK)
@@ -205,7 +205,7 @@ def newest_time(reader: VisibleNewest, cut: int) -> int | None:
     return given.slices[0].slice.first_time if given.slices else None
 
 
-def test_the_newest_visible_item_comes_and_skipped_and_lost_items_are_counted() -> None:
+def test_a_newest_subscription_yields_the_newest_visible_item_and_counts_skipped_and_lost_items() -> None:
     made = channel(policy=Policy(max_items=2))
     reader = VisibleNewest(made, horizon(5), CLOCK)
     for time in (10, 20, 30):
@@ -223,7 +223,7 @@ def test_the_newest_begins_at_or_after_its_start() -> None:
     assert newest_time(VisibleNewest(made, horizon(25), CLOCK), 25) is None
 
 
-def test_the_newest_never_goes_back_though_later_items_are_used_up() -> None:
+def test_a_newest_subscription_never_goes_back_although_later_items_are_consumed() -> None:
     made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
     reader = VisibleNewest(made, horizon(15), CLOCK)
     assert newest_time(reader, 25) == 20

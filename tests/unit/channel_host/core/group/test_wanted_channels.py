@@ -37,7 +37,7 @@ def test_the_newest_channels_of_the_maker_with_most_make_room_for_those_of_other
     assert wanted.left_out == 4
 
 
-def test_a_channel_that_was_left_out_comes_in_when_another_goes() -> None:
+def test_a_channel_above_the_limit_is_admitted_when_another_one_leaves() -> None:
     wanted = WantedChannels(2)
     wanted.add("one", ids(1, 2, 3))
     wanted.remove("one", ids(1))
@@ -55,7 +55,7 @@ def test_a_channel_of_two_makers_counts_for_the_other_one_when_the_first_has_no_
     assert numbers(wanted.asked) >= {11, 21}
 
 
-def test_the_maker_with_most_channels_is_still_found_when_all_others_have_gone() -> None:
+def test_the_maker_with_most_channels_is_still_found_when_all_others_have_left() -> None:
     wanted = WantedChannels(10)
     wanted.add("a", ids(1, 2, 3))
     wanted.add("b", ids(4))
@@ -85,7 +85,7 @@ def test_all_room_is_used_and_no_maker_is_left_out_while_another_has_many_more(s
 
 
 @given(STEPS)
-def test_a_maker_that_comes_last_gets_its_part_though_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
+def test_the_last_maker_gets_its_share_although_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
     wanted = WantedChannels(8)
     for maker, number in steps:
         wanted.add(f"{maker}", ids(number))

@@ -52,7 +52,7 @@ def test_a_caller_of_many_message_ids_makes_the_queue_forget_its_own_and_no_othe
     assert not core.put(1, message_id="x0", owner="greedy").is_duplicate
 
 
-def test_forgotten_message_ids_of_all_callers_leave_nothing_behind() -> None:
+def test_forgotten_message_ids_use_no_memory() -> None:
     core, known = Core(), message_ids.MessageIds()
     for number in range(300):
         known.record(f"m{number}", number, core.now, owner=f"caller-{number % 7}")
@@ -64,7 +64,7 @@ def test_forgotten_message_ids_of_all_callers_leave_nothing_behind() -> None:
     assert not known._bytes_of_owner
 
 
-def test_of_two_waiting_runs_with_the_same_message_id_one_comes_in() -> None:
+def test_only_one_of_two_waiting_runs_with_the_same_message_id_is_accepted() -> None:
     core = Core(max_items=1)
     core.put(1)
     first, second = core.put(1, message_id="one"), core.put(1, message_id="one")

@@ -24,7 +24,7 @@ from tests.support.channel_host.queue_cores import Core
 TEN_MINUTES = 600 * 10**9
 
 
-def test_a_stale_acknowledgement_is_told_that_the_lease_has_expired() -> None:
+def test_a_stale_acknowledgement_fails_because_the_lease_has_expired() -> None:
     core = Core(lease_nanos=10)
     core.put(1)
     core.taker(1, credit=1)
@@ -84,7 +84,7 @@ def test_a_given_back_item_holds_up_no_other_while_it_is_delayed() -> None:
     assert core.dispatched() == {2: [1]}
 
 
-def test_each_item_goes_to_as_many_distinct_takers_as_there_are_copies() -> None:
+def test_an_item_with_copies_is_delivered_to_that_many_different_takers() -> None:
     core = Core(copies=2)
     core.put(1, 1)
     for taker_id in (1, 1, 2, 3):
@@ -96,7 +96,7 @@ def test_each_item_goes_to_as_many_distinct_takers_as_there_are_copies() -> None
     assert core.counted("held", "consumed") == (1, 1)
 
 
-def test_a_copy_that_comes_back_goes_to_a_taker_that_passed_it_by() -> None:
+def test_a_returned_copy_is_delivered_to_a_taker_that_has_not_had_the_item() -> None:
     core = Core(copies=2)
     core.put(1, 1)
     core.taker(1, credit=10)
@@ -136,7 +136,7 @@ def test_credit_bounds_the_messages_of_a_taker_and_drain_voids_the_credit() -> N
     assert core.dispatched() == {}
 
 
-def test_a_dispatched_message_that_was_not_sent_goes_back_without_a_counted_delivery() -> None:
+def test_a_dispatched_message_that_was_not_sent_returns_without_a_counted_delivery() -> None:
     core = Core(max_deliveries=1)
     core.put(1, 1)
     taker = core.taker(1, credit=2)
@@ -147,7 +147,7 @@ def test_a_dispatched_message_that_was_not_sent_goes_back_without_a_counted_deli
     assert core.dispatched() == {2: [1, 2]}
 
 
-def test_messages_sent_to_a_taker_stay_leased_when_the_taker_leaves() -> None:
+def test_messages_sent_to_a_taker_are_still_leased_when_the_taker_leaves() -> None:
     core = Core()
     core.put(1)
     taker = core.taker(1, credit=1)
@@ -157,7 +157,7 @@ def test_messages_sent_to_a_taker_stay_leased_when_the_taker_leaves() -> None:
     assert core.ack(1, 1) == [""]
 
 
-def test_a_taker_that_leaves_as_a_lease_ends_neither_gets_the_item_nor_is_asked_whether_it_lives() -> None:
+def test_a_taker_that_leaves_when_a_lease_ends_gets_no_item() -> None:
     core = Core(lease_nanos=100)
     core.put(1)
     silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
@@ -177,7 +177,7 @@ def test_a_taker_that_leaves_as_a_lease_ends_neither_gets_the_item_nor_is_asked_
     assert silent not in core.queue.take_silent()
 
 
-def test_a_batch_of_several_items_keeps_the_limit_of_a_message_and_a_large_item_goes_alone() -> None:
+def test_a_batch_keeps_the_limit_of_a_message_and_a_large_item_is_sent_separately() -> None:
     core = Core()
     for length in (BATCH_BYTES_MAX // 2 - 100, BATCH_BYTES_MAX // 2 - 100, 10**3, 2 * BATCH_BYTES_MAX, 1):
         core.put(length)
@@ -213,7 +213,7 @@ def test_a_put_whose_wait_is_over_refuses_the_rest_of_its_run() -> None:
     assert core.counted("accepted", "rejected_full") == (1, 2)
 
 
-def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
+def test_a_retry_of_a_partly_accepted_run_continues_at_its_position() -> None:
     """A fixed fault: the queue kept the refusal of the rest, and refused the retry, too, though it had room by then."""
     core = Core(max_items=1)
     run = core.put(1, 1, 1, producer_id=5, first_number=1)
@@ -248,7 +248,7 @@ def test_an_ack_does_not_give_a_continued_run_the_seqs_that_others_got_meanwhile
     assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 1, 1000), (1, 3, 1, 1000)]
 
 
-def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent_again() -> None:
+def test_a_waiting_run_of_a_moving_queue_is_accepted_when_it_is_sent_again() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
     assert not core.queue.refuse_waiting(Unavailable("the lease is lost", reason="NOT_HERE"), core.now)
@@ -263,7 +263,7 @@ def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent
     assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 2, 1000)]
 
 
-def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_goes() -> None:
+def test_the_rest_of_a_partly_accepted_run_is_refused_when_its_queue_is_dropped() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
     assert not core.queue.refuse_waiting(QueueNotFound("deleted"), core.now)
@@ -271,7 +271,7 @@ def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_go
     assert [(one.position, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
 
 
-def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:
+def test_a_retried_waiting_run_is_accepted_once() -> None:
     core = Core(max_items=1)
     core.put(1)
     first = core.put(1, producer_id=5, first_number=1)
@@ -371,7 +371,7 @@ def test_after_new_limits_a_queue_checks_a_few_items_a_step_and_delivers_none_be
     assert core.counted("expelled", "held") == (10, 0)
 
 
-def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is_reported() -> None:
+def test_a_terminated_item_loses_its_other_leases_and_its_last_delivery_is_reported() -> None:
     core = Core(copies=2, dead_letters=True)
     core.put(1)
     core.taker(1, credit=1)
@@ -465,7 +465,7 @@ def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_
     assert sorted(core.dispatched()[3]) == list(range(1, 51))
 
 
-def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
+def test_a_moved_queue_continues_with_its_state() -> None:
     core = Core(copies=2, lease_nanos=100)
     core.put(1, 2, 3, producer_id=5, first_number=1)
     core.taker(1, credit=2)

@@ -65,7 +65,7 @@ def test_no_call_gives_out_more_items_than_one_call_may() -> None:
     assert given == 20_000
 
 
-def test_a_taker_that_comes_while_others_are_still_to_be_served_waits_behind_them() -> None:
+def test_a_new_taker_waits_until_earlier_takers_are_served() -> None:
     core = Core(max_items=10_000)
     for taker_id in range(1, 21):
         core.taker(taker_id, 100)
@@ -105,7 +105,7 @@ def test_a_smaller_limit_drops_the_excess_in_many_calls_while_the_put_waits() ->
     assert run.outcome.parts
 
 
-def test_a_queue_that_goes_lets_go_of_its_items_in_pieces() -> None:
+def test_a_dropped_queue_frees_its_items_in_pieces() -> None:
     core = Core(max_items=20_000)
     for _ in range(20):
         core.put(*[1] * 500)

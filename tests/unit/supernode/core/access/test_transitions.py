@@ -65,7 +65,7 @@ def test_the_number_of_access_rules_has_a_limit() -> None:
     assert len(log.directory.access.rules.rules) == RULES_MAX
 
 
-def test_the_first_key_stays_and_the_state_does_not_show_the_signing_key() -> None:
+def test_the_first_key_is_kept_and_the_state_does_not_show_the_signing_key() -> None:
     log = Log()
     first = log.apply(CreateTokenKey(new_token_key=b"1" * 32))
     assert isinstance(first, TokenKeyCreated)
@@ -156,7 +156,7 @@ def test_the_effects_of_a_rule_are_reported_for_each_existing_thing() -> None:
     assert effects_on(log.directory.tables, before, without_rule(before, PUT), PUT) == []
 
 
-def test_revoked_certificates_stay_revoked_also_in_snapshots_and_are_bounded() -> None:
+def test_revoked_certificates_are_kept_in_snapshots_and_are_bounded() -> None:
     log = Log()
     first = log.apply(RevokeCredential(serial="a1"))
     assert isinstance(first, CredentialRevoked)

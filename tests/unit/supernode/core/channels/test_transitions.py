@@ -31,7 +31,7 @@ def refused(log: Log, *args: str, **kwargs: object) -> Refused:
     return result
 
 
-def test_a_new_channel_goes_to_the_live_host_with_the_fewest_channels_ties_by_name(log: Log) -> None:
+def test_a_new_channel_is_placed_on_the_live_host_with_the_fewest_channels_and_the_first_name(log: Log) -> None:
     names = [opened(log, f"cam/{number}").host.name for number in range(4)]
     assert names == ["one", "two", "one", "two"]
     assert opened(log, "cam/here", host="two").host.channels == 3
@@ -91,7 +91,7 @@ def test_a_provisional_channel_takes_on_the_first_stated_policy_and_no_second_on
     assert opened(log, "cam/left").channel == taken
 
 
-def test_a_limit_left_out_before_is_not_added_behind_the_backs_of_others(log: Log) -> None:
+def test_an_open_does_not_add_a_limit_that_the_channel_was_created_without(log: Log) -> None:
     opened(log, "cam/left", max_age_nanos=10)
     result = refused(log, "cam/left", max_items=1)
     assert result.reason == "CHANNEL_EXISTS"
@@ -149,7 +149,7 @@ def test_the_longest_name_is_allowed(log: Log) -> None:
     assert opened(log, "0" + "a._/-b" * 21 + "z").created
 
 
-def test_a_channel_of_a_gone_host_gets_a_new_owner_epoch_and_incarnation(log: Log) -> None:
+def test_a_channel_of_a_lost_host_gets_a_new_owner_epoch_and_incarnation(log: Log) -> None:
     before = opened(log, "cam/left", host="one").channel
     log.apply(deregister(1))
     after = opened(log, "cam/left", incarnation=78, create=False)
@@ -209,7 +209,7 @@ def test_an_update_under_another_epoch_is_refused(log: Log) -> None:
     assert result.reason == "WRONG_EPOCH"
 
 
-def test_a_deleted_channel_is_gone_and_its_name_is_free(log: Log) -> None:
+def test_the_name_of_a_deleted_channel_can_be_used_again(log: Log) -> None:
     first = opened(log, "cam/left").channel
     assert isinstance(log.apply(delete(first.channel_id)), ChannelDeleted)
     again = log.apply(delete(first.channel_id))

@@ -66,7 +66,7 @@ def test_no_replica_of_any_release_applies_a_command_above_the_clusters_level() 
     assert older.read(encode_snapshot) == newer.read(encode_snapshot)
 
 
-def test_once_the_level_has_risen_the_command_is_taken_and_done() -> None:
+def test_a_command_is_accepted_when_the_feature_level_has_risen() -> None:
     newer = NewerReplica()
     driven(newer, *START)
     assert not newer.takes(cap(newer))
@@ -77,7 +77,7 @@ def test_once_the_level_has_risen_the_command_is_taken_and_done() -> None:
     assert result.channel.policy.max_items == CAPPED.max_items
 
 
-def test_a_release_that_meets_a_level_above_its_own_goes_no_further() -> None:
+def test_a_release_that_meets_a_higher_feature_level_stops() -> None:
     older = DirectoryReplica()
     driven(older, *START)
     with pytest.raises(ReleaseTooOld, match=f"knows feature level {HIGHEST_LEVEL}.* at level {NEW_LEVEL}; start"):
@@ -146,7 +146,7 @@ async def keeper_over(replica: DirectoryReplica) -> tuple[LevelKeeper, MemoryLog
     return LevelKeeper(log, replica, submission), log, submission
 
 
-async def test_the_leader_raises_the_level_only_when_all_members_have_told_that_they_know_it() -> None:
+async def test_the_leader_raises_the_feature_level_only_when_all_members_have_reported_that_they_know_it() -> None:
     newer = NewerReplica()
     keeper, log, _ = await keeper_over(newer)
     told: list[dict[str, int]] = [{"s1": NEW_LEVEL}, {"s1": NEW_LEVEL, "s2": 1}, {"s2": NEW_LEVEL}]
@@ -195,7 +195,7 @@ async def node() -> AsyncIterator[Node]:
         yield node
 
 
-async def test_supernodes_tell_the_clusters_level_and_each_members(node: Node) -> None:
+async def test_supernodes_report_the_feature_level_of_the_cluster_and_of_each_member(node: Node) -> None:
     node.log.highest_levels = {"s1": HIGHEST_LEVEL}
     pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
     assert (pong.feature_level, pong.highest_feature_level) == (HIGHEST_LEVEL, HIGHEST_LEVEL)

@@ -97,7 +97,7 @@ def test_a_set_up_that_makes_no_sense_is_refused(log: Log) -> None:
         assert "group pair" in refused.message
 
 
-def test_members_come_and_go_with_a_new_version(log: Log) -> None:
+def test_an_added_or_removed_member_raises_the_version_of_the_group(log: Log) -> None:
     left, right, top = (channel(log, name) for name in ("left", "right", "top"))
     made = group(log, "rig", left, right)
     changed = log.apply(update_group(made.group_id, add=(top, left), remove=(right, id_of(99)), version=1))
@@ -109,7 +109,7 @@ def test_members_come_and_go_with_a_new_version(log: Log) -> None:
     assert (late.reason, late.metadata["spec_version"]) == ("GROUP_EXISTS", "2")
 
 
-def test_the_reference_and_the_last_member_stay(log: Log) -> None:
+def test_the_reference_and_the_last_member_cannot_be_removed(log: Log) -> None:
     left, right = channel(log, "left"), channel(log, "right")
     made = group(log, "pair", left, right, reference_channel_id=left)
     assert "reference" in refusal(log, update_group(made.group_id, remove=(left,))).message
@@ -118,7 +118,7 @@ def test_the_reference_and_the_last_member_stay(log: Log) -> None:
     assert "is in both lists, to add and to remove" in both.message
 
 
-def test_a_deleted_group_frees_its_name_and_leaves_its_channels(log: Log) -> None:
+def test_the_name_of_a_deleted_group_can_be_used_again_and_its_channels_are_kept(log: Log) -> None:
     left = channel(log, "left")
     made = group(log, "pair", left)
     log.apply(delete_group(made.group_id))
@@ -135,7 +135,7 @@ def test_a_deleted_channel_leaves_its_groups(log: Log) -> None:
     assert (now.spec.channel_ids, now.spec_version) == ((right,), 2)
 
 
-def test_a_group_goes_with_its_reference_or_its_last_member(log: Log) -> None:
+def test_a_group_is_deleted_with_its_reference_or_its_last_member(log: Log) -> None:
     left, right = channel(log, "left"), channel(log, "right")
     group(log, "led", left, right, reference_channel_id=left)
     group(log, "alone", left)
@@ -179,7 +179,7 @@ def test_the_number_of_groups_is_bounded(log: Log, monkeypatch: pytest.MonkeyPat
     assert (refused.reason, refused.metadata["group"]) == ("OVERLOADED", "third")
 
 
-def test_a_view_of_an_older_group_leaves_out_deleted_channels(log: Log) -> None:
+def test_a_view_of_an_older_group_has_no_deleted_channels(log: Log) -> None:
     left, right = channel(log, "left", "one"), channel(log, "right", "two")
     before = group(log, "pair", left, right)
     log.apply(delete(left))

@@ -51,7 +51,7 @@ def opened_at(log: Log, name: str) -> str:
     return opened.host.name
 
 
-def test_a_new_channel_goes_to_the_least_loaded_host_though_it_has_more_channels() -> None:
+def test_a_new_channel_is_placed_on_the_least_loaded_host_although_it_has_more_channels() -> None:
     log = log_with_hosts(2)
     for number in range(4):
         log.apply(open_channel(f"quiet/{number}", host="host-2"))
@@ -108,14 +108,14 @@ def test_a_replica_that_began_from_a_snapshot_makes_the_same_choices(steps: list
     assert other.directory.tables.hosts == log.directory.tables.hosts
 
 
-def test_a_queue_goes_to_the_least_loaded_host() -> None:
+def test_a_queue_is_placed_on_the_least_loaded_host() -> None:
     log = log_with_hosts(2)
     note(log, {1: HostLoad(busy_permille=500)})
     log.apply(open_queue("jobs"))
     assert [one.host_id for one in log.directory.tables.queues.by_id.values()] == [id_of(2)]
 
 
-def test_members_of_a_group_go_together_to_one_host_when_theirs_is_gone() -> None:
+def test_members_of_a_group_are_placed_together_when_their_host_is_lost() -> None:
     log = log_with_hosts(4)
     members = []
     for name in ("left", "right", "depth"):
@@ -129,7 +129,7 @@ def test_members_of_a_group_go_together_to_one_host_when_theirs_is_gone() -> Non
     assert others == {"host-2", "host-3", "host-4"} - {opened_at(log, "left")}
 
 
-def test_a_member_of_a_group_goes_elsewhere_if_the_hosts_load_leaves_no_room() -> None:
+def test_a_member_of_a_group_is_placed_elsewhere_if_the_host_is_too_loaded() -> None:
     log = log_with_hosts(3)
     left = log.apply(open_channel("left", host="host-1"))
     right = log.apply(open_channel("right", host="host-2"))
@@ -142,7 +142,7 @@ def test_a_member_of_a_group_goes_elsewhere_if_the_hosts_load_leaves_no_room() -
 
 
 @pytest.mark.parametrize("named", ["", "host-1"])
-def test_a_host_gets_no_more_channels_than_it_can_own_and_the_error_says_so(named: str) -> None:
+def test_a_host_gets_no_more_channels_than_it_can_own(named: str) -> None:
     log = log_with_hosts(1)
     tables = log.directory.tables
     tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], channels=CHANNELS_PER_HOST_MAX)
@@ -196,14 +196,14 @@ def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_has_no_
     assert opened_beside(log, "right", "left") == "host-2"
 
 
-def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_is_gone() -> None:
+def test_a_channel_opens_elsewhere_if_the_host_of_its_neighbour_is_lost() -> None:
     log = log_with_hosts(2)
     log.apply(open_channel("left", host="host-1"))
     log.apply(deregister(1))
     assert opened_beside(log, "right", "left") == "host-2"
 
 
-def test_an_existing_channel_stays_at_its_host_even_if_beside_names_another() -> None:
+def test_an_existing_channel_is_not_moved_if_beside_names_another_host() -> None:
     log = log_with_hosts(2)
     log.apply(open_channel("left", host="host-1"))
     log.apply(open_channel("right", host="host-2"))
@@ -211,7 +211,7 @@ def test_an_existing_channel_stays_at_its_host_even_if_beside_names_another() ->
     assert opened_beside(log, "right", "nobody") == "host-2"
 
 
-def test_a_channel_whose_host_is_lost_opens_beside_another_and_anywhere_if_that_one_is_gone() -> None:
+def test_a_channel_of_a_lost_host_opens_beside_another_channel_if_that_one_has_a_host() -> None:
     log = log_with_hosts(3)
     log.apply(open_channel("left", host="host-3"))
     log.apply(open_channel("right", host="host-1"))
@@ -245,7 +245,7 @@ def test_below_its_feature_level_nothing_opens_beside_another() -> None:
 
 
 @given(hosts=st.integers(2, 5), busy=st.integers(100, 900))
-def test_a_host_that_always_says_it_is_idle_does_not_get_everything(hosts: int, busy: int) -> None:
+def test_a_host_that_always_reports_no_load_does_not_get_everything(hosts: int, busy: int) -> None:
     log = log_with_hosts(hosts)
     opens = 300
     found: Counter[str] = Counter()

@@ -37,7 +37,7 @@ def now(log: Log, channel: ChannelRecord) -> ChannelRecord:
     return log.directory.tables.channels[channel.channel_id]
 
 
-def test_a_recorded_channel_goes_to_a_host_with_an_archive_though_others_do_less() -> None:
+def test_a_recorded_channel_is_placed_on_a_host_with_an_archive_although_others_are_less_loaded() -> None:
     log = log_at(ARCHIVE_LEVEL)
     for registration in (register(1), with_archive(2), register(3)):
         log.apply(registration)

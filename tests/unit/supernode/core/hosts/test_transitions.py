@@ -61,7 +61,7 @@ def test_a_new_boot_raises_epoch_and_incarnation_of_all_its_channels_in_one_entr
     assert host.channels == 3
 
 
-def test_entering_again_with_the_same_boot_leaves_the_channels_as_they_are(log: Log) -> None:
+def test_a_registration_with_the_same_boot_id_does_not_change_the_channels(log: Log) -> None:
     first = registered(log, register(1, name="one"))
     channel = channel_at(log, "one", "cam")
     log.apply(expire(1, registered_index=first.registered_index))
@@ -141,7 +141,7 @@ def test_a_host_that_was_lost_is_remembered_with_when_and_one_that_left_is_not(l
     assert set(log.directory.tables.hosts) == {id_of(1)}
 
 
-def test_a_lost_host_that_comes_back_or_says_that_it_leaves_is_lost_no_more(log: Log) -> None:
+def test_a_lost_host_that_registers_or_leaves_is_no_longer_reported_as_lost(log: Log) -> None:
     lost(log, 1)
     assert not registered(log, register(1)).is_lost
     lost(log, 2)
@@ -194,7 +194,7 @@ def test_an_expiry_of_a_replaced_leader_is_ignored(log: Log) -> None:
     assert log.apply(expire(1, registered_index=host.registered_index, tenure=1)) == HostExpired(expired=False)
 
 
-def test_the_first_tenure_founds_the_cluster_and_no_tenure_goes_back(log: Log) -> None:
+def test_the_first_tenure_founds_the_cluster_and_tenures_never_decrease(log: Log) -> None:
     assert log.apply(begin_tenure(5)) == TenureBegun(tenure=5, cluster_id="c1")
     assert log.apply(begin_tenure(3)) == TenureBegun(tenure=5, cluster_id="c1")
 

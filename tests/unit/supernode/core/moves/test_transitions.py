@@ -86,7 +86,7 @@ def test_a_destination_that_is_lost_or_has_restarted_cannot_commit(log: Log) -> 
     assert cam(log).host_id == id_of(1)
 
 
-def test_the_former_owner_goes_on_with_the_same_incarnation_if_the_new_one_is_lost_at_once(log: Log) -> None:
+def test_the_former_owner_continues_the_incarnation_if_the_new_owner_is_lost_at_once(log: Log) -> None:
     incarnation = cam(log).incarnation
     move(log, 2, 1)
     log.apply(expire(2, registered_index=3))
@@ -113,7 +113,7 @@ def test_the_former_owner_is_no_heir_once_its_copy_is_removed(log: Log) -> None:
     assert (cam(log).host_id, cam(log).epoch) == (id_of(2), 2)
 
 
-def test_a_former_owner_that_is_lost_first_leaves_the_channel_where_it_is(log: Log) -> None:
+def test_the_loss_of_the_former_owner_does_not_move_the_channel(log: Log) -> None:
     move(log, 2, 1)
     log.apply(expire(1, registered_index=2))
     assert (cam(log).host_id, copies(log)) == (id_of(2), ())

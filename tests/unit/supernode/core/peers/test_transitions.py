@@ -164,14 +164,14 @@ def test_a_peer_may_take_a_name_over_and_give_its_own_up_in_one_step(log: Log) -
     assert list(log.directory.tables.peers.ids) == ["driver"]
 
 
-def test_a_peer_that_leaves_frees_its_name_and_takes_its_mailbox_with_it(log: Log) -> None:
+def test_a_peer_that_leaves_frees_its_name_and_its_mailbox_is_deleted(log: Log) -> None:
     enter(log, 7, "planner")
     log.apply(deregister_peer(7))
     assert (queues(log), len(log.directory.tables.peers)) == ([], 0)
     enter(log, 8, "planner")
 
 
-def test_a_lease_that_ends_takes_the_mailbox_and_leaves_a_record(log: Log) -> None:
+def test_the_mailbox_of_a_peer_is_deleted_when_its_lease_ends_and_a_record_is_kept(log: Log) -> None:
     enter(log, 7, "planner")
     end_lease(log, 7)
     assert queues(log) == []
@@ -229,7 +229,7 @@ def test_the_mailboxes_of_a_lost_host_go_to_another_one_at_once(log: Log) -> Non
     assert peer(log, 7).mailbox_queue_id == held.queue_id
 
 
-def test_mailboxes_wait_while_there_is_no_host_and_go_to_the_first_that_comes(log: Log) -> None:
+def test_mailboxes_without_a_host_are_placed_on_the_first_host_that_registers(log: Log) -> None:
     held = mailbox(log, 7, "planner")
     for number in (1, 2):
         log.apply(deregister(number))
@@ -241,7 +241,7 @@ def test_mailboxes_wait_while_there_is_no_host_and_go_to_the_first_that_comes(lo
     assert list(log.directory.tables.hosts) == [id_of(3)], "nothing belongs to the lost ones any more"
 
 
-def test_a_peer_that_registers_while_its_mailbox_waits_hears_that_no_host_has_room(log: Log) -> None:
+def test_a_peer_whose_mailbox_has_no_host_gets_the_error_that_no_host_has_room(log: Log) -> None:
     enter(log, 7, "planner")
     for number in (1, 2):
         log.apply(deregister(number))
@@ -274,7 +274,7 @@ def test_changes_of_peers_take_no_room_among_the_changes_of_channels(log: Log) -
     assert log.directory.tables.peers.changes.end_position == 10
 
 
-def test_a_page_says_where_to_go_on(log: Log) -> None:
+def test_a_page_names_the_start_of_the_next_page(log: Log) -> None:
     for number, name in ((5, "b"), (6, "a"), (4, "")):
         enter(log, number, name)
     tables = log.directory.tables

@@ -99,7 +99,7 @@ def test_a_stated_field_that_contradicts_is_refused(log: Log, first: dict[str, A
         ({"max_items": 5}, {"on_full": "block", "lease_nanos": 30 * 10**9, "copies": 1}),
     ],
 )
-def test_a_field_that_was_never_stated_is_taken_on_where_it_changes_nothing_for_others(
+def test_an_unset_field_of_a_policy_is_set_if_this_changes_nothing_for_others(
     log: Log, first: dict[str, Any], second: dict[str, Any]
 ) -> None:
     queue(log, "jobs", **first)
@@ -174,7 +174,7 @@ def test_the_dead_letter_queue_of_another_is_not_deleted_until_nothing_leads_to_
     assert len(log.directory.tables.queues) == 0
 
 
-def test_a_deleted_queue_is_gone_and_its_name_free(log: Log) -> None:
+def test_the_name_of_a_deleted_queue_can_be_used_again(log: Log) -> None:
     before = queue(log, "jobs", max_items=5)
     log.apply(delete_queue(before.queue_id))
     assert refusal(log, delete_queue(before.queue_id)).reason == "QUEUE_NOT_FOUND"
@@ -233,7 +233,7 @@ def test_pages_hold_the_matching_queues_and_a_token_for_the_next_page(log: Log) 
     assert [one.name for one in queue_page(tables, "", page.last, 3, mailboxes=True).queues] == ["c"]
 
 
-def test_a_snapshot_of_before_queues_is_read_and_one_with_queues_says_so(log: Log) -> None:
+def test_a_snapshot_without_queues_is_read(log: Log) -> None:
     def form(encoded: bytes) -> int:
         return directory_command_pb2.DirectorySnapshot.FromString(encoded).format_version
 

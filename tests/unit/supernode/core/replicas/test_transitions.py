@@ -176,7 +176,7 @@ def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[
 
 
 @pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
-def test_a_copy_goes_with_the_registration_of_its_host(log: Log, end: Callable[[int], Operation]) -> None:
+def test_a_copy_is_removed_with_the_registration_of_its_host(log: Log, end: Callable[[int], Operation]) -> None:
     warm_in_sync(log, 2)
     added(log, add_replica(cam(log).channel_id, 3))
     log.apply(end(2))
@@ -215,7 +215,7 @@ def test_replicas_for_which_no_put_waits_end_when_the_channel_wants_none(log: Lo
     assert [one.kind for one in copies(log)] == [ReplicaKind.PROXY]
 
 
-def test_an_expiry_that_comes_too_late_moves_nothing(log: Log) -> None:
+def test_a_late_expiry_moves_no_channel(log: Log) -> None:
     warm_in_sync(log, 2)
     log.apply(register(1))
     log.apply(expire(1, registered_index=2))
@@ -231,7 +231,7 @@ def test_an_heir_is_the_replica_at_the_host_with_the_fewest_channels(log: Log) -
     assert [(one.host_id, one.in_sync) for one in copies(log)] == [(id_of(2), True)]
 
 
-def test_a_channel_that_is_placed_anew_at_a_copy_has_no_copy_there(log: Log) -> None:
+def test_a_channel_that_is_placed_on_the_host_of_a_copy_has_no_copy_there(log: Log) -> None:
     added(log, add_replica(cam(log).channel_id, 2))
     added(log, add_replica(cam(log).channel_id, 3, source=2))
     log.apply(deregister(1))

@@ -80,7 +80,7 @@ def test_a_restarted_host_loses_its_queue_to_the_replica(log: Log) -> None:
     assert (jobs(log).host_id, jobs(log).incarnation) == (id_of(2), before.incarnation)
 
 
-def test_without_a_replica_in_sync_the_queue_is_opened_anew_and_no_copy_stays_in_sync(log: Log) -> None:
+def test_a_queue_without_a_replica_in_sync_is_opened_anew(log: Log) -> None:
     add(log, 2)
     log.apply(replace(set_in_sync(jobs(log).queue_id, 2, False), is_of_queue=True, change_number=8))
     before = jobs(log)
@@ -91,7 +91,7 @@ def test_without_a_replica_in_sync_the_queue_is_opened_anew_and_no_copy_stays_in
     assert not any(in_sync for _, in_sync in copies(log))
 
 
-def test_a_mailbox_goes_to_its_replica_and_not_to_any_host(log: Log) -> None:
+def test_a_mailbox_is_taken_over_by_its_replica(log: Log) -> None:
     log.apply(register_peer(7, name="planner", mailbox_host_name="host-1"))
     (mailbox,) = [one for one in log.directory.tables.queues.by_id.values() if one.mailbox_peer_id is not None]
     log.apply(update_queue(mailbox.queue_id, replicas=1, ack="replica"))
@@ -110,14 +110,14 @@ def test_after_a_move_to_a_replica_the_hosts_have_changed_places(log: Log) -> No
     assert copies(log) == [(id_of(1), True)]
 
 
-def test_after_a_move_to_another_host_the_replica_stays(log: Log) -> None:
+def test_a_replica_is_kept_after_a_move_to_another_host(log: Log) -> None:
     add(log, 2)
     move = CommitQueueMove(queue_id=jobs(log).queue_id, epoch=1, to_host_id=id_of(3), to_boot_incarnation=1)
     log.apply(move)
     assert copies(log) == [(id_of(2), True)]
 
 
-def test_an_open_that_changes_nothing_leaves_the_flags_alone(log: Log) -> None:
+def test_an_open_without_a_change_keeps_the_flags(log: Log) -> None:
     add(log, 2)
     log.apply(open_queue("jobs"))
     (replica,) = log.directory.tables.replicas.of(jobs(log).queue_id)
@@ -132,7 +132,7 @@ def test_a_queue_that_waits_for_no_replicas_has_none(log: Log) -> None:
     assert reason(log, add_again) == "INVALID_ARGUMENT"
 
 
-def test_the_copies_of_a_deleted_queue_and_of_a_lost_host_are_gone(log: Log) -> None:
+def test_the_copies_of_a_deleted_queue_and_of_a_lost_host_are_removed(log: Log) -> None:
     add(log, 2)
     add(log, 3)
     log.apply(deregister(3))

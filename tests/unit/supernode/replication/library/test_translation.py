@@ -29,7 +29,7 @@ BOTH_WAYS: list[Message] = [
 
 
 @pytest.mark.parametrize("message", BOTH_WAYS, ids=lambda message: type(message).__name__)
-def test_a_message_comes_back_as_it_went(message: Message) -> None:
+def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
     assert from_library(to_library(message)) == message
 
 

@@ -199,7 +199,7 @@ async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_on
     assert peer.streams == [[], [2]]
 
 
-def test_a_refusal_that_tells_other_log_positions_each_time_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_refusal_with_changing_log_positions_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     unused: Any = None
     link = PeerLink(OTHER, settings_of(SELF), unused, unused, unused, unused, ReportLimiter())
     for entry in (7, 8, 9):

@@ -42,7 +42,7 @@ def test_the_leader_or_most_of_the_others_confirm_a_refusal(
     assert not any(outcomes[:-1])
 
 
-def test_a_confirmed_refusal_names_the_members_that_say_it() -> None:
+def test_a_confirmed_refusal_names_the_members_that_refuse() -> None:
     refusals = Refusals()
     for name in "bc":
         refusals.refused(name, COPY, others="bc", leader_id=None)

@@ -11,7 +11,7 @@ def test_two_reasons_that_take_turns_are_said_once_each() -> None:
     assert said == [True, True] + 18 * [False]
 
 
-def test_a_trouble_that_goes_on_is_reported_again_after_a_while() -> None:
+def test_a_lasting_problem_is_reported_again_after_a_while() -> None:
     reports = ReportLimiter()
     assert reports.is_due("down", 0.0)
     assert not reports.is_due("down", AGAIN_SECONDS - 1)

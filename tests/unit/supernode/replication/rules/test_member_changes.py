@@ -89,7 +89,7 @@ def test_a_member_of_unknown_level_prevents_the_rise_and_an_older_newcomer_may_j
     assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
 
 
-def test_a_member_that_was_refused_for_its_release_comes_with_the_release_of_the_others() -> None:
+def test_a_member_that_was_refused_for_its_release_joins_with_the_release_of_the_others() -> None:
     leader = Leader(level=2, knows=2, told={"b": 2, "c": 2})
     assert isinstance(leader.let_in(1), ReleaseOutdated)
     leader.outcomes.clear()

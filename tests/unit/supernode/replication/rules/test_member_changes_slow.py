@@ -49,7 +49,7 @@ def leader() -> Leader:
     return Leader()
 
 
-def test_a_slow_newcomer_is_given_up_after_a_time_in_all_and_told_why(leader: Leader) -> None:
+def test_a_slow_new_member_is_refused_with_the_reason_after_a_total_time(leader: Leader) -> None:
     outcomes = leader.add(SLOW)
     leader.let_pass(JOIN_SECONDS_MAX, progress_of=SLOW)
     assert not outcomes
@@ -60,7 +60,7 @@ def test_a_slow_newcomer_is_given_up_after_a_time_in_all_and_told_why(leader: Le
     assert leader.changes.is_idle
 
 
-def test_a_joiner_that_was_too_slow_makes_room_at_once_if_another_wants_to_come(
+def test_a_new_member_that_was_too_slow_makes_room_for_another_one(
     leader: Leader,
 ) -> None:
     leader.add(SLOW)

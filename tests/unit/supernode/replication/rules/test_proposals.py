@@ -28,7 +28,7 @@ class Library:
         self.proposals.advance(leader_reachable=leader, now=now)
 
 
-def test_a_command_waits_for_a_leader_and_is_unavailable_when_none_comes() -> None:
+def test_a_command_waits_for_a_leader_and_is_unavailable_if_none_is_elected() -> None:
     library = Library()
     library.propose()
     library.advance(1.0, leader=False)
@@ -45,7 +45,7 @@ def test_an_applied_command_gives_its_result() -> None:
     assert library.outcomes == [b"result"]
 
 
-def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadline() -> None:
+def test_a_command_that_was_certainly_not_accepted_is_tried_again_until_its_deadline() -> None:
     library = Library()
     library.propose()
     library.advance(1.0)

@@ -77,7 +77,7 @@ def test_an_acknowledgement_of_an_earlier_term_commits_nothing(rules: type) -> N
 
 
 @ON_BOTH
-def test_a_vote_that_comes_twice_counts_once(rules: type) -> None:
+def test_a_repeated_vote_counts_once(rules: type) -> None:
     lone = LoneNode(rules, size=5)
     term = lone.campaign()
     lone.receive("b", vote(term))
@@ -161,7 +161,7 @@ def test_the_commit_index_does_not_pass_the_match_index() -> None:
     assert lone.node.commit_index == 1
 
 
-def test_a_leader_of_an_older_term_is_told_so_and_steps_down() -> None:
+def test_a_leader_of_an_older_term_learns_the_newer_term_and_steps_down() -> None:
     lone = LoneNode()
     lone.receive("b", append(3, (1, 0), []))
     [(to, reply)] = lone.receive("c", append(2, (1, 0), []))
@@ -187,7 +187,7 @@ def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
     assert lone.node.last_applied == lone.node.commit_index == 9
 
 
-def test_a_snapshot_keeps_the_entries_behind_it_that_agree() -> None:
+def test_a_snapshot_keeps_the_later_entries_that_agree_with_it() -> None:
     lone = LoneNode()
     lone.receive("b", append(5, (1, 0), [(index, 5) for index in range(2, 13)]))
     for chunk in snapshot_pieces(last=9, term=5):
@@ -231,7 +231,7 @@ def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
     assert lone.machine.entries == []
 
 
-def test_a_member_that_hears_its_leader_gives_no_pre_vote() -> None:
+def test_a_member_with_a_live_leader_gives_no_pre_vote() -> None:
     lone = LoneNode()
     request = VoteRequest(term=2, last_log_index=9, last_log_term=1, pre_vote=True)
     lone.receive("b", append(1, (1, 0), []))

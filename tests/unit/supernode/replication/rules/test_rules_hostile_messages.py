@@ -55,7 +55,7 @@ def locked_out(lone: LoneNode) -> None:
     ],
     ids=lambda message: type(message).__name__,
 )
-def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) -> None:
+def test_an_implausibly_high_term_is_not_adopted(message: Message) -> None:
     lone = LoneNode()
     with pytest.raises(PeerAtFault, match="b names term"):
         lone.receive("b", message)
@@ -63,7 +63,7 @@ def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) ->
     assert "b" not in lone.log.promises
 
 
-def test_elections_go_on_from_the_last_term_that_is_taken_over() -> None:
+def test_elections_continue_from_the_last_adopted_term() -> None:
     lone = LoneNode()
     lone.receive("b", vote_request(TERMS_AHEAD_MAX))
     assert lone.node.term == TERMS_AHEAD_MAX
@@ -101,7 +101,7 @@ def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader(
     assert "x" not in lone.node.peers
 
 
-def test_a_locked_out_replica_hears_strangers_until_it_follows_a_known_leader() -> None:
+def test_a_member_without_a_known_leader_accepts_messages_of_unknown_members() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
@@ -128,7 +128,7 @@ def test_a_member_that_a_stranger_names_is_a_stranger() -> None:
     assert set(lone.node.peers) == {"b", "c", "x"}
 
 
-def test_however_many_strangers_come_few_are_remembered() -> None:
+def test_few_unknown_members_are_remembered() -> None:
     lone = LoneNode()
     for number in range(1000):
         name = f"x{number}"

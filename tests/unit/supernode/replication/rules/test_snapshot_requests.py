@@ -176,7 +176,7 @@ class Mortal(SqliteStore):
 
 
 @pytest.mark.parametrize("dies_after", [False, True])
-def test_a_kill_at_any_commit_of_a_snapshot_leaves_all_that_was_acknowledged(
+def test_a_kill_at_any_commit_of_a_snapshot_loses_nothing_acknowledged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_after: bool
 ) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 64)

@@ -85,7 +85,7 @@ def test_the_commit_index_alone_costs_no_write(reopen: Reopen) -> None:
     assert not log.sync()
 
 
-def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
+def test_a_replaced_tail_of_the_log_does_not_return(reopen: Reopen) -> None:
     log = with_entries(reopen(), 5)
     log.sync()
     log.cut_from(4)
@@ -94,7 +94,7 @@ def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
     assert [tuple(entry)[1:] for entry in RaftLog(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
 
 
-def test_a_snapshot_that_ends_in_another_entry_of_the_same_term_leaves_a_store_that_opens(reopen: Reopen) -> None:
+def test_a_store_opens_after_a_snapshot_that_ends_in_another_entry_of_the_same_term(reopen: Reopen) -> None:
     log = with_entries(reopen(), 8)
     log.sync()
     previous, last = log[4], Entry(b"\x00forged", 6, 1)

@@ -118,7 +118,7 @@ def test_a_damaged_folder_cannot_be_restored(tmp_path: Path) -> None:
         restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=founder, cluster_id="")  # type: ignore[arg-type]
 
 
-async def test_a_term_that_a_hostile_member_has_raised_is_reported_and_a_new_cluster_goes_on_without_it(
+async def test_a_term_that_a_hostile_member_has_raised_is_reported_and_not_restored(
     tmp_path: Path,
 ) -> None:
     async with LiveCluster(1, tmp_path / "old") as cluster:

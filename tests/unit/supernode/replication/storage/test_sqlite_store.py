@@ -235,7 +235,7 @@ def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkey
     assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
 
 
-def test_a_store_of_another_format_stays_unchanged_and_the_error_gives_advice(tmp_path: Path) -> None:
+def test_a_store_of_another_format_is_not_changed_and_the_error_gives_advice(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "UPDATE identity SET format_version = 2")
     with pytest.raises(StoreRefused, match="run the version that wrote it"):
@@ -279,7 +279,7 @@ def test_a_value_of_another_kind_is_damage_and_no_defect(tmp_path: Path, stateme
     assert damage_found(tmp_path)
 
 
-def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+def test_an_emptied_database_is_not_mistaken_for_a_new_one(tmp_path: Path) -> None:
     fill(tmp_path)
     for file in tmp_path.iterdir():
         file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
@@ -290,7 +290,7 @@ def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) 
         open_store(tmp_path, create=True)
 
 
-def test_a_database_without_term_and_entries_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+def test_a_database_without_term_and_entries_is_not_mistaken_for_a_new_one(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "DELETE FROM hard_state")
     edit(tmp_path, "DELETE FROM entry")

@@ -77,7 +77,7 @@ def test_a_failure_is_reported_and_ends_the_ticking() -> None:
     assert not replica.closed.is_set()
 
 
-def test_by_default_a_failure_ends_the_process_and_says_why() -> None:
+def test_by_default_a_failure_ends_the_process_with_its_reason() -> None:
     script = (
         "from stampede_rt_supernode.replication.threads.tick_thread import end_process\n"
         "end_process(OSError('the disk is full'))\n"

@@ -66,7 +66,7 @@ MEMBERS = Configuration.of([Member(member_id="b", address="b:1"), Member(member_
 
 
 @pytest.mark.parametrize("message", EVERY_KIND, ids=lambda message: type(message).__name__)
-def test_every_kind_of_message_comes_out_as_it_went_in(message: Message) -> None:
+def test_every_kind_of_message_is_decoded_as_it_was_encoded(message: Message) -> None:
     wire = encode_message(message).SerializeToString()
     assert decode_message(pb.RaftMessage.FromString(wire)) == message
 
@@ -113,7 +113,7 @@ def test_random_bytes_are_refused_or_well_formed(data: bytes) -> None:
     assert decode_message(encode_message(message)) == message
 
 
-def test_a_snapshot_comes_out_as_it_went_in() -> None:
+def test_a_snapshot_is_decoded_as_it_was_encoded() -> None:
     previous, last = Entry(b"\x00a", 4, 1), Entry(b"\x01", 5, 2)
     record = encode_snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
     assert decode_snapshot(record) == SnapshotContents(
@@ -128,7 +128,7 @@ def test_a_snapshot_from_before_members_could_change_has_no_configuration() -> N
     assert decode_snapshot(old.SerializeToString()).configuration is None
 
 
-def test_a_configuration_comes_out_as_it_went_in() -> None:
+def test_a_configuration_is_decoded_as_it_was_encoded() -> None:
     assert decode_configuration(encode_configuration(MEMBERS)) == MEMBERS
 
 
