@@ -28,9 +28,9 @@ class Rig:
 
     def hears(self, charge_bytes: int = 0) -> bool:
         """Take a message of the source. Returns whether the copy sends a request now."""
-        self.feed._news.clear()
+        self.feed._owes_request = False
         self.feed._note(pb.FeedState(source_next_seq=self.held.channel.next_seq), charge_bytes)
-        return self.feed._news.is_set()
+        return self.feed._owes_request
 
 
 def test_a_replica_reports_new_items_at_once_and_a_sign_of_life_needs_no_report() -> None:

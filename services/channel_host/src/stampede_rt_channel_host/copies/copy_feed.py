@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -32,6 +32,7 @@ REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of
 BROKEN_AFTER_SECONDS = 3.0  # after this silence of its source, the copy opens the feed again
 RUNS_PER_TURN = 64  # the storing of a run takes about 15 us
 METHOD = "/stampede_rt.v1.ReplicaService/Feed"
+Write = Callable[[pb.FeedRequest], Awaitable[None]]
 
 
 class CopyFeed:
@@ -56,6 +57,9 @@ class CopyFeed:
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
+        self._owes_request = False  # after this message of the source, a request is due at once
+        self._turn = asyncio.Lock()  # of the requests
+        self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
         self._is_opened = False  # the source has accepted the copy's place
 
     async def run(self, source: FeedSource, channel: grpc.aio.Channel) -> None:
@@ -71,7 +75,7 @@ class CopyFeed:
                 await call.write(self._request(self._opening(source)))
             async with asyncio.TaskGroup() as sides:
                 writing = sides.create_task(self._write_all(call.write))
-                await self._read_all(call.read, source)
+                await self._read_all(call, source)
                 writing.cancel()
         except BaseExceptionGroup as group:
             raise _plain(group.exceptions[0], source.target) from group
@@ -118,24 +122,39 @@ class CopyFeed:
             self._sent_nanos = now
         return self._sent_nanos
 
-    async def _write_all(self, write: Callable[[pb.FeedRequest], Any]) -> None:
-        loop = asyncio.get_running_loop()
-        may_grant_s = loop.time()  # the time at which the copy may grant more, because of `bytes_per_second`
+    async def _write_all(self, write: Write) -> None:
+        """Send requests when time has come, and for news that do not come from the source."""
         while True:  # until `run` cancels this task, or an error ends it
+            wait_s = self._may_grant_s - asyncio.get_running_loop().time()
             with suppress(TimeoutError):
-                wait_s = may_grant_s - loop.time()
                 async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
                     await self._news.wait()
-            self._news.clear()
-            grants = loop.time() >= may_grant_s
-            if grants and self._bytes_per_second:
-                may_grant_s = loop.time() + self._granted / self._bytes_per_second
-            await write(self._request(grants=grants))
+            async with self._turn:
+                await self._send(write)
 
-    async def _read_all(self, read: Callable[[], Any], source: FeedSource) -> None:
-        async for response in _responses(read):
+    async def _send(self, write: Write) -> None:
+        now_s = asyncio.get_running_loop().time()
+        grants = now_s >= self._may_grant_s
+        if grants and self._bytes_per_second:
+            self._may_grant_s = now_s + self._granted / self._bytes_per_second
+        self._news.clear()
+        self._owes_request = False
+        await write(self._request(grants=grants))
+
+    async def _read_all(self, call: Any, source: FeedSource) -> None:
+        async for response in _responses(call.read):
             await self._take(response)
+            if self._owes_request:
+                await self._answer(call.write)
         raise Unavailable(f"the source at {source.target} has ended the feed")
+
+    async def _answer(self, write: Write) -> None:
+        """Send the request that is due. The task that reads does this itself: puts at the source wait for it."""
+        if self._turn.locked():
+            self._news.set()
+            return
+        async with self._turn, asyncio.timeout(BROKEN_AFTER_SECONDS):
+            await self._send(write)
 
     async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
         state = response.state
@@ -199,14 +218,12 @@ class CopyFeed:
         copy.source_next_seq = state.source_next_seq
         copy.merge_floors(map(floor_from_message, state.floors))
         if not copy.caught_up and held is not None and held.channel.next_seq >= state.source_next_seq:
-            copy.caught_up = True
-            self._news.set()  # the source may send readers now
+            copy.caught_up = self._owes_request = True  # the source may send readers now
         copy.note_progress()
         if self._owner_facts and held is not None and held.channel.next_seq != self._reported_seq:
-            self._news.set()  # puts wait until the replica reports this part
+            self._owes_request = True  # puts wait until the replica reports this part
         self._granted += charge_bytes
-        if self._granted >= GRANT_BYTES:
-            self._news.set()
+        self._owes_request |= self._granted >= GRANT_BYTES
 
 
 def _core(held: HostedChannel) -> FedChannel:

@@ -179,7 +179,8 @@ class FeedStream:
             self._step(request, self._move)
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
-        self._news.set()
+        if self._move is not None or self._owes_sign(hosted):  # a grant of credit is news anyway
+            self._news.set()
 
     def _step(self, request: pb.FeedRequest, move: OutgoingMove) -> None:
         """Take the next step of a move."""
@@ -211,9 +212,15 @@ class FeedStream:
             elif self._owes_sign(hosted):
                 await self._write(self._response(hosted, self._bare(feed)))
             else:
-                with suppress(TimeoutError):
-                    async with asyncio.timeout(None if self._move is None else SILENT_SECONDS_MAX):
-                        await self._news.wait()
+                await self._wait_for_news()
+
+    async def _wait_for_news(self) -> None:
+        if self._move is None:
+            await self._news.wait()
+            return
+        with suppress(TimeoutError):
+            async with asyncio.timeout(SILENT_SECONDS_MAX):
+                await self._news.wait()
 
     def _check_destination(self, hosted: HostedChannel) -> None:
         """End the feed of a move whose destination is silent, so that the channel can move to another host."""

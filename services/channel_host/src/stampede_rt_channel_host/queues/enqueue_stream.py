@@ -1,7 +1,4 @@
-"""Serves one stream of enqueues: judges and acks runs in order.
-
-Acks that come during a write go out in the next message.
-"""
+"""Serves one stream of enqueues: judges and acks runs in order."""
 
 from __future__ import annotations
 
@@ -17,8 +14,9 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
 from stampede_rt_channel_host.channels.puts.acks import refused
-from stampede_rt_channel_host.channels.puts.held_acks import HeldAcks
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -34,16 +32,13 @@ from stampede_rt_channel_host.queues.incoming import (
     read_request,
 )
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_channel_host.queues.replica_acks import AckOfQueue
+from stampede_rt_channel_host.queues.replica_acks import ack_of_replicas
 from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_not_judged, current_account, current_work, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
-# The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refusals, the
-# message stays below its size limit.
-ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # if the queue cannot be used for these reasons, the stream ends
@@ -61,11 +56,7 @@ class EnqueueStream:
         self._context = context
         self._stream = stream
         self._queue_id, self._epoch, self._producer_id = b"", 0, 0
-        self._acks: list[channel_service_pb2.PutAck] = []
-        self._closed = False
-        self._held: HeldAcks | None = None  # acks that wait for replicas; made when the first one must wait
-        self._news = asyncio.Event()  # there are acks to write, or the stream takes in nothing more
-        self._room = asyncio.Event()  # the writer has taken the acks
+        self._acks: AckWriter  # made when the stream is served
         self._account = current_account()
         self._owner = own_name()
         self._rights = request_rights(_lose)
@@ -78,27 +69,17 @@ class EnqueueStream:
 
         Raises InvalidArgument, Overloaded, or Unavailable (SHUTTING_DOWN). Sends the acks of judged runs first.
         """
-        writer = self._stream.spawn(self._write_acks())
+        self._acks = AckWriter(self._write, self._stream.spawn)
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
                 await self._take(*received)
-            await self._finish(writer)
+            await self._acks.finish()
         except StampedeError:
-            await self._finish(writer)
+            await self._acks.finish()
             raise
         finally:
-            writer.cancel()
-            if self._held is not None:
-                self._held.close()
+            self._acks.close()
             self._requests.close()
-
-    async def _finish(self, writer: asyncio.Task[None]) -> None:
-        """Take in nothing more, and write the remaining acks."""
-        if self._held is not None:
-            await self._held.all_passed()
-        self._closed = True
-        self._news.set()
-        await writer
 
     def _read_request(self, raw: Any, received_s: float) -> tuple[deque[EnqueueRun], float] | None:
         """The runs of a request, and the time at which it came; None at the end of the stream.
@@ -127,9 +108,8 @@ class EnqueueStream:
         self._requests.release()  # these runs count no longer; a run that has to wait counts again
         self._work.spend_read()
         while runs:
-            ack = await self._enqueue(runs, received_s, failure)
-            await self._add_in_order(ack)
-        self._news.set()
+            await self._acks.add(await self._enqueue(runs, received_s, failure))
+        self._acks.wake()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
@@ -145,7 +125,7 @@ class EnqueueStream:
 
     async def _enqueue(
         self, runs: deque[EnqueueRun], received_s: float, failure: StampedeError | None
-    ) -> channel_service_pb2.PutAck | AckOfQueue:
+    ) -> channel_service_pb2.PutAck | HeldAck:
         """The ack of the first run. Waits while the run waits for room."""
         message = runs.popleft()
         check_number(self._producer_id, message.first_number)
@@ -167,10 +147,7 @@ class EnqueueStream:
             return refused(message.first_number, 0, error, self._store.now())
         await hosted.enqueue(run, lambda: self._waiting(hosted, run, runs))
         ack = answer(run, self._store.now(), hosted.queue.incarnation)
-        if hosted.replication is None or not ack.HasField("first_seq"):
-            return ack
-        left_nanos = None if run.wait_nanos is None else max(0, run.wait_nanos)
-        return AckOfQueue(ack, hosted, hosted.replication, None if left_nanos is None else left_nanos / 1e9)
+        return ack_of_replicas(ack, hosted, run.wait_nanos)
 
     @contextmanager
     def _waiting(self, hosted: HostedQueue, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
@@ -179,7 +156,7 @@ class EnqueueStream:
         `behind`: the later runs of the same request. Raises Overloaded if the caller has too many waiting calls or
         bytes.
         """
-        self._news.set()
+        self._acks.wake()
         kept_bytes, waiting = sum(len(one.run) for one in behind), (hosted, run)
         check_queue_access(AccessVerb.SEND, hosted.record, partial(self._rights.hold, waiting))
         try:
@@ -188,36 +165,8 @@ class EnqueueStream:
         finally:
             self._rights.release(waiting)
 
-    async def _add_in_order(self, ack: channel_service_pb2.PutAck | AckOfQueue) -> None:
-        """Add an ack after all others, also after those that wait for replicas."""
-        if isinstance(ack, channel_service_pb2.PutAck) and not self._held:
-            await self._add(ack)
-            return
-        if self._held is None:
-            self._held = HeldAcks(self._pass_on, self._stream.spawn)
-        await self._held.add(ack)
-
-    async def _pass_on(self, ack: channel_service_pb2.PutAck) -> None:
-        await self._add(ack)
-        self._news.set()
-
-    async def _add(self, ack: channel_service_pb2.PutAck) -> None:
-        while len(self._acks) >= ACKS_QUEUED_MAX:
-            self._news.set()
-            self._room.clear()
-            await self._room.wait()
-        self._acks.append(ack)
-
-    async def _write_acks(self) -> None:
-        """Write acks. All acks that came during the last write go out in one message."""
-        while not (self._closed and not self._acks):
-            if not self._acks:
-                self._news.clear()
-                await self._news.wait()
-                continue
-            acks, self._acks = self._acks, []
-            self._room.set()
-            await self._context.write(pb.EnqueueResponse(acks=acks).SerializeToString())
+    async def _write(self, acks: list[channel_service_pb2.PutAck]) -> None:
+        await self._context.write(pb.EnqueueResponse(acks=acks).SerializeToString())
 
 
 def _lose(waiting: tuple[HostedQueue, Enqueue], error: PermissionDenied) -> None:

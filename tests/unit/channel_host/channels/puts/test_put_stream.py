@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
 from stampede_rt_channel_host.channels.puts.put_stream import PutStream
 from tests.support.channel_host.rig import run_of, running_host
 
@@ -18,18 +19,18 @@ async def test_the_reading_loop_acks_a_single_put_and_the_writer_acks_the_reques
     writers: list[Any] = []
     acks_by: list[str] = []
     written = asyncio.Semaphore(0)
-    write_acks, write = PutStream._write_acks, PutStream._write
+    run, write = AckWriter._run, PutStream._write
 
-    async def noted_writer(stream: PutStream) -> None:
+    async def noted_writer(writer: AckWriter) -> None:
         writers.append(asyncio.current_task())
-        await write_acks(stream)
+        await run(writer)
 
-    async def noted_write(stream: PutStream) -> None:
+    async def noted_write(stream: PutStream, acks: list[pb.PutAck]) -> None:
         acks_by.append("writer" if asyncio.current_task() in writers else "reading loop")
-        await write(stream)
+        await write(stream, acks)
         written.release()
 
-    monkeypatch.setattr(PutStream, "_write_acks", noted_writer)
+    monkeypatch.setattr(AckWriter, "_run", noted_writer)
     monkeypatch.setattr(PutStream, "_write", noted_write)
     async with running_host() as rig:
         channel = await rig.open()

@@ -10,16 +10,21 @@ from typing import Any, Protocol
 from stampede_rt.errors import NotArchived, NotReplicated, Unavailable
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.channels.replication import Replication
 
+PASSED_MAX = 64  # the most acks that a stream passes on together
 HELD_ACKS_MAX = 1024  # the most held acks of one stream; at this number the host stops reading its requests
 WAIT_NANOS_DEFAULT = 5_000_000_000  # for a put that states no wait
 
 
 class HeldAck(Protocol):
-    """An ack that is not due yet."""
+    """An ack that may not be due yet."""
+
+    @property
+    def is_due(self) -> bool:
+        """Whether `due` returns at once."""
 
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it."""
@@ -35,6 +40,11 @@ class AckOfDisk:
         self._recording = recording
         self._ends_s = _ends_s(wait_nanos)
         recording.hurry()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether `due` returns at once. Nobody knows."""
+        return False
 
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it, with the error NOT_ARCHIVED if the disk did not take the items."""
@@ -75,57 +85,53 @@ def _left_s(ends_s: float | None) -> float | None:
 
 
 class AckOfReplicas:
-    """An ack that is due once all items before the seq `next_seq` are replicated.
-
-    `may_lag`: it is due once no replica in sync is more than a second behind.
-    """
+    """The ack of a put into a channel or queue, which is due once the replicas have everything before `next_place`."""
 
     def __init__(
-        self, ack: pb.PutAck, channel: str, replication: Replication, next_seq: int, wait_nanos: int | None,
-        *, may_lag: bool = False,
+        self, ack: pb.PutAck, replication: OwnedReplicas[Any], next_place: int, wait_nanos: int | None,
+        explain: Callable[[pb.PutAck], NotReplicated], is_enough: Callable[[], bool] | None = None,
     ) -> None:  # fmt: skip
-        """`wait_nanos`: the longest wait; None: without a limit."""
-        self._may_lag = may_lag
+        """`wait_nanos`: the longest wait; None: without a limit. After it, `explain` makes the error for the ack.
+
+        `is_enough`: the ack is due once this holds, even if some replicas do not have everything.
+        """
+        self._is_replicated = is_enough or (lambda: replication.replicated_next >= next_place)
         self._ack = ack
-        self._channel = channel
         self._replication = replication
         self._period = replication.period
-        self._next_seq = next_seq
+        self._next_place = next_place
+        self._explain = explain
         self._ends_s = _ends_s(wait_nanos)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether `due` returns at once."""
+        return self._is_replicated() or self._period.ended is not None
 
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it. After the longest wait it has the error NOT_REPLICATED."""
         replication, ack = self._replication, self._ack
-        is_due = await replication.wait_until(self._is_due, _left_s(self._ends_s), self._period)
-        ack.copies = replication.copies(self._next_seq)
-        if is_due:
+        is_replicated = self._is_replicated() or await replication.wait_until(
+            self._is_replicated, _left_s(self._ends_s), self._period
+        )
+        ack.copies = replication.copies(self._next_place)
+        if is_replicated:
             return ack
         if (ended := self._period.ended) is not None:
             return refused(ack.first_number, ack.items, ended, ack.host_time_unix_nano, ack.incarnation)
-        items = ack.items - len(ack.rejections)
-        replication.not_replicated += items
-        ack.error.CopyFrom(to_error_message(self._error(items, ack.copies)))
+        replication.not_replicated += ack.items - len(ack.rejections)
+        ack.error.CopyFrom(to_error_message(self._explain(ack)))
         return ack
-
-    def _is_due(self) -> bool:
-        replication = self._replication
-        return replication.is_within_lag if self._may_lag else replication.replicated_next >= self._next_seq
-
-    def _error(self, items: int, copies: int) -> NotReplicated:
-        least = self._replication.min_replicas
-        return NotReplicated(
-            f"channel {self._channel} has accepted the put, but the replicas did not have it in time: {copies - 1} in "
-            f"sync hold it, and min_replicas is {least}; readers see it once it is replicated; look at `stampede info "
-            f"{self._channel}`, or start another host",
-            metadata={"channel": self._channel, "seq": str(self._ack.first_seq), "copies": str(copies)},
-        )
 
 
 class HeldAcks:
-    """The acks of one stream that are not due, and the acks after them. Passes them to `pass_on`, in order."""
+    """The acks of one stream that are not due, and the acks after them. Passes them to `pass_on`, in order.
+
+    `pass_on` gets the acks that have become due together.
+    """
 
     def __init__(
-        self, pass_on: Callable[[pb.PutAck], Awaitable[None]],
+        self, pass_on: Callable[[list[pb.PutAck]], Awaitable[None]],
         spawn: Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]],
     ) -> None:  # fmt: skip
         """`spawn` makes a task that ends with the stream."""
@@ -137,17 +143,20 @@ class HeldAcks:
     def __bool__(self) -> bool:
         return bool(self._acks)
 
-    async def add(self, ack: pb.PutAck | HeldAck) -> None:
-        """Add an ack after the others. Waits while there are HELD_ACKS_MAX."""
-        while len(self._acks) >= HELD_ACKS_MAX:
-            await self._next_change()
+    def add(self, ack: pb.PutAck | HeldAck) -> None:
+        """Add an ack after the others. Wait for `room` before the first ack of a request."""
         self._acks.append(ack)
         self._note()
+
+    async def room(self) -> None:
+        """Wait while there are HELD_ACKS_MAX."""
+        while len(self._acks) >= HELD_ACKS_MAX:
+            await self._changed.wait()
 
     async def all_passed(self) -> None:
         """Wait until no ack is left."""
         while self._acks:
-            await self._next_change()
+            await self._changed.wait()
 
     def close(self) -> None:
         """Stop waiting. Idempotent."""
@@ -156,16 +165,23 @@ class HeldAcks:
     async def _run(self) -> None:
         while True:  # until the stream ends
             while not self._acks:
-                await self._next_change()
-            first = self._acks[0]
-            ack = first if isinstance(first, pb.PutAck) else await first.due()
-            await self._pass_on(ack)
-            self._acks.popleft()
+                await self._changed.wait()
+            due = [await _due(self._acks[0])]
+            while len(due) < min(len(self._acks), PASSED_MAX) and _is_due(self._acks[len(due)]):
+                due.append(await _due(self._acks[len(due)]))
+            await self._pass_on(due)
+            for _ in due:  # not earlier: `add` puts later acks behind these ones
+                self._acks.popleft()
             self._note()
-
-    async def _next_change(self) -> None:
-        await self._changed.wait()
 
     def _note(self) -> None:
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
+
+
+def _is_due(ack: pb.PutAck | HeldAck) -> bool:
+    return isinstance(ack, pb.PutAck) or ack.is_due
+
+
+async def _due(ack: pb.PutAck | HeldAck) -> pb.PutAck:
+    return ack if isinstance(ack, pb.PutAck) else await ack.due()

@@ -1,8 +1,8 @@
 """Serves one stream of puts: judges and acks runs in order.
 
-Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
-put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a request of
-a few runs in the turn of the event loop in which its bytes come (decision 0164).
+The loop that reads the requests writes the ack of a single put itself, because its caller waits for it. Over a socket
+even that loop need not go on: the stream takes a request of a few runs in the turn of the event loop in which its bytes
+come (decision 0164).
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, St
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
 from stampede_rt_channel_host.channels.puts.acks import refused
-from stampede_rt_channel_host.channels.puts.held_acks import HeldAck, HeldAcks
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead, left_nanos
-from stampede_rt_channel_host.channels.puts.wanted_acks import check_disk, check_wanted, held_ack, may_be_held
+from stampede_rt_channel_host.channels.puts.wanted_acks import check_disk, check_wanted, held_ack
 from stampede_rt_channel_host.channels.puts.whole_requests import WholeRequests
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -34,9 +35,6 @@ from stampede_rt_runtime.access.control import current_account, current_work, ow
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, answer_at_once
 
-# The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
-# the message stays below its size limit.
-ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; producers join no more
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
@@ -75,13 +73,8 @@ class PutStream:
         self._channel_id = b""
         self._epoch = 0
         self._producer_id = 0
-        self._acks: list[pb.PutAck] = []
-        self._closed = False
-        self._is_writing = False
+        self._acks: AckWriter  # made when the stream is served
         self._judged_at: HostedChannel | None = None  # the channel of the latest run
-        self._held_back: HeldAcks | None = None  # made when the first ack must wait
-        self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
-        self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._owner = own_name()
         self._writer = shown_name() or UNNAMED
@@ -95,20 +88,14 @@ class PutStream:
 
         Raises InvalidArgument for an invalid request.
         """
+        self._acks = AckWriter(self._write, self._stream.spawn)
         answer_at_once(self._context, self._take_at_once)
-        writer = self._stream.spawn(self._write_acks())
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
                 await self._take(received)
-            if self._held_back is not None:
-                await self._held_back.all_passed()
-            self._closed = True
-            self._news.set()
-            await writer
+            await self._acks.finish()
         finally:
-            writer.cancel()
-            if self._held_back is not None:
-                self._held_back.close()
+            self._acks.close()
             self._requests.close()
 
     def _read_request(self, raw: Any, received_s: float) -> _ReceivedRequest | None:
@@ -124,21 +111,19 @@ class PutStream:
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
     def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
-        """Judge the few runs of a request, which surely need not wait, and write their acks.
+        """Judge the few runs of a request, which surely need not wait for room, and write their acks once they are due.
 
         Returns False for any other message.
         """
-        owes = self._acks or self._is_writing or self._held_back
-        is_idle = not (owes or self._whole.is_joining or self._requests.is_ahead)
-        if not is_idle or raw[:1] == PIECE_TAG:
+        is_busy = not self._acks.is_idle or self._whole.is_joining or self._requests.is_ahead
+        if is_busy or raw[:1] == PIECE_TAG:
             return False
         try:
             request = read_request(raw)
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
             hosted = self._store.find(channel_id, epoch)
-            may_wait = hosted.puts.may_wait or any(may_be_held(hosted, put.ack) for put in request.puts)
-            if may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
+            if hosted.puts.may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
                 return False
         except StampedeError:  # the loop that reads the requests raises the same error
             return False
@@ -146,7 +131,11 @@ class PutStream:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
         received_s = time.monotonic()
         acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
-        write(pb.PutResponse(acks=acks).SerializeToString())
+        due = [ack for ack in acks if isinstance(ack, pb.PutAck)]
+        if len(due) == len(acks):
+            write(pb.PutResponse(acks=due).SerializeToString())
+        else:
+            self._acks.hold(acks)
         return True
 
     async def _take(self, received: _ReceivedRequest) -> None:
@@ -160,36 +149,18 @@ class PutStream:
                 ack = _refuse_size(received.puts.popleft(), self._store.now())
             else:
                 ack = await self._put(received)
-            await self._pass_on(ack)
-        if received.is_single and self._acks and not self._is_writing:
-            await self._write()
+            await self._acks.add(ack)
+        if received.is_single:
+            await self._acks.write()
             return
-        self._news.set()
+        self._acks.wake()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
-    def _judge_now(self, put: Put, received_s: float, hosted: HostedChannel) -> pb.PutAck:
-        """The ack of a run whose channel lets no put wait."""
+    def _judge_now(self, put: Put, received_s: float, hosted: HostedChannel) -> pb.PutAck | HeldAck:
+        """The ack of a run whose channel lets no put wait for room."""
         ack = self._judge(put, received_s, hosted)
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
-        return ack
-
-    async def _pass_on(self, ack: pb.PutAck | HeldAck) -> None:
-        """Leave an ack to the writer, once it and all acks before it are due."""
-        if not isinstance(ack, pb.PutAck) or self._held_back:
-            if self._held_back is None:
-                self._held_back = HeldAcks(self._queue, self._stream.spawn)
-            await self._held_back.add(ack)
-        else:
-            await self._queue(ack)
-
-    async def _queue(self, ack: pb.PutAck) -> None:
-        while len(self._acks) >= ACKS_QUEUED_MAX:
-            self._news.set()
-            self._room.clear()
-            await self._room.wait()
-        self._acks.append(ack)  # after the await, during which the writer may replace the list
-        if self._held_back:
-            self._news.set()
+        return held_ack(ack, hosted, put, received_s)
 
     async def _put(self, received: _ReceivedRequest) -> pb.PutAck | HeldAck:
         """The ack of the first run. Waits while the run waits for room."""
@@ -233,7 +204,7 @@ class PutStream:
         Meanwhile the host keeps the bytes of this run and of the later runs of its request, but not the request itself,
         and counts them as memory.
         """
-        self._news.set()  # let the writer send the earlier acks meanwhile
+        self._acks.wake()  # let the writer send the earlier acks meanwhile
         run.keep()
         puts, waiting = hosted.puts, (hosted.puts, run)
         self._rights.hold(waiting, AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
@@ -257,24 +228,8 @@ class PutStream:
             writer=self._writer,
         )
 
-    async def _write_acks(self) -> None:
-        """Write acks. All acks that came during the last write go out in one message."""
-        while not (self._closed and not self._acks):
-            if not self._acks or self._is_writing:
-                self._news.clear()
-                await self._news.wait()
-                continue
-            await self._write()
-
-    async def _write(self) -> None:
-        """Write all acks that have come. Only one write may be under way."""
-        acks, self._acks = self._acks, []
-        self._is_writing = True
-        try:
-            await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
-        finally:
-            self._is_writing = False
-        self._room.set()
+    async def _write(self, acks: list[pb.PutAck]) -> None:
+        await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
 
 
 def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:

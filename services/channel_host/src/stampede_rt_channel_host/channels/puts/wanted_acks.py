@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import InvalidArgument
+from functools import partial
+
+from stampede_rt.errors import InvalidArgument, NotReplicated
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -15,14 +17,9 @@ from stampede_rt_channel_host.channels.puts.held_acks import (
 )
 from stampede_rt_channel_host.channels.puts.put_requests import Put
 from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
-from stampede_rt_channel_host.channels.replication import Kind
+from stampede_rt_channel_host.channels.replication import Kind, Replication
 
 _KNOWN = frozenset(channel_pb2.Ack.values())
-
-
-def may_be_held(hosted: HostedChannel, stated: int) -> bool:
-    """Whether the ack of a put that states this may have to wait."""
-    return bool(stated) or hosted.replication is not None or hosted.record.policy.ack == "disk"
 
 
 def check_wanted(hosted: HostedChannel, stated: int) -> None:
@@ -64,8 +61,20 @@ def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float)
     waits = put.ack == channel_pb2.ACK_REPLICA or (not put.ack and replication.kind is Kind.WAITED_FOR)
     if not waits and (replication.kind is Kind.WAITED_FOR or replication.is_within_lag):
         return ack
-    left_nanos = _left_nanos(put, received_s)
-    return AckOfReplicas(ack, name, replication, hosted.core.next_seq, left_nanos, may_lag=not waits)
+    explain, is_enough = (
+        partial(_not_replicated, name, replication),
+        None if waits else lambda: replication.is_within_lag,
+    )
+    return AckOfReplicas(ack, replication, hosted.core.next_seq, _left_nanos(put, received_s), explain, is_enough)
+
+
+def _not_replicated(channel: str, replication: Replication, ack: pb.PutAck) -> NotReplicated:
+    return NotReplicated(
+        f"channel {channel} has accepted the put, but the replicas did not have it in time: {ack.copies - 1} in sync "
+        f"hold it, and min_replicas is {replication.min_replicas}; readers see it once it is replicated; look at "
+        f"`stampede info {channel}`, or start another host",
+        metadata={"channel": channel, "seq": str(ack.first_seq), "copies": str(ack.copies)},
+    )
 
 
 def _waits_for_disk(hosted: HostedChannel, stated: int) -> bool:
