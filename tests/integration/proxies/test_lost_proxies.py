@@ -8,16 +8,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
+
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
 from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
-from tests.support.cluster import cluster_fixture, running_cluster
-from tests.support.cutting_relay import CUTS, CuttingRelay
+from tests.support.cluster import cluster_fixture
+from tests.support.cutting_relay import CUTS
+from tests.support.relayed_cluster import running_relayed_cluster
 
 cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
-READY_S = 40.0
 
 
 @contextmanager
@@ -103,27 +104,22 @@ def test_readers_of_a_proxy_learn_of_the_loss_of_the_owner_and_continue_with_the
             all_saw(readers, item.seq)
 
 
-def test_a_proxy_continues_after_a_broken_link(tmp_path: Any) -> None:
+@pytest.mark.parametrize("transport", ["grpc", "tcp"])
+def test_a_proxy_continues_after_a_broken_link(transport: str) -> None:
     """The link from the owner to the proxy breaks in all ways; the readers of the proxy miss and repeat nothing."""
-    with running_cluster(hosts=1, supernodes=1) as cluster:
-        port, inner_port = free_ports(2)
-        words = ["--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", "relayed"]
-        words += ["--frontend", cluster.address, "--secret-file", str(cluster.secret_file)]
-        owner = ServiceProcess("relayed host", "stampede_rt_channel_host", words)
-        with CuttingRelay({port: ("localhost", inner_port)}) as relay:
-            owner.start()
-            try:
-                owner.wait_ready(READY_S)
-                with st.connect(cluster.address, transport="grpc") as rt:
-                    channel = rt.channel("cam", max_items=100_000, host="relayed")
-                    rt.proxy(channel, "h1")
-                    with reading(channel, 4) as readers, produced(channel) as producing:
-                        eventually(lambda: has_readers(rt, channel, "h1"), "some are at the proxy")
-                        for how in CUTS:
-                            passes(producing, 30)
-                            relay.cut(how)
-                        passes(producing, 30)
-                        all_saw(readers, producing.stop())
-                        eventually(lambda: rt.proxies(channel)[0].reconnects >= 1, "the feed was opened again")
-            finally:
-                owner.stop()
+    with (
+        running_relayed_cluster(hosts=1, feed_transport=transport) as relayed,
+        st.connect(relayed.address, transport="grpc") as rt,
+    ):
+        channel = rt.channel("cam", max_items=100_000, host=relayed.host)
+        rt.proxy(channel, "h1")
+        with reading(channel, 4) as readers, produced(channel) as producing:
+            eventually(lambda: has_readers(rt, channel, "h1"), "some are at the proxy")
+            for how in CUTS:
+                passes(producing, 30)
+                relayed.relay.cut(how)
+            passes(producing, 30)
+            all_saw(readers, producing.stop())
+            eventually(lambda: rt.proxies(channel)[0].reconnects >= 1, "the feed was opened again")
+            over_tcp = any("transport=tcp" in line for line in relayed.cluster.hosts[0].last_lines)
+            assert over_tcp == (transport == "tcp")

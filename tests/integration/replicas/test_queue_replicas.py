@@ -13,9 +13,11 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.integration.proxies.readers import eventually
 from tests.integration.replicas.test_replicas import frozen, host_of
-from tests.support.cluster import cluster_fixture
 
-cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
+
+@pytest.fixture
+def cluster(three_hosts: LocalCluster) -> LocalCluster:
+    return three_hosts
 
 
 class Load:
@@ -101,7 +103,7 @@ def owner_of(rt: Any) -> str:
     return str(next(one.host for one in rt.queues() if one.name == "jobs"))
 
 
-@pytest.mark.parametrize("replicas", [1, 2])
+@pytest.mark.parametrize(("feeds", "replicas"), [("tcp", 1), ("grpc", 2)], indirect=["feeds"])
 def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the_owner_is_killed(
     cluster: LocalCluster, replicas: int
 ) -> None:
@@ -126,6 +128,7 @@ def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the
         eventually(lambda: len(in_sync(queue)) >= 1, "the owner has a replica")
 
 
+@pytest.mark.parametrize("feeds", ["socket"], indirect=True)
 def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         queue = opened(rt)
@@ -140,7 +143,7 @@ def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: Lo
         assert queue.stats().held == 0
 
 
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize(("feeds", "how"), [("socket", "killed"), ("tcp", "frozen")], indirect=["feeds"])
 def test_a_queue_gets_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         queue = opened(rt)

@@ -16,10 +16,12 @@ from stampede_rt.files.editing import verify
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from tests.integration.proxies.readers import all_saw, awaited_reading, eventually, passes, produced, reading
-from tests.support.cluster import cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
+
+@pytest.fixture
+def cluster(three_hosts: LocalCluster) -> LocalCluster:
+    return three_hosts
 
 
 @contextmanager
@@ -54,7 +56,7 @@ def holds_all(channel: Any, last: int) -> None:
     assert [item.seq for item in channel.get(st.OLDEST, st.NEWEST)] == [*range(1, last + 1)]
 
 
-@pytest.mark.parametrize("replicas", [1, 2])
+@pytest.mark.parametrize(("feeds", "replicas"), [("grpc", 1), ("socket", 2)], indirect=["feeds"])
 def test_no_acknowledged_or_read_item_is_lost_or_repeated_when_the_owner_is_killed(
     cluster: LocalCluster, replicas: int
 ) -> None:
@@ -137,6 +139,7 @@ def test_a_recording_continues_after_a_loss_and_names_it(cluster: LocalCluster, 
     assert not verify(path).summary.complete
 
 
+@pytest.mark.parametrize("feeds", ["tcp"], indirect=True)
 def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
@@ -154,7 +157,7 @@ def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: Lo
         eventually(lambda: len(in_sync(channel)) == 1, "there is a replica again")
 
 
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize(("feeds", "how"), [("tcp", "killed"), ("socket", "frozen")], indirect=["feeds"])
 def test_puts_continue_with_another_replica_when_one_is_lost(cluster: LocalCluster, how: str) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)

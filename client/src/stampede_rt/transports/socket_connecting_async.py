@@ -79,7 +79,7 @@ async def _reached(route: SocketRoute, port: int) -> SocketConnection:
     _reaching.add(reaching)
     reaching.add_done_callback(_reaching.discard)
     route.tcp.reaching = reaching
-    wait_s = CONNECT_S_MAX if route.is_forced else 0.0 if route.tcp.is_slow else HEAD_START_S
+    wait_s = CONNECT_S_MAX if route.is_forced else 0.0 if route.tcp.is_slow else route.tcp.head_start_s or HEAD_START_S
     try:
         async with asyncio.timeout(wait_s):
             return await asyncio.shield(reaching)

@@ -51,6 +51,8 @@ class TcpRoute:
         """The IP address at which the client has reached the port; None: it has not."""
         self.is_slow = False
         """Whether an attempt took too long or failed. Then streams do not wait for the next one."""
+        self.head_start_s: float | None = None
+        """How long a stream on asyncio waits for a first connection; None: HEAD_START_S."""
         self.reaching: Any = None
         """The last attempt in the background, in the client on asyncio."""
 

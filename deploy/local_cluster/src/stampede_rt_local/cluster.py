@@ -34,7 +34,8 @@ class LocalCluster:
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each
     host has a folder for recorded channels, or the URL of an object store; then the folders are in `archive_folder`.
-    `data_ports`: whether hosts serve TCP sockets. `multicast`: their group. `on_line`, `on_exit`: see ServiceProcess.
+    `data_ports`: whether hosts serve TCP sockets. `feed_transport`: that of the feeds between hosts. `multicast`: their
+    group. `on_line`, `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class LocalCluster:
         archive: Path | str | None = None,
         archive_folder: Path | None = None,
         data_ports: bool = False,
+        feed_transport: str = "best",
         multicast: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
@@ -68,13 +70,12 @@ class LocalCluster:
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen, self._archive, self._data_ports = parse_address(listen), archive, data_ports
-        self._archive_folder = archive_folder or default_folder()
+        self._archive_folder, self._feed_transport = archive_folder or default_folder(), feed_transport
         self._durable, self._host_namespaces = durable, tuple(host_namespaces)
         self._on_line, self._on_exit, self._multicast = on_line, on_exit, multicast
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
         self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
-        if secret_file is not None or not tls:
-            self._shared += ["--secret-file", str(self.secret.path)]
+        self._shared += ["--secret-file", str(self.secret.path)] if secret_file is not None or not tls else []
         self._shared += ["--allow-insecure-anywhere"] if allow_insecure_anywhere else []
         self._metrics_place = parse_address(metrics) if metrics else None
         self.metrics: dict[str, str] = {}
@@ -207,6 +208,7 @@ class LocalCluster:
         namespace = self._host_namespaces[number - 1] if number <= len(self._host_namespaces) else None
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
+        arguments += ["--feed-transport", self._feed_transport]
         arguments += ["--drain-seconds", "0"]  # all hosts end together, so none can take over channels
         if self._data_ports:
             arguments += ["--data-port", "0"]

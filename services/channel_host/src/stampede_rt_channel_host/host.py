@@ -63,7 +63,7 @@ from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.dial import naming_cluster
+from stampede_rt_runtime.dial import Dial, naming_cluster
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.accounts import Accounts
 from stampede_rt_runtime.quotas.limits import Quota
@@ -97,13 +97,14 @@ def _archive(
 class ChannelHost:
     """Order of use, on one event loop: make it, `add_to` a server, `enter` once that server listens, `leave`.
 
-    `dial` opens connections for that loop. `dial_for_lease` opens the connections of the lease, which has a thread of
-    its own. `access` judges the callers of the server; the host gives it the directory's rules. `tickets` are those of
-    the server's sockets. `refused_calls` counts the calls that the server refuses. `on_serving` gets True when the host
-    starts to serve, and False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the
-    host. `explain`: see `Supernodes`. `home` is the cluster of the host. `copy_bytes_per_second`: the most that each
-    copy at this host takes from its source; 0: without a limit. `archive`: the folder for recorded channels, open.
-    `objects`: the object store to which closed files of recorded channels move; None: they stay in the folder.
+    `dial` opens connections for that loop, and `dial_streams` those of feeds; None: `dial`. `dial_for_lease` opens the
+    connections of the lease, which has a thread of its own. `access` judges the callers of the server; the host gives
+    it the directory's rules. `tickets` are those of the server's sockets. `refused_calls` counts the calls that the
+    server refuses. `on_serving` gets True when the host starts to serve, and False when it stops. If a task of the host
+    fails, `on_defect` gets the error, and must end the host. `explain`: see `Supernodes`. `home` is the cluster of the
+    host. `copy_bytes_per_second`: the most that each copy at this host takes from its source; 0: without a limit.
+    `archive`: the folder for recorded channels, open. `objects`: the object store to which closed files of recorded
+    channels move; None: they stay in the folder.
     """
 
     _entering: asyncio.Future[None] | None = None
@@ -113,12 +114,13 @@ class ChannelHost:
         identity: HostIdentity,
         *,
         frontends: Sequence[str],
-        dial: Callable[[str], grpc.aio.Channel],
-        dial_for_lease: Callable[[str], grpc.aio.Channel],
+        dial: Dial,
+        dial_for_lease: Dial,
         clock: HostClock,
         memory_bytes_max: int,
         on_serving: Callable[[bool], None],
         on_defect: Callable[[BaseException], None],
+        dial_streams: Dial | None = None,
         explain: Explain | None = None,
         home: HomeCluster | None = None,
         access: AccessControl | None = None,
@@ -130,12 +132,11 @@ class ChannelHost:
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
-        self._dial = dial = naming_cluster(dial, lambda: self._home.cluster_id or of_lease.cluster_id)
-        dial_for_lease = naming_cluster(dial_for_lease, lambda: self._home.cluster_id or of_lease.cluster_id)
-        self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
-        of_lease = Supernodes(frontends, dial_for_lease, peer_name=identity.name, zone=identity.zone, explain=explain)
-        self._known_by_lease = of_lease.known
-        self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
+        self._dial, self._dial_streams = self._naming(dial), self._naming(dial_streams or dial)
+        known: dict[str, Any] = {"peer_name": identity.name, "zone": identity.zone, "explain": explain}
+        self._supernodes = Supernodes(frontends, self._dial, **known)
+        self._of_lease = Supernodes(frontends, self._naming(dial_for_lease), **known)
+        self._lease = LeaseThread(lambda serving: self._make_registration(self._of_lease, clock, serving))
         access = _of_a_host(access or AccessControl(), memory_bytes_max)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         queries = DirectoryQueries(self._supernodes)
@@ -144,15 +145,18 @@ class ChannelHost:
         self._set_up_archive(archive, access.accounts, objects)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
-            identity, self.store, GroupDirectory(self._supernodes), dial, lambda: of_lease.cluster_id
+            identity, self.store, GroupDirectory(self._supernodes), self._dial, lambda: self._of_lease.cluster_id
         )
         self._access = AccessWatch(self._supernodes, access)
         self.changes, self._streams = ChannelChanges(self.store, queries), OpenStreams()
         self._gatekeeper = GatekeeperServicer(self.store, self.changes, identity, access, tickets)
-        self.copies = CopyKeeper(identity, self.store, ReplicaDirectory(self._supernodes), dial, copy_bytes_per_second)
         self._make_moves(copy_bytes_per_second)
         self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
+
+    def _naming(self, dial: Dial) -> Dial:
+        """A `Dial` whose calls name the cluster of this host."""
+        return naming_cluster(dial, lambda: self._home.cluster_id or self._of_lease.cluster_id)
 
     def _set_up_archive(
         self, folder: ArchiveFolder | None, accounts: Accounts, objects: ObjectSettings | None = None
@@ -186,18 +190,31 @@ class ChannelHost:
 
     def _make_moves(self, bytes_per_second: int) -> None:
         """Make the parts for replicas and moves of channels, which use the parts for copies and groups."""
-        self.replicas = ReplicaKeeper(self.identity, self.store, ReplicaDirectory(self._supernodes), self._dial)
-        self._queue_replicas = ReplicaDirectory(self._supernodes, of_queues=True)
-        self.replicas_of_queues = QueueReplicaKeeper(self.identity, self.queues, self._queue_replicas, self._dial)
+        directory = ReplicaDirectory(self._supernodes)
+        self.copies = CopyKeeper(self.identity, self.store, directory, self._dial_streams, bytes_per_second)
+        self.replicas = ReplicaKeeper(self.identity, self.store, directory, self._dial)
+        of_queues = ReplicaDirectory(self._supernodes, of_queues=True)
+        self.replicas_of_queues = QueueReplicaKeeper(self.identity, self.queues, of_queues, self._dial_streams)
         self._move_directory = MoveDirectory(self._supernodes, self.identity)
         self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory, self.copies)
         self.moves_here = IncomingMoves(
-            self.identity, self.store, self._move_directory, self.copies, self._dial, bytes_per_second
+            self.identity, self.store, self._move_directory, self.copies, self._dial_streams, bytes_per_second
         )
         self._queues_here = QueueArrivals(self.identity, self.queues, self._move_directory, self._dial)
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
         self.draining = Draining(
             self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial, self.moves_away.allowed.allow
+        )
+        self._callers = FeedCallers(DirectoryQueries(self._supernodes))
+        self._migration = MigrationServicer(
+            self.moves_here,
+            self._queues_here,
+            QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, self._callers),
+            self._move_directory,
+            self.draining,
+            QueueFeeds(self.identity, self.queues, of_queues, self._callers),
+            self.identity,
+            self.moves_away.allowed.allow,
         )
 
     def _make_queues(
@@ -229,21 +246,9 @@ class ChannelHost:
         ).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
-        callers = FeedCallers(DirectoryQueries(self._supernodes))
-        ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away, callers).add_to(server)
-        migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(
-            MigrationServicer(
-                self.moves_here,
-                self._queues_here,
-                QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, callers),
-                self._move_directory,
-                self.draining,
-                QueueFeeds(self.identity, self.queues, self._queue_replicas, callers),
-                self.identity,
-                self.moves_away.allowed.allow,
-            ),
-            server,
-        )
+        ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away, self._callers).add_to(server)
+        # one servicer for gRPC and for sockets: a queue's newest feed ends an earlier one over the other transport
+        migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(self._migration, server)
 
     async def enter(
         self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "", tcp_target: str = ""
@@ -261,7 +266,7 @@ class ChannelHost:
         self.store.rings.fence_boottime = self._lease.fence_boottime
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
-        self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them
+        self._supernodes.learn(self._of_lease.known())  # the front-ends may be gone before the next request needs them
         self._start(self._lease.keep(), "lease")
         self.store.recordings.start()
         self._start(self.store.sweep.run_forever(), "sweep")

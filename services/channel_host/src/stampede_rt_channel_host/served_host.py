@@ -12,6 +12,7 @@ import socket
 from collections.abc import Callable, Sequence
 
 from stampede_rt.cluster.addresses import is_loopback
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.transports.machine import this_machine
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
@@ -136,6 +137,7 @@ class ServedHost:
             identity,
             frontends=settings.frontend,
             dial=self._credentials,
+            dial_streams=self._credentials.dial_streams(Transport(settings.feed_transport)),
             dial_for_lease=self._credentials.dial_from_any_loop,
             explain=self._credentials.explain,
             clock=SystemClock(),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.cluster.addresses import ADDRESSES_MAX
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.values.policy import NAME_GRAMMAR
 from stampede_rt_runtime.archive_places import check_archive, folder_of, parse_archive
 from stampede_rt_runtime.service_settings import ServiceSettings
@@ -17,6 +18,7 @@ from stampede_rt_runtime.values import parse_address, parse_address_text, parse_
 
 MEMORY_BYTES_MIN = 2**20
 PROCESSES_MAX = 256
+FEED_TRANSPORTS = (Transport.BEST.value, Transport.GRPC.value, Transport.SOCKET.value, Transport.TCP.value)
 PROCESS_MARK = "{process}"  # in the path of a certificate: the number of the process
 
 
@@ -27,6 +29,13 @@ def parse_processes(text: str) -> int:
     if not (text.strip().isascii() and text.strip().isdigit()):
         raise ValueError(f'a number from 1 to {PROCESSES_MAX}, or "auto"')
     return int(text)
+
+
+def parse_feed_transport(text: str) -> str:
+    """A transport of feeds. Raises ValueError."""
+    if text not in FEED_TRANSPORTS:
+        raise ValueError(f"one of {', '.join(FEED_TRANSPORTS)}")
+    return text
 
 
 def parse_group(text: str) -> str:
@@ -193,6 +202,15 @@ class HostSettings(ServiceSettings):
             minimum=0,
             help="the most bytes a second that each copy of a channel at this host takes from its source; default: no "
             "limit",
+        ),
+    )
+    feed_transport: str = field(
+        default=Transport.BEST.value,
+        metadata=setting(
+            metavar="TRANSPORT",
+            parse=parse_feed_transport,
+            help="how the feeds of copies reach other hosts: best (over a socket if the other host offers one, else "
+            "gRPC), grpc, socket, or tcp (at the other host's --data-port)",
         ),
     )
     multicast: str = field(

@@ -9,30 +9,39 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import grpc
 
 from stampede_rt.cluster.cluster_ids import cluster_metadata
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial, TlsReader
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_credentials import channel_credentials
+from stampede_rt_runtime.annotated_channel import AnnotatedChannel
 from stampede_rt_runtime.any_loop_channel import AnyLoopChannel
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits, Option
 from stampede_rt_runtime.renewing import RenewingChannel
+from stampede_rt_runtime.sockets.dialing import SocketChannel
 from stampede_rt_runtime.tls import ServiceTls
 
 Dial = Callable[[str], grpc.aio.Channel]
-Metadata = tuple[tuple[str, str], ...]
 
 
 def dial(
-    target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
+    target: str,
+    *,
+    secret: Secret | None,
+    limits: Limits | None = None,
+    tls: TlsReader | None = None,
+    transport: Transport = Transport.GRPC,
 ) -> grpc.aio.Channel:
     """A channel to `target` that sends `secret` with every call. Connects at the first call. The caller closes it.
+
+    `transport`: that of streams in both directions. All other calls go over gRPC.
 
     With `tls` both sides prove themselves by certificates. After a renewal of the certificates, new calls use a new
     connection. The channel adds the secret itself, because gRPC's call credentials need TLS, and gRPC's interceptors
@@ -40,8 +49,10 @@ def dial(
     """
     options = (limits or Limits()).channel_options()
     channel = _open(target, options, tls)
+    if transport is not Transport.GRPC:
+        channel = SocketChannel(channel, target, transport, tls)
     metadata = call_metadata(secret.text if secret else None)
-    return _AnnotatedChannel(channel, lambda: metadata) if metadata else channel
+    return AnnotatedChannel(channel, lambda: metadata) if metadata else channel
 
 
 def dial_from_any_loop(
@@ -68,7 +79,7 @@ def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
     """
 
     def open_channel(target: str) -> grpc.aio.Channel:
-        return _AnnotatedChannel(dial(target), lambda: cluster_metadata(cluster_id()))
+        return AnnotatedChannel(dial(target), lambda: cluster_metadata(cluster_id()))
 
     return open_channel
 
@@ -98,6 +109,10 @@ class Dialer:
         """A channel to `target`. The caller closes it."""
         return dial(target, secret=self.secret, tls=self._reader())
 
+    def dial_streams(self, transport: Transport) -> Dial:
+        """Return a `Dial` whose channels have this transport for streams in both directions."""
+        return partial(dial, secret=self.secret, tls=self._reader(), transport=transport)
+
     def dial_from_any_loop(self, target: str) -> grpc.aio.Channel:
         """See `dial_from_any_loop`."""
         return dial_from_any_loop(target, secret=self.secret, tls=self._reader())
@@ -111,56 +126,3 @@ class Dialer:
 
     def _reader(self) -> TlsReader | None:
         return self.tls.reader if self.tls else None
-
-
-class _AnnotatedChannel(grpc.aio.Channel):
-    """A channel that adds metadata to every call of another channel."""
-
-    def __init__(self, inner: grpc.aio.Channel, metadata: Callable[[], Metadata]) -> None:
-        self._inner = inner
-        self._metadata = metadata
-
-    async def __aenter__(self) -> _AnnotatedChannel:
-        await self._inner.__aenter__()
-        return self
-
-    async def __aexit__(self, *exc_info: Any) -> None:
-        await self._inner.__aexit__(*exc_info)
-
-    async def close(self, grace: float | None = None) -> None:
-        """Close the connection. Calls under way have `grace` seconds."""
-        await self._inner.close(grace)
-
-    def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
-        """The state of the connection."""
-        return self._inner.get_state(try_to_connect)
-
-    async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
-        """Wait until the connection has another state."""
-        await self._inner.wait_for_state_change(last_observed_state)
-
-    async def channel_ready(self) -> None:
-        """Wait until the connection is made."""
-        await self._inner.channel_ready()
-
-    def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
-        """A callable for one request and one response."""
-        return self._annotated(self._inner.unary_unary(*args, **kwargs))
-
-    def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
-        """A callable for one request and a stream of responses."""
-        return self._annotated(self._inner.unary_stream(*args, **kwargs))
-
-    def stream_unary(self, *args: Any, **kwargs: Any) -> Any:
-        """A callable for a stream of requests and one response."""
-        return self._annotated(self._inner.stream_unary(*args, **kwargs))
-
-    def stream_stream(self, *args: Any, **kwargs: Any) -> Any:
-        """A callable for streams both ways."""
-        return self._annotated(self._inner.stream_stream(*args, **kwargs))
-
-    def _annotated(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        def with_more(*args: Any, metadata: Any = None, **kwargs: Any) -> Any:
-            return call(*args, metadata=(*(metadata or ()), *self._metadata()) or None, **kwargs)
-
-        return with_more

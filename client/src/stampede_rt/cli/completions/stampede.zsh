@@ -857,6 +857,7 @@ _shtab_stampede_host_options=(
   "--memory-bytes-max[the most memory that all channels and queues may use together\; beyond it the host refuses puts\; several processes have equal parts of it \[default\: 4 GiB\]]:SIZE:"
   "--metrics-names[with --metrics\: the channels, queues and groups that may have metrics of their own, at most 100 of each, the busiest first\; \"\" for none \[default\: \*\]]:GLOB:"
   "--copy-bytes-per-second[the most bytes a second that each copy of a channel at this host takes from its source\; default\: no limit \[default\: 0 B\]]:SIZE:"
+  "--feed-transport[how the feeds of copies reach other hosts\: best (over a socket if the other host offers one, else gRPC), grpc, socket, or tcp (at the other host\'s --data-port) \[default\: best\]]:TRANSPORT:"
   "--multicast[an IPv4 multicast group and a port, such as 239.255.7.5\:7585, to which the host sends each item once for all readers of its network that subscribe with via\=multicast\; all hosts may share one\; default\: none, it sends to each reader alone \[default\: none\]]:GROUP:PORT:"
   "--multicast-interface[with --multicast\: the IPv4 address of this machine at whose interface the datagrams leave\; default\: that of --listen\; if the host listens at all addresses, the system chooses \[default\: none\]]:ADDRESS:"
   "--multicast-bytes-per-second[with --multicast\: the most bytes a second of datagrams\; less than the slowest reader and its network take \[default\: 48 MiB\]]:SIZE:"
