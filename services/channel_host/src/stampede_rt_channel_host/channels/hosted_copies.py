@@ -65,12 +65,12 @@ class HostedCopies:
 
         Drops the copy; its readers get MOVED, and come back to the owner. The owner holds puts until the move is over.
         """
-        heir = copy.copy.may_inherit if copy.copy is not None else None
-        if copy.copy is None or heir is None or not inherits(copy, record):
+        inheritance = copy.copy.may_inherit if copy.copy is not None else None
+        if copy.copy is None or inheritance is None or not inherits(copy, record):
             self._forget(record.channel_id, gone(record.name))
             return None
         assert isinstance(copy.channel, FedChannel), "it is a copy"
-        core = owned_core(copy.channel, heir.host_time, is_replicated=True)
+        core = owned_core(copy.channel, inheritance.host_time, is_replicated=True)
         copy.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
         owner = self._add(record, core)

@@ -32,7 +32,7 @@ def test_after_max_wait_the_event_is_sent_and_names_the_missing_members() -> Non
     assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
 
 
-def test_with_a_lateness_each_member_must_be_that_far_past_the_cut_or_promise_it_by_an_advance() -> None:
+def test_an_event_waits_until_each_member_is_the_lateness_past_the_cut_or_has_advanced_to_it() -> None:
     decider = EventDecider(0, WAIT, 20)
     decider.note(50, now=7)
     assert decider.wake_at() == 127
@@ -46,13 +46,13 @@ def test_with_a_lateness_each_member_must_be_that_far_past_the_cut_or_promise_it
     assert decider.due([member(b"a", 80), member(b"b", 1)], 128) == Boundary(60, (b"b",))
 
 
-def test_an_idle_member_is_not_waited_for() -> None:
+def test_an_event_does_not_wait_for_an_idle_member() -> None:
     decider = EventDecider(0, WAIT)
     decider.note(50, now=0)
     assert decider.due([member(b"a", 50), member(b"b", 1, idle=True)], 0) == Boundary(50, (b"b",))
 
 
-def test_each_step_of_the_reference_is_an_event_though_a_member_lags() -> None:
+def test_each_item_of_the_reference_makes_an_event_even_if_another_member_lags() -> None:
     decider = EventDecider(0, WAIT)
     for at in (10, 20, 30):
         decider.note(at, now=at)
@@ -60,7 +60,7 @@ def test_each_step_of_the_reference_is_an_event_though_a_member_lags() -> None:
     assert decider.due([member(b"text", 30), member(b"video", 25)], 31) == Boundary(20)
 
 
-def test_a_slow_reader_gets_merged_events_and_nothing_grows() -> None:
+def test_the_decider_merges_the_cuts_that_a_slow_reader_has_not_taken() -> None:
     decider = EventDecider(0, WAIT)
     for at in range(1, PENDING_MAX * 3):
         decider.note(at, now=0)
@@ -110,7 +110,7 @@ def test_late_items_are_a_separate_part_of_the_next_event() -> None:
     assert step.is_last
 
 
-def test_items_accepted_while_an_event_is_under_way_are_late_in_the_next_event() -> None:
+def test_items_accepted_before_the_cut_of_an_unfinished_event_are_late_in_the_next_event() -> None:
     made = channel(10, 20, 30)
     follower = CutFollower(made, 0, NOW)
     follower.begin(25)
@@ -127,7 +127,7 @@ def test_items_accepted_while_an_event_is_under_way_are_late_in_the_next_event()
     assert times([one.slice for one in step.late]) == [5, 22]
 
 
-def test_items_that_were_collected_before_they_were_shown_are_counted() -> None:
+def test_the_event_counts_the_items_that_retention_collected_before_the_reader_got_them() -> None:
     made = channel(10, 20, policy=Policy(max_items=3))
     follower = CutFollower(made, 5, NOW)
     for time in (30, 40, 50):
@@ -152,7 +152,7 @@ def test_a_follower_continues_in_another_process_with_its_cut_and_seqs() -> None
     assert step.loss is None
 
 
-def test_a_position_from_before_the_host_was_lost_is_reported_as_lost() -> None:
+def test_a_follower_with_the_position_of_an_earlier_incarnation_reports_a_loss() -> None:
     made = channel(10, 20)
     follower = CutFollower(made, 15, NOW, next_seq=9, incarnation=INCARNATION + 1)
     follower.begin(25)
@@ -162,7 +162,7 @@ def test_a_position_from_before_the_host_was_lost_is_reported_as_lost() -> None:
     assert (step.loss.reason, step.loss.is_exact) == ("LOST", False)
 
 
-def test_items_that_all_consumers_consumed_before_they_were_shown_are_counted_up_to_their_time() -> None:
+def test_the_event_counts_the_items_that_all_consumers_consumed_before_the_reader_got_them() -> None:
     made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
     follower = CutFollower(made, 5, NOW)
     made.consume(1, [1, 2], NOW)
@@ -172,7 +172,7 @@ def test_items_that_all_consumers_consumed_before_they_were_shown_are_counted_up
     assert (step.loss.items, step.loss.before) == (2, 21)
 
 
-def test_a_resumed_subscription_reports_items_that_were_consumed_meanwhile() -> None:
+def test_a_resumed_follower_reports_the_items_that_consumers_consumed_during_the_break() -> None:
     made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
     made.consume(1, [1, 2], NOW)
     follower = CutFollower(made, 15, NOW, next_seq=2, incarnation=INCARNATION)
@@ -182,7 +182,7 @@ def test_a_resumed_subscription_reports_items_that_were_consumed_meanwhile() -> 
     assert (loss.before, loss.is_exact) == (21, False)
 
 
-def test_the_reported_loss_covers_items_lost_between_resuming_and_its_first_take() -> None:
+def test_a_resumed_follower_also_reports_the_items_collected_before_its_first_take() -> None:
     made = channel(10, 20, 30, policy=Policy(max_items=2))
     follower = CutFollower(made, 5, NOW, next_seq=1, incarnation=INCARNATION)
     for time in (40, 50):
@@ -193,7 +193,7 @@ def test_the_reported_loss_covers_items_lost_between_resuming_and_its_first_take
     assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)
 
 
-def test_with_bound_end_an_event_trusts_no_duration_and_waits_for_an_item_or_max_wait() -> None:
+def test_in_a_group_with_bound_end_an_event_waits_for_an_item_and_ignores_durations() -> None:
     """Durations may be wrong: if deciders trusted them, an item before the stated end would count as late."""
     until_133 = CutMember(b"a", KnownTimes(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
     decider = EventDecider(100, WAIT)
@@ -204,7 +204,7 @@ def test_with_bound_end_an_event_trusts_no_duration_and_waits_for_an_item_or_max
     assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)
 
 
-def test_each_of_many_waiting_cuts_has_its_event_after_its_max_wait() -> None:
+def test_each_of_many_waiting_cuts_gets_its_event_once_its_own_max_wait_has_passed() -> None:
     """In an earlier version each further cut restarted the wait of merged cuts. Items came after up to twice `wait`."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
@@ -229,7 +229,7 @@ def test_only_a_visible_item_ends_the_span_of_an_earlier_item() -> None:
     assert ([one.next_time for one in step.late], [one.next_time for one in step.slices]) == ([20], [None])
 
 
-def test_consumed_items_are_counted_though_a_late_item_then_came_in_below_them() -> None:
+def test_the_event_counts_consumed_items_even_if_a_late_item_comes_before_them() -> None:
     made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
     follower = CutFollower(made, 5, NOW)
     made.consume(1, [1, 2], NOW)

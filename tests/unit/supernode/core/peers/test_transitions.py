@@ -66,7 +66,7 @@ def queues(log: Log) -> list[QueueRecord]:
     return list(log.directory.tables.queues.by_id.values())
 
 
-def test_a_named_peer_gets_a_mailbox_and_a_nameless_one_none(log: Log) -> None:
+def test_a_peer_with_a_name_gets_a_mailbox_and_a_peer_without_a_name_gets_none(log: Log) -> None:
     entered = enter(log, 7, "planner")
     assert entered.mailbox is not None
     assert entered.mailbox.spec == QueueSpec(max_items=1024)
@@ -77,7 +77,7 @@ def test_a_named_peer_gets_a_mailbox_and_a_nameless_one_none(log: Log) -> None:
     assert queues(log) == [entered.mailbox]
 
 
-def test_a_mailbox_is_made_as_and_where_it_is_asked_for(log: Log) -> None:
+def test_a_peer_chooses_the_settings_and_the_host_of_its_mailbox(log: Log) -> None:
     made = mailbox(log, 7, "planner", mailbox=QueueSpec(max_bytes=9), mailbox_host_name="two")
     assert (made.spec, made.host_id) == (QueueSpec(max_bytes=9), id_of(2))
     assert refusal(log, register_peer(8, "x", mailbox_host_name="none")).reason == "HOST_NOT_FOUND"
@@ -99,18 +99,18 @@ def test_a_mailbox_is_made_as_and_where_it_is_asked_for(log: Log) -> None:
         {"attributes": (("", "x"),)},
     ],
 )
-def test_impossible_facts_of_a_peer_are_refused(log: Log, how: dict[str, Any]) -> None:
+def test_the_directory_refuses_a_peer_with_invalid_fields(log: Log, how: dict[str, Any]) -> None:
     assert refusal(log, register_peer(7, "planner", **how)).reason == "INVALID_ARGUMENT"
 
 
-def test_a_name_follows_the_grammar_and_a_host_must_be_there(log: Log) -> None:
+def test_the_directory_refuses_a_peer_with_an_invalid_name_or_an_unknown_host(log: Log) -> None:
     assert refusal(log, register_peer(7, "the planner")).reason == "INVALID_NAME"
     assert refusal(log, register_peer(7, "planner", host_id=id_of(99))).reason == "HOST_NOT_FOUND"
     assert enter(log, 7, "planner", host_id=id_of(1)).peer.host_id == id_of(1)
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 0), (1, 0), (0, 1), (1, 2)])
-def test_a_live_name_is_refused_to_another_peer_without_the_proof(log: Log, first: int, second: int) -> None:
+def test_a_peer_without_the_proof_cannot_take_the_name_of_a_live_peer(log: Log, first: int, second: int) -> None:
     held = mailbox(log, 7, "planner", proof=first)
     refused = refusal(log, register_peer(8, "planner", proof=second))
     assert (refused.reason, refused.metadata["peer"]) == ("PEER_EXISTS", "planner")
@@ -127,7 +127,7 @@ def test_a_peer_with_the_proof_takes_over_the_name_and_the_mailbox(log: Log) -> 
     assert queues(log) == [entered.mailbox]
 
 
-def test_the_same_id_under_another_boot_needs_the_proof_as_well(log: Log) -> None:
+def test_a_restarted_process_needs_the_proof_to_register_the_same_peer_id(log: Log) -> None:
     enter(log, 7, "planner")
     assert refusal(log, register_peer(7, "planner", boot=2)).reason == "PEER_EXISTS"
     assert refusal(log, register_peer(7, boot=2)).reason == "PEER_EXISTS", "nor may it give the name up"
@@ -138,7 +138,7 @@ def test_the_same_id_under_another_boot_needs_the_proof_as_well(log: Log) -> Non
     enter(log, 9, boot=2)  # has nothing to lose
 
 
-def test_a_peer_that_restarts_with_its_proof_keeps_its_mailbox_and_may_change_its_set_up(log: Log) -> None:
+def test_a_peer_that_restarts_with_its_proof_keeps_its_mailbox_and_may_change_its_settings(log: Log) -> None:
     held = mailbox(log, 7, "planner", proof=1)
     entered = enter(log, 7, "planner", boot=2, proof=1, mailbox=QueueSpec(max_items=5))
     assert entered.mailbox is not None
@@ -155,7 +155,7 @@ def test_a_peer_that_changes_its_name_gets_another_mailbox(log: Log) -> None:
     enter(log, 8, "planner")
 
 
-def test_a_peer_may_take_a_name_over_and_give_its_own_up_in_one_step(log: Log) -> None:
+def test_a_peer_that_takes_over_another_name_frees_its_former_name(log: Log) -> None:
     enter(log, 7, "planner", proof=1)
     taken = mailbox(log, 8, "driver", proof=1)
     entered = enter(log, 7, "driver", proof=1)
@@ -192,7 +192,7 @@ def test_a_stale_expiry_of_a_lease_changes_nothing(log: Log) -> None:
     assert peer(log, 7).alive
 
 
-def test_many_leases_end_in_one_entry(log: Log) -> None:
+def test_one_command_ends_many_leases(log: Log) -> None:
     indexes = {number: enter(log, number, f"p{number}").peer.registered_index for number in (7, 8, 9)}
     ended = log.apply(expire_peers((9, indexes[9]), (7, indexes[7]), (9, indexes[9]), (8, indexes[8] + 1)))
     assert ended == PeersExpired(expired=2)
@@ -200,7 +200,7 @@ def test_many_leases_end_in_one_entry(log: Log) -> None:
     assert len(queues(log)) == 1
 
 
-def test_only_the_last_of_the_dead_are_remembered(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_directory_keeps_only_the_peers_that_died_last(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "DEAD_PEERS_MAX", 2)
     for number in (9, 8, 7):
         enter(log, number, "planner")
@@ -210,7 +210,7 @@ def test_only_the_last_of_the_dead_are_remembered(log: Log, monkeypatch: pytest.
     assert list(restored.tables.peers._dead) == [id_of(8), id_of(7)], "in the order in which their leases ended"
 
 
-def test_a_mailbox_can_be_changed_but_not_deleted_by_itself(log: Log) -> None:
+def test_a_caller_can_change_a_mailbox_but_cannot_delete_it(log: Log) -> None:
     held = mailbox(log, 7, "planner")
     log.apply(update_queue(held.queue_id, copies=2))
     assert queues(log)[0].spec.copies == 2
@@ -220,7 +220,7 @@ def test_a_mailbox_can_be_changed_but_not_deleted_by_itself(log: Log) -> None:
     assert queues(log) == []
 
 
-def test_the_mailboxes_of_a_lost_host_go_to_another_one_at_once(log: Log) -> None:
+def test_the_mailboxes_of_a_lost_host_move_to_another_host_at_once(log: Log) -> None:
     held = mailbox(log, 7, "planner", mailbox_host_name="one", incarnation=5)
     log.apply(open_queue("jobs", host="one"))
     log.apply(deregister(1))
@@ -248,7 +248,7 @@ def test_a_peer_whose_mailbox_has_no_host_gets_the_error_that_no_host_has_room(l
     assert refusal(log, register_peer(7, "planner")).reason == "NO_HOST"
 
 
-def test_a_mailbox_at_a_host_that_starts_anew_is_found_empty_there(log: Log) -> None:
+def test_a_mailbox_gets_another_incarnation_when_its_host_restarts(log: Log) -> None:
     held = mailbox(log, 7, "planner", mailbox_host_name="one")
     log.apply(register(1, name="one", boot=2))
     entered = enter(log, 7, "planner")
@@ -257,7 +257,7 @@ def test_a_mailbox_at_a_host_that_starts_anew_is_found_empty_there(log: Log) -> 
     assert entered.mailbox.incarnation != held.incarnation
 
 
-def test_the_limit_of_peers_refuses_new_peers_and_no_registered_ones(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_of_peers_refuses_new_peers_but_no_registered_peer(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transitions, "PEERS_MAX", 1)
     enter(log, 7)
     assert refusal(log, register_peer(8)).reason == "OVERLOADED"
@@ -266,7 +266,7 @@ def test_the_limit_of_peers_refuses_new_peers_and_no_registered_ones(log: Log, m
     enter(log, 8)
 
 
-def test_changes_of_peers_take_no_room_among_the_changes_of_channels(log: Log) -> None:
+def test_the_directory_keeps_the_changes_of_peers_apart_from_those_of_channels(log: Log) -> None:
     before = log.directory.tables.changes.end_position
     for number in range(100, 110):
         enter(log, number)

@@ -82,12 +82,12 @@ class WantedChannels:
             channel_id = next(reversed(self._asked[largest]))
             makers = self._makers[channel_id]
             self._ask_no_more(channel_id)
-            heir = next((one for one in makers if len(self._asked.get(one, ())) + 1 < self._most), None)
-            if heir is None:
+            next_maker = next((one for one in makers if len(self._asked.get(one, ())) + 1 < self._most), None)
+            if next_maker is None:
                 for one in makers:
                     self._left_out.setdefault(one, {})[channel_id] = None
                 return True
-            self._ask(channel_id, heir)  # from now on the channel counts for another maker
+            self._ask(channel_id, next_maker)  # from now on the channel counts for another maker
         return False
 
     def _fill(self, maker: str) -> None:
