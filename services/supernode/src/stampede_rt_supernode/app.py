@@ -44,6 +44,7 @@ from stampede_rt_supernode.replication import (
     LogUnavailable,
     ReleaseTooOld,
     ReplicatedLog,
+    ReplicationStatus,
     StoreDamaged,
     StoreRefused,
     open_replicated_log,
@@ -224,9 +225,7 @@ def _work(
         parts.levels.run(),
         parts.probe.run(),
         _follow_access(server),
-        _follow_readiness(server, parts.members),
-        _watch_state(server, parts),
-        _watch_removal(server, parts.log, keeps=settings.data_dir is not None),
+        _follow_own_state(server, parts, keeps=settings.data_dir is not None),
         _watch_founding(server, parts, founding),
     ]
     if settings.data_dir is not None:
@@ -244,54 +243,60 @@ async def _for_good(work: Coroutine[Any, Any, None]) -> None:
     await asyncio.Event().wait()
 
 
-async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bool) -> None:
-    """End the service if this supernode was removed, has another folder than before, or has too old a release.
+async def _follow_own_state(server: ServiceServer, parts: _Parts, *, keeps: bool) -> None:
+    """Look at the state of this supernode again and again, in one loop, so that an idle supernode wakes up rarely.
 
-    `keeps`: whether the supernode was started with a data folder.
+    Have the health service say SERVING as long as this supernode can serve, and NOT_SERVING otherwise. `keeps`: whether
+    the supernode was started with a data folder.
     """
+    serving = is_diverged = False
     while not server.stopping.is_set():
-        status = log.status()
-        if status.removed:
-            raise StampedeError(
-                f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
-                "and let it join under a new id"
-            )
-        anew = f"remove it (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
-        if status.has_lost_store:
-            here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
-            raise StampedeError(
-                f"supernode {status.self_id} was here before with {here}; that folder holds its votes and "
-                f"entries: start it with --data-dir and that folder, or, if the folder is lost, {anew}"
-            )
-        if status.too_old:
-            raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")
-        if status.has_old_store:
-            raise StampedeError(
-                f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
-                f"an older copy, for example of a restored disk or machine: use the latest data folder, or {anew}"
-            )
+        status = parts.log.status()
+        _end_if_refused(status, keeps=keeps)
+        if status.diverged_at and not is_diverged:
+            is_diverged = True
+            _end_watches(parts, status)
+        if parts.members.ready() != serving:
+            serving = not serving
+            await server.set_serving(serving)
         await asyncio.sleep(HEALTH_SECONDS)
 
 
-async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
-    """End all watches if this state differs from that of most members, and log the reason.
+def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
+    """End the service if this supernode was removed, has another folder than before, or has too old a release."""
+    if status.removed:
+        raise StampedeError(
+            f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
+            "and let it join under a new id"
+        )
+    anew = f"remove it (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
+    if status.has_lost_store:
+        here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
+        raise StampedeError(
+            f"supernode {status.self_id} was here before with {here}; that folder holds its votes and "
+            f"entries: start it with --data-dir and that folder, or, if the folder is lost, {anew}"
+        )
+    if status.too_old:
+        raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")
+    if status.has_old_store:
+        raise StampedeError(
+            f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
+            f"an older copy, for example of a restored disk or machine: use the latest data folder, or {anew}"
+        )
+
+
+def _end_watches(parts: _Parts, status: ReplicationStatus) -> None:
+    """End all watches, because this state differs from that of most members, and log the reason.
 
     The log goes on. This member still takes part in it, and counts for its majorities.
     """
-    is_logged = False
-    while not server.stopping.is_set():
-        await asyncio.sleep(HEALTH_SECONDS)
-        if is_logged or not parts.log.status().diverged_at:
-            continue
-        is_logged = True
-        parts.watches.close()
-        name = parts.members.self_id
-        logger.error(
-            "%s; it no longer serves callers: remove it (stampede supernode remove %s), empty its folder, and let it "
-            "join under a new id",
-            *(why_diverged(parts.log.status()), name),
-            extra={"event": "state_diverged"},
-        )
+    parts.watches.close()
+    logger.error(
+        "%s; it no longer serves callers: remove it (stampede supernode remove %s), empty its folder, and let it "
+        "join under a new id",
+        *(why_diverged(status), parts.members.self_id),
+        extra={"event": "state_diverged"},
+    )
 
 
 async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Founding) -> None:
@@ -313,16 +318,6 @@ async def _follow_access(server: ServiceServer) -> None:
     while not server.stopping.is_set():
         server.access.refresh()
         await asyncio.sleep(ACCESS_SECONDS)
-
-
-async def _follow_readiness(server: ServiceServer, members: Members) -> None:
-    """Have the health service say SERVING as long as this supernode can serve, and NOT_SERVING otherwise."""
-    serving = False
-    while not server.stopping.is_set():
-        if members.ready() != serving:
-            serving = not serving
-            await server.set_serving(serving)
-        await asyncio.sleep(HEALTH_SECONDS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
