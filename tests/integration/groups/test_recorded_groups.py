@@ -13,8 +13,6 @@ from PIL import Image
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.waiting import wait_until
-from tools import recording_picture
-from tools.time_pictures import draw
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 
@@ -150,9 +148,14 @@ def test_a_cross_section_of_the_past_is_read_from_the_archives(rt: st.Connection
 
 
 def test_the_picture_of_one_read_is_drawn_from_a_recorded_channel(rt: st.Connection, tmp_path: Path) -> None:
+    from tools import (  # not at the top: every worker of the suite would load matplotlib
+        recording_picture,
+        time_pictures,
+    )
+
     page = (DOCS / "recording.md").read_text()
     assert f"images/{recording_picture.NAME}" in page
-    draw(recording_picture.one_read(rt), tmp_path / "fresh.png")
+    time_pictures.draw(recording_picture.one_read(rt), tmp_path / "fresh.png")
     with Image.open(tmp_path / "fresh.png") as fresh, Image.open(DOCS / "images" / recording_picture.NAME) as committed:
         assert fresh.size == committed.size
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import functools
 import io
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +18,6 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.parsers.target import Target
 from tests.robustness.fuzz.parsers.texts import composed
 
-PARSER = full_parser()
 WORDS = (
     *("ls", "put", "get", "echo", "hz", "doctor", "group", "queue", "mailbox", "peers", "info", "rm", "create", "take"),
     *("--help", "-h", "--url", "localhost:1", "-o", "json", "--limit", "--start", "--end", "--max-age", "--attribute"),
@@ -27,7 +28,7 @@ def arguments(source: ByteSource) -> None:
     """Check that errors about arguments contain no byte that a terminal takes for a command."""
     words = [source.choice(WORDS) if source.chance(60) else composed(source) for _ in range(source.below(7))]
     with _printed() as printed, contextlib.suppress(SystemExit):
-        PARSER.parse_args(words)
+        _parser().parse_args(words)
     _check_lines(printed.getvalue())
 
 
@@ -60,6 +61,11 @@ def _item(source: ByteSource) -> Item:
         content_type=hostile_values.text(source),
         attributes={hostile_values.text(source): hostile_values.text(source)},
     )
+
+
+@functools.cache
+def _parser() -> argparse.ArgumentParser:
+    return full_parser()
 
 
 @contextlib.contextmanager

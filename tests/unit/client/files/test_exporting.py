@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from stampede_rt.errors import FileError
@@ -21,6 +20,12 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from tests.support.files.recordings import INCARNATION, MS, START, gap, item, write
 
 JSON, NPY = "application/json", "application/x-npy"
+
+
+def parquet_table(path: Path) -> Any:
+    import pyarrow.parquet as pq  # not at the top: it takes 0.1 s to load
+
+    return pq.read_table(path)
 
 
 def npy(value: Any) -> bytes:
@@ -66,7 +71,7 @@ def test_json_becomes_parquet_with_types_that_fit_all_items(tmp_path: Path) -> N
     ]
     path = write(tmp_path / "a.mcap", [item_entry(topic, one) for one in items])
     export(path, tmp_path / "a.parquet", "parquet")
-    table = pq.read_table(tmp_path / "a.parquet")
+    table = parquet_table(tmp_path / "a.parquet")
     assert {field.name: str(field.type).split(" (")[0] for field in table.schema} == {
         "time": "timestamp[ns, tz=UTC]", "duration": "int64", "seq": "uint64", "attributes": "map<string, string",
         "value.n": "int64", "value.f": "double", "value.b": "bool", "value.s": "string", "value.m": "string",
@@ -86,7 +91,7 @@ def test_arrays_become_rows_with_their_shape(tmp_path: Path, form: str) -> None:
     path = file_of(tmp_path / "a.mcap", [npy([[1, 2], [3, 4]]), npy([0.5])], NPY)
     export(path, tmp_path / f"a.{form}", form)
     if form == "parquet":
-        table = pq.read_table(tmp_path / "a.parquet").to_pylist()
+        table = parquet_table(tmp_path / "a.parquet").to_pylist()
         assert [(row["value"], row["shape"]) for row in table] == [([1, 2, 3, 4], [2, 2]), ([0.5], [1])]
     else:
         with (tmp_path / "a.csv").open(newline="") as file:
@@ -131,7 +136,7 @@ def test_halves_of_surrogates_and_great_numbers_do_not_end_an_export(tmp_path: P
     path = file_of(tmp_path / "a.mcap", [b'{"\\ud800":"\\udfff","n":%d,"l":[%d]}' % (2**70, 2**70)], JSON)
     for form in ("csv", "parquet"):
         export(path, tmp_path / f"a.{form}", form)
-    (row,) = pq.read_table(tmp_path / "a.parquet").to_pylist()
+    (row,) = parquet_table(tmp_path / "a.parquet").to_pylist()
     assert row["value.\\ud800"] == "\\udfff"
     assert row["value.n"] == str(2**70)
 
