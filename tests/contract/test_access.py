@@ -90,7 +90,10 @@ class Scene:
 
 @asynccontextmanager
 async def prepared(client: str, operator: Operator, proves: Callable[[str], dict[str, Any]]) -> AsyncIterator[Scene]:
-    """Yield a scene for the `client` "aio" or "sync"."""
+    """Yield a scene for the `client` "aio" or "sync". At the end remove its rules.
+
+    All parts of the cluster get all rules after each change. So rules of earlier tests would slow down the later ones.
+    """
     with ThreadPoolExecutor(16) as pool:
         rig = Rig(operator.cluster.address, pool if client == "sync" else None)
         scene = Scene(operator, rig, proves)
@@ -98,6 +101,7 @@ async def prepared(client: str, operator: Operator, proves: Callable[[str], dict
         yield scene
         for connection in rig.connections:
             await connection.aclose()
+        await asyncio.to_thread(operator.take_back)
 
 
 @pytest.fixture(params=["aio", "sync"])

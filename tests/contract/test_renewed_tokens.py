@@ -15,6 +15,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.queues.rig import Rig
 from tests.support.operator import Operator, operating
+from tests.support.waiting import pause
 
 S = 10**9
 
@@ -76,6 +77,7 @@ async def test_open_streams_continue_with_a_renewed_token_without_a_gap(rig: Rig
             message = await queue.get(timeout=10)
             assert message.payload == b"%d" % number
             await message.ack()
+            await pause()
 
 
 class Waits:
@@ -149,6 +151,7 @@ async def ticking(own: Any, rt: Any, name: str, until_unix_nano: float) -> None:
         while st.now() < until_unix_nano or not (items.reconnects or st.now() > until_unix_nano + 10 * S):
             await channel.put(b"tick")
             await anext(aiter(items))
+            await pause()
 
 
 @pytest.mark.parametrize("renewed", [True, False])

@@ -21,7 +21,12 @@ def wait_until(holds: Callable[[], object], what: str = "", within_seconds: floa
 
 async def until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
     """Return as soon as `holds()` is true. The event loop runs meanwhile. Fails the test if it is not true in time."""
-    deadline, never = time.monotonic() + within_seconds, asyncio.get_running_loop().create_future()
+    deadline = time.monotonic() + within_seconds
     while not holds():
         assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
-        await asyncio.wait({never}, timeout=PAUSE_SECONDS)
+        await pause()
+
+
+async def pause() -> None:
+    """Wait between two looks at something, so that a loop that waits for it leaves the processor to others."""
+    await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=PAUSE_SECONDS)
