@@ -7,11 +7,15 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
+
+from tests.support.sharing.shares import at_end_of_share, share_of
 
 # The suite plays the same scenarios each time: it fails by a change, not by a draw. `make explore` plays others.
 settings.register_profile("suite", derandomize=True, database=None, deadline=None)
@@ -66,6 +70,36 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next((at for at, first in enumerate(FIRST_OF_ALL) if path.startswith(first)), len(FIRST_OF_ALL))
 
     items.sort(key=place)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+    """With `--dist loadfile`, give the files of a share to one worker."""
+    return SharesScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+class SharesScheduling(LoadFileScheduling):
+    """Gives each worker one share of the files after another. Most shares are one file."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return share_of(nodeid)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, None, None]:
+    """End the things that the files of a share have used, after its last test."""
+    try:
+        yield
+    finally:
+        if nextitem is None or share_of(nextitem.nodeid) != share_of(item.nodeid):
+            at_end_of_share.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _end_of_last_share() -> Iterator[None]:
+    """End the things of a share even if the run stops before its last test."""
+    yield
+    at_end_of_share.close()
 
 
 # Clients and services read a secret from the user's folder of settings, and `stampede dev` writes one there. The suite

@@ -93,5 +93,10 @@ def running_cluster(
         try:
             yield made
         finally:
-            for process in made.processes():
-                print(f"--- {process.name}", *process.last_lines[-LINES_SHOWN:], sep="\n")
+            print_last_lines(made)
+
+
+def print_last_lines(cluster: LocalCluster) -> None:
+    """Print the last lines of all processes of a cluster. Pytest shows them if a test failed."""
+    for process in cluster.processes():
+        print(f"--- {process.name}", *process.last_lines[-LINES_SHOWN:], sep="\n")

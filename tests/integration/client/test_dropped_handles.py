@@ -14,10 +14,10 @@ from stampede_rt import aio
 from stampede_rt._async import put_streams as put_streams_async
 from stampede_rt._sync import put_streams as put_streams_sync
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import until, wait_until
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 HANDLES = 600
 LEFT_MAX = 40
 LIMIT_S = 20.0

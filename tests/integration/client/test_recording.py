@@ -20,9 +20,10 @@ from stampede_rt.files.reading import CLOCKS_NAME, FileReader
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.files.recordings import read
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=2, supernodes=1)
+cluster = shared_cluster_fixture(hosts=2)
 mortal = cluster_fixture(hosts=2, supernodes=1, scope="function")
 MS = 1_000_000
 

@@ -14,12 +14,12 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.files.entries import FileAdvance, Topic, item_entry
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=2, supernodes=1)
+cluster = shared_cluster_fixture(hosts=2)
 
 
 @pytest.fixture

@@ -26,11 +26,12 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.forked_children import in_a_forked_child
 from tests.support.operator import operating
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import until, wait_until
 
 pytestmark = pytest.mark.skipif(not futexes.is_supported(), reason="shared memory needs Linux on x86-64")
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 own_cluster = cluster_fixture(hosts=1, supernodes=1, scope="function")
 
 

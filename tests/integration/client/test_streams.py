@@ -13,10 +13,10 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import until
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 LIMIT_S = 10.0
 
 

@@ -19,9 +19,9 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 SECONDS = 90
 STAMPEDE = [sys.executable, "-m", "stampede_rt.cli"]
 

@@ -15,10 +15,12 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import TESTER, cluster_fixture, judges_tests
+from tests.support.cluster import TESTER, judges_tests
+from tests.support.command_line.redirected import run_redirected
 from tests.support.processes import started
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
+cluster = shared_cluster_fixture(hosts=1)
 COMMAND = [sys.executable, "-m", "stampede_rt.cli"]
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -28,16 +30,34 @@ def environment(cluster: LocalCluster) -> dict[str, str]:
     return os.environ | {"STAMPEDE_URL": cluster.address, "STAMPEDE_SECRET_FILE": str(cluster.secret_file)}
 
 
-@pytest.fixture(scope="module")
-def stampede(environment: dict[str, str]) -> Run:
-    def run(*arguments: str, status: int = 0, stdin: bytes | None = None) -> subprocess.CompletedProcess[str]:
+def checked(done: subprocess.CompletedProcess[bytes], status: int) -> subprocess.CompletedProcess[str]:
+    text = subprocess.CompletedProcess(done.args, done.returncode, done.stdout.decode(), done.stderr.decode())
+    assert "Traceback" not in text.stderr
+    assert text.returncode == status, text
+    return text
+
+
+@pytest.fixture
+def stampede(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a command in this process. `following` and `process` start processes."""
+    for name in ("STAMPEDE_URL", "STAMPEDE_SECRET_FILE"):
+        monkeypatch.setenv(name, environment[name])
+
+    def run(*arguments: str, status: int = 0, stdin: bytes = b"") -> subprocess.CompletedProcess[str]:
+        return checked(run_redirected(arguments, stdin=stdin), status)
+
+    return run
+
+
+@pytest.fixture
+def process(environment: dict[str, str]) -> Run:
+    """Run a command as a process."""
+
+    def run(*arguments: str, status: int = 0, stdin: bytes = b"", **more: str) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
-            [*COMMAND, *arguments], env=environment, capture_output=True, input=stdin, timeout=40, check=False
+            [*COMMAND, *arguments], env=environment | more, capture_output=True, input=stdin, timeout=40, check=False
         )
-        text = subprocess.CompletedProcess(done.args, done.returncode, done.stdout.decode(), done.stderr.decode())
-        assert "Traceback" not in text.stderr
-        assert text.returncode == status, text
-        return text
+        return checked(done, status)
 
     return run
 
@@ -65,10 +85,10 @@ def interrupt(process: subprocess.Popen[str]) -> None:
     assert (process.returncode, complaints) == (130, "")
 
 
-def test_put_and_get_print_lines_for_people(stampede: Run) -> None:
-    put = stampede("put", "cli/a", "hello there", "--duration", "40ms", "--attribute", "enc=text")
+def test_put_and_get_print_lines_for_people(process: Run) -> None:
+    put = process("put", "cli/a", "hello there", "--duration", "40ms", "--attribute", "enc=text")
     assert put.stdout.startswith("cli/a #")
-    got = stampede("get", "cli/a")
+    got = process("get", "cli/a")
     assert "hello there" in got.stdout
     assert "for 40 ms" in got.stdout
     assert "enc=text" in got.stdout
@@ -143,8 +163,8 @@ def test_get_prints_a_sentence_with_the_reason_of_an_incomplete_answer(stampede:
     assert done.stderr.startswith("stampede: COLLECTED: max_items (2) has collected")
 
 
-def test_a_piped_line_of_text_is_shown_as_text(stampede: Run) -> None:
-    stampede("put", "cli/piped", stdin=b"text\n")
+def test_a_piped_line_of_text_is_shown_as_text(stampede: Run, process: Run) -> None:
+    process("put", "cli/piped", stdin=b"text\n")
     assert stampede("get", "cli/piped").stdout.endswith("  text\\n\n")
 
 
@@ -176,15 +196,11 @@ def test_raw_output_to_a_terminal_is_refused_if_it_has_control_characters(
     assert b"write it to a file" in done.stderr
 
 
-def test_a_time_without_a_zone_is_local_time(stampede: Run, environment: dict[str, str]) -> None:
-    environment["TZ"] = "Asia/Tokyo"
-    try:
-        text = stampede("get", "cli/times/none", "2026-01-31T12:00:00", "now", status=1).stderr
-        assert "there is no channel" in text
-        stampede("put", "cli/zone", "x", "--max-age", "60s")
-        put = stampede("put", "cli/zone", "y", "--time", "2026-01-31T12:00:00").stdout
-    finally:
-        del environment["TZ"]
+def test_a_time_without_a_zone_is_local_time(stampede: Run, process: Run) -> None:
+    text = process("get", "cli/times/none", "2026-01-31T12:00:00", "now", status=1, TZ="Asia/Tokyo").stderr
+    assert "there is no channel" in text
+    stampede("put", "cli/zone", "x", "--max-age", "60s")
+    put = process("put", "cli/zone", "y", "--time", "2026-01-31T12:00:00", TZ="Asia/Tokyo").stdout
     assert "at 2026-01-31T03:00:00" in put
 
 

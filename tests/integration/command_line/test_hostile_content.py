@@ -15,11 +15,11 @@ import stampede_rt as st
 from stampede_rt.cli.commands import run
 from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.command_line.hostile_text import HOSTILE
 from tests.support.command_line.terminal import run_in_terminal
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
+cluster = shared_cluster_fixture(hosts=1)
 Words = Callable[[Path], list[list[str]]]
 
 # Each verb, with words that print what other programs have written. A verb that is not here fails the test below.

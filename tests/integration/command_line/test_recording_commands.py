@@ -20,12 +20,12 @@ from stampede_rt.cli.main import main
 from stampede_rt.files.entries import Topic, item_entry
 from stampede_rt.files.reading import FileReader
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.files.recordings import INCARNATION, entries, gap, item, read, seqs_of, write
 from tests.support.processes import started
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 Command = Callable[..., tuple[int, str, str]]
 
 

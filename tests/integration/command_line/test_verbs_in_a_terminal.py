@@ -14,11 +14,11 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.command_line.terminal import Screen, run_in_terminal
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
+cluster = shared_cluster_fixture(hosts=1)
 Terminal = Callable[..., Screen]
 
 

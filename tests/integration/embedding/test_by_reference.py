@@ -12,10 +12,10 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
 pytestmark = pytest.mark.without_rules("a client token cannot host channels")
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 LIMIT_S = 60
 
 

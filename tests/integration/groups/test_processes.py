@@ -27,9 +27,9 @@ from stampede_rt.v1 import (
 )
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, run_of
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=2, supernodes=1)
+cluster = shared_cluster_fixture(hosts=2)
 CALL_SECONDS_MAX = 15.0
 
 

@@ -16,9 +16,9 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.main import main
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=2, supernodes=1)
+cluster = shared_cluster_fixture(hosts=2)
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "files.md"
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PRINTED = re.compile(r"print\(.*\)  # (.*)")

@@ -12,10 +12,9 @@ import pytest
 from PIL import Image
 
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
-from tools.time_pictures import draw_all
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=2, supernodes=1, scope="module")
+cluster = shared_cluster_fixture(hosts=2)
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PRINTED = re.compile(r"print\(.*\)  # (.*)")
@@ -79,6 +78,8 @@ def test_every_picture_of_a_page_is_there(page: str) -> None:
 
 
 def test_the_pictures_of_time_are_drawn_from_real_channels(cluster: LocalCluster, tmp_path: Path) -> None:
+    from tools.time_pictures import draw_all  # not at the top: every worker of the suite would load matplotlib
+
     drawn = draw_all(cluster.address, tmp_path)
     for path in drawn:
         assert f"images/{path.name}" in (DOCS / "time-model.md").read_text()

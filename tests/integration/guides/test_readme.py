@@ -15,10 +15,10 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.processes import started
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
+cluster = shared_cluster_fixture(hosts=1)
 ROOT = Path(__file__).resolve().parents[3]
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
 PROGRAMS = [text for language, text in BLOCKS if language == "python"]

@@ -19,9 +19,9 @@ from stampede_rt_bench.peers.reachable import is_listening
 from stampede_rt_bench.works.processes import server
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.ports import free_ports
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 PAGE = Path(__file__).resolve().parents[3] / "docs/replaces.md"
 SECTIONS = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.MULTILINE | re.DOTALL))
 PRINTED = re.compile(r"print\(.*\)  # (.*)")

@@ -14,10 +14,10 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.v1 import peer_service_pb2
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.processes import started
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 
 STAY = """
 import sys

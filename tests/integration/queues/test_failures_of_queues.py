@@ -14,9 +14,10 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.processes import started
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
 Result = TypeVar("Result")
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 fragile = cluster_fixture(hosts=2, supernodes=3, scope="function")
 
 TAKE_AND_HOLD = """

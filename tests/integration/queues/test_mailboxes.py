@@ -12,9 +12,10 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 pair = cluster_fixture(hosts=2, supernodes=1, scope="function")
 
 

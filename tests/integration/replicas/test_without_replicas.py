@@ -10,9 +10,9 @@ import stampede_rt as st
 import stampede_rt.aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.integration.proxies.readers import eventually
-from tests.support.cluster import cluster_fixture
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 
 
 @pytest.mark.parametrize("transport", ["grpc", None])

@@ -19,10 +19,10 @@ from stampede_rt.v1 import queue_service_pb2_grpc as queue_grpc
 from stampede_rt.v1.error_pb2 import ERROR_REASON_LEASE_EXPIRED
 from stampede_rt.v1.queue_pb2 import Acknowledge, PendingDelivery, Settlement
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import cluster_fixture
 from tests.support.operator import Operator, operating
+from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
-cluster = cluster_fixture(hosts=1, supernodes=1)
+cluster = shared_cluster_fixture(hosts=1)
 OWN_NUMBER = 4711
 
 

@@ -1,0 +1,1 @@
+"""Things that several files of tests share, such as a running cluster."""
