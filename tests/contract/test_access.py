@@ -27,7 +27,8 @@ Do = Callable[["Scene"], Awaitable[Any]]
 
 @pytest.fixture(scope="module")
 def operator(cluster: LocalCluster) -> Iterator[Operator]:
-    with operating(cluster) as made:
+    with operating(cluster) as standing, operating(cluster) as made:
+        standing.add("nobody", "read", "no-test-uses-this/*")  # without any rule every caller may do everything
         yield made
 
 
