@@ -6,6 +6,7 @@ Without an option, draw the layers into ARCHITECTURE.md again. With --check, pri
 from __future__ import annotations
 
 import argparse
+import functools
 import re
 import subprocess
 import sys
@@ -35,16 +36,22 @@ MERGE_MARK = re.compile(r"^(?:<{7}|>{7}) ", re.MULTILINE)
 
 def unknown_names(page: str, files: Iterable[str]) -> list[str]:
     """Return the modules and paths on a page that do not exist. A path may leave out its first folders."""
-    known = {f"/{file}" for file in files}
-    known |= {f"{parent}/" for file in known for parent in map(str, Path(file).parents)}
+    places = _places(frozenset(files))
     modules = {name.replace(".", "/") for name in MODULE.findall(page) if name not in ENTRY_POINTS}
     unknown = [
         name.replace("/", ".")
         for name in modules
-        if not any(path.endswith((f"/src/{name}.py", f"/src/{name}/")) for path in known)
+        if f"/src/{name}.py\n" not in places and f"/src/{name}/\n" not in places
     ]
-    unknown += [name for name in set(PATH.findall(page)) if not any(path.endswith(f"/{name}") for path in known)]
+    unknown += [name for name in set(PATH.findall(page)) if f"/{name}\n" not in places]
     return sorted(unknown)
+
+
+@functools.cache
+def _places(files: frozenset[str]) -> str:
+    """All files and their folders, a line each. Each begins with a slash, and a folder also ends with one."""
+    folders = {"/".join(parts[:end]) for file in files for parts in [file.split("/")] for end in range(1, len(parts))}
+    return "".join(f"/{file}\n" for file in files) + "".join(f"/{folder}/\n" for folder in folders)
 
 
 def unmapped_folders(page: str, files: Iterable[str]) -> list[str]:
