@@ -10,6 +10,7 @@ from stampede_rt_bench.limits.bare_grpc import BareGrpc
 from stampede_rt_bench.limits.memory_copy import copy_times_us, gigabytes_per_second
 from stampede_rt_bench.limits.sockets import RawSockets
 from stampede_rt_bench.machine import describe
+from stampede_rt_bench.peers.embedded import EmbeddedStampedeRt
 from stampede_rt_bench.peers.jetstream import JetStream
 from stampede_rt_bench.peers.nats_core import NatsCore
 from stampede_rt_bench.peers.ours import StampedeRt
@@ -33,6 +34,7 @@ SYSTEMS: Mapping[str, System] = {
     "stampede-socket": StampedeRt("Stampede RT, sockets", "socket"),
     "stampede-tcp": StampedeRt("Stampede RT, TCP", "tcp"),
     "stampede-shared": StampedeRt("Stampede RT, shared memory", "shared"),
+    "stampede-embedded": EmbeddedStampedeRt(),
     "redis": RedisStreams("tcp"),
     "redis-unix": RedisStreams("unix"),
     "nats": NatsCore(),

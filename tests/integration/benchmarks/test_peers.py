@@ -13,7 +13,7 @@ from stampede_rt_bench.works.run import Measured, RunFailed, measure
 
 WORKS = {work.name: work for work in works()}
 SECONDS = (0.1, 1.0, 5.0)
-STREAMING = ["stampede", "redis", "nats", "jetstream", "zenoh-router", "zenoh-shm"]
+STREAMING = ["stampede", "stampede-embedded", "redis", "nats", "jetstream", "zenoh-router", "zenoh-shm"]
 KEEPING = ["redis-unix", "jetstream", "zenoh-router"]
 
 

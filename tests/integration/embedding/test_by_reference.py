@@ -153,3 +153,59 @@ def test_a_refused_put_at_an_embedded_host_has_its_reason(rt: st.Connection) -> 
         channel.put(b"late", time=500)
     with pytest.raises(st.ItemTooLarge):
         channel.put(bytes(17 * 2**20))
+
+
+def test_a_producer_puts_by_reference_and_its_small_items_in_runs(rt: st.Connection, cluster: LocalCluster) -> None:
+    channel = rt.channel("reference/produced", max_items=500)
+    large, labelled = b"l" * 300_000, b"with labels"
+    with st.connect(cluster.address, transport="shared") as other:
+        with other.channel("reference/produced").subscribe() as items, channel.producer() as producer:
+            producer.put(large, time=5, duration=3)
+            producer.put(labelled, time=9, attributes={"lens": "wide"}, content_type="image/raw")
+            for number in range(300):
+                producer.put(str(number).encode(), time=10 + number)
+            producer.flush()
+            found = [next(items) for _ in range(302)]
+        assert (producer.accepted, producer.rejections) == (302, 0)
+    assert channel.at(5)[0].payload is large
+    assert [item.payload for item in found] == [large, labelled, *[str(number).encode() for number in range(300)]]
+    assert (found[0].duration, found[1].content_type, dict(found[1].attributes)) == (3, "image/raw", {"lens": "wide"})
+    assert [item.time for item in found] == [5, 9, *range(10, 310)]
+
+
+async def test_an_awaited_producer_puts_by_reference(cluster: LocalCluster) -> None:
+    async with aio.host(cluster.address, name="rig-producing", drain="0s") as rt:
+        channel = await rt.channel("reference/awaited", max_items=10)
+        payload = b"awaited" * 100_000
+        async with channel.producer() as producer:
+            await producer.put(b"first")
+            await producer.put(payload)
+        newest = await channel.newest()
+        assert newest is not None
+        assert newest.payload is payload
+
+
+def test_a_producer_whose_puts_may_wait_uses_a_stream(rt: st.Connection) -> None:
+    channel = rt.channel("reference/waiting", max_items=3, max_age="1h", on_full="block")
+    with channel.producer() as producer:
+        for number in range(3):
+            producer.put(str(number).encode())
+    assert [item.payload for item in channel.get(st.OLDEST, st.NEWEST)] == [b"0", b"1", b"2"]
+
+
+def test_a_producer_continues_when_its_channel_moves_and_learns_of_refusals(rt: st.Connection) -> None:
+    channel = rt.channel("reference/produced-away", max_items=10)
+    with channel.producer() as producer:
+        producer.put(b"here", time=7)
+        producer.flush()
+        rt.move("reference/produced-away", "h1")
+        producer.put(b"there", time=8)
+        producer.flush()
+        rt.move("reference/produced-away", "rig")
+        producer.put(b"back", time=9)
+        producer.flush()
+        channel.advance(100)
+        producer.put(b"late", time=50)
+        with pytest.raises(st.TooOld, match="advance"):
+            producer.flush()
+    assert [item.payload for item in channel.get(0, 100)] == [b"here", b"there", b"back"]

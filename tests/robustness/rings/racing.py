@@ -95,7 +95,7 @@ def _items(view: RingView, ends: Event) -> Iterator[tuple[str, int]]:
         item = find_next(view, facts, next_seq, slot, 0, no_columns)
         if isinstance(item, FoundNext):
             assert seq_in(item.piece.body) == next_seq, "a skipped or reordered item"
-            slot, next_seq = item.slot, item.end_seq
+            slot, next_seq = item.slot.number, item.end_seq
             yield "next", next_seq
         elif item:
             slot, next_seq = -1, max(last_newest - 3, 1)  # as a stream that has caught up

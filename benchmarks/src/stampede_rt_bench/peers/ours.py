@@ -82,25 +82,35 @@ class StampedeClient:
 
     def publish(self, steps: Iterator[Step]) -> None:
         """Put with a producer, which bounds the unacknowledged bytes."""
-        with self._channel.producer() as producer:
-            for step in steps:
-                if isinstance(step, float):
-                    time.sleep(step)
-                    continue
-                for payload in step:
-                    producer.put(payload)
+        put_all(self._channel, steps)
 
     def subscribe(self, receiver: Receiver) -> None:
         """Subscribe to every item."""
         subscription = self._channel.subscribe()
-        threading.Thread(target=_close_at_end, args=(subscription, receiver), daemon=True).start()
         receiver.ready()
-        for item in subscription:
-            receiver.take(item.time, item.seq, item.payload or b"")
+        take_all(subscription, receiver)
 
     def close(self) -> None:
         """End the connection."""
         self._rt.close()
+
+
+def put_all(channel: st.Channel, steps: Iterator[Step]) -> None:
+    """Put the payloads of each step with a producer."""
+    with channel.producer() as producer:
+        for step in steps:
+            if isinstance(step, float):
+                time.sleep(step)
+                continue
+            for payload in step:
+                producer.put(payload)
+
+
+def take_all(subscription: st.Subscription, receiver: Receiver) -> None:
+    """Give the receiver every item until it has ended."""
+    threading.Thread(target=_close_at_end, args=(subscription, receiver), daemon=True).start()
+    for item in subscription:
+        receiver.take(item.time, item.seq, item.payload or b"")
 
 
 def _close_at_end(subscription: st.Subscription, receiver: Receiver) -> None:

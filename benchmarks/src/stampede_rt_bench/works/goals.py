@@ -11,6 +11,7 @@ from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.works.campaign import Results
 
 GRPC, SOCKETS, SHARED = "Stampede RT, gRPC", "Stampede RT, sockets", "Stampede RT, shared memory"
+EMBEDDED = "Stampede RT, embedded host"
 REDIS, REDIS_UNIX, NATS = "Redis", "Redis, Unix socket", "NATS core"
 ZENOH_ROUTER, ZENOH_PEER, ZENOH_SHARED = "Zenoh, router", "Zenoh, peer to peer", "Zenoh, shared memory"
 PEERS = (REDIS, REDIS_UNIX, NATS, "NATS JetStream", ZENOH_ROUTER, ZENOH_PEER, ZENOH_SHARED)
@@ -70,6 +71,7 @@ _RATES: Sequence[tuple[str, str, float, Sequence[str]]] = (
     ("stream-300kb", SOCKETS, 1.5, _REDIS),
     ("stream-300kb", SOCKETS, 1.5, (NATS,)),
     ("stream-300kb", SHARED, 2, (ZENOH_SHARED,)),
+    ("stream-300kb", EMBEDDED, 2, (ZENOH_SHARED,)),
 )
 _WITHOUT_LOSS = ("frames-18kb-32", "frames-300kb-16", "frames-300kb-64")
 

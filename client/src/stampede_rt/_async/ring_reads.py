@@ -13,10 +13,12 @@ from stampede_rt._async.session import Session
 from stampede_rt.ring.facts import host_now
 from stampede_rt.ring.layout import CHANGES_WORD
 from stampede_rt.ring.newest import FoundNewest, find_newest
+from stampede_rt.ring.ring_view import Slot
 from stampede_rt.ring.selecting import Columns, RingAnswer, RunPiece, select
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.ring_mapping import RingMapping, boottime_nanos
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.columns import span_end
 from stampede_rt.values.model import Item, Items
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.wire.delivered import malformed
@@ -75,24 +77,24 @@ def newest_item(state: ChannelState, mapping: RingMapping, found: FoundNewest) -
     if not found.is_plain:
         piece = RunPiece(body, slot.items - 1, slot.items, slot.items == 1)
         return items_of(state, mapping, [piece], None, backwards=False)[0]
-    fields = _plain_fields(found, state.info.policy.content_type or "", mapping.view.incarnation)
-    return Item._make(fields) if state.coding is None else state.coding.item(fields)
+    return plain_item(state, mapping, slot, body, None)
 
 
-def _plain_fields(found: FoundNewest, content_type: str, incarnation: int) -> tuple[Any, ...]:
-    """Return the fields of an Item without labels."""
-    time, duration = found.slot.first_time, found.slot.duration
-    return (
+def plain_item(state: ChannelState, mapping: RingMapping, slot: Slot, payload: bytes, next_time: int | None) -> Item:
+    """Return the item of a plain slot. `next_time`: the time of the bucket after it; None: it is the newest one."""
+    policy, time, duration = state.info.policy, slot.first_time, slot.duration
+    fields: tuple[Any, ...] = (
         time,
-        None if duration < 0 else time + duration,
+        span_end(time, duration, next_time, policy.overlap_nanos or 0),
         None if duration < 0 else duration,
-        found.slot.seq,
-        found.body,
+        slot.seq,
+        payload,
         {},
-        content_type,
-        len(found.body),
-        incarnation,
+        policy.content_type or "",
+        len(payload),
+        mapping.view.incarnation,
     )
+    return Item._make(fields) if state.coding is None else state.coding.item(fields)
 
 
 async def read_interval(session: Session, state: ChannelState, query: ReadQuery) -> Items | AskHost:

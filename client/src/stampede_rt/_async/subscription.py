@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any
@@ -29,11 +29,12 @@ from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.statistics import MulticastStats
 from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.decoding import ItemDecoder
+from stampede_rt.wire.long_answers import LongRun, SubscribeAnswer
 from stampede_rt.wire.subscribing import beginning
 
 _log = logging.getLogger("stampede_rt")
 
-NO_RING_S = 1.0  # after a ring did not have the next items, the subscription stays with the host for this time
+NO_RING_S = 0.25  # after a ring did not have the next items, the subscription stays with the host for this time
 
 
 class Subscription(BoundToProcess):
@@ -57,7 +58,7 @@ class Subscription(BoundToProcess):
         self._reconnecting = reconnecting
         self._state = state
         self._begun = begun  # the first request of the next stream
-        self._stream: BidiStream[channel_pb.SubscribeResponse] | None = None
+        self._stream: BidiStream[SubscribeAnswer] | None = None
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
         self._ready: deque[Item] = deque()
@@ -253,11 +254,11 @@ class Subscription(BoundToProcess):
     async def _open_stream(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
-        stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_read_bidi(endpoint.channels.Subscribe)
+        stream: BidiStream[SubscribeAnswer] = endpoint.open_read_bidi(endpoint.subscribe)
         try:
             await stream.send(channel_pb.SubscribeRequest(open=self._begun))
             responses = stream.__aiter__()
-            first = await responses.__anext__()
+            first, runs = await responses.__anext__()
         except BaseException:
             stream.cancel()
             raise
@@ -266,7 +267,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
         self._window.begin()
         self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._begun.without_payloads)
-        self._take(first)
+        self._take(first, runs)
 
     async def _grant(self) -> None:
         """Let the host send as many bytes as the reader has room for."""
@@ -283,7 +284,7 @@ class Subscription(BoundToProcess):
 
     async def _receive(self) -> None:
         try:
-            self._take(await self._responses.__anext__())
+            self._take(*await self._responses.__anext__())
         except StopAsyncIteration:  # somebody called `close`, or cancelled an earlier step
             self._resume()
         except StampedeError as error:
@@ -316,12 +317,14 @@ class Subscription(BoundToProcess):
         lost.concerning("channel", self._state.info.name)
         return lost
 
-    def _take(self, response: channel_pb.SubscribeResponse) -> None:
+    def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
+        """Take a response. `runs`: those of a long one, which are not in `response`."""
         if response.HasField("gap"):
             self.dropped += response.gap.items
             self._count_loss(response.gap)
-        if response.runs and self._decoder is not None:
-            self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
+        if self._decoder is not None and (response.runs or runs):
+            items = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
+            self._ready.extend(self._unseen(items))
         if response.HasField("cursor"):
             self._cursor = response.cursor
             if not response.HasField("opened"):  # an "opened" response only repeats the cursor of the request

@@ -31,6 +31,7 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 from stampede_rt.values.statistics import MulticastStats
 from stampede_rt.wire.decoding import ItemDecoder
+from stampede_rt.wire.long_answers import LongRun
 
 _log = logging.getLogger("stampede_rt")
 
@@ -177,16 +178,16 @@ class MulticastSubscription(Subscription):
         if items:
             self._item_bytes += (items[-1].payload_length_bytes + ITEM_OVERHEAD_BYTES - self._item_bytes) / 8
 
-    def _take(self, response: channel_pb.SubscribeResponse) -> None:
+    def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
         if response.HasField("multicast"):
             self._take_offer(response.multicast)
         receiving = self._receiving
         if receiving is None or not self._is_following:
-            super()._take(response)
+            super()._take(response, runs)
             return
         if response.gap.items:
             self._take_gap(response.gap, receiving)
-        super()._take(response)
+        super()._take(response, runs)
         if response.HasField("cursor"):
             receiving.merge.pass_to(response.cursor.next_seq)
         self._add(receiving.merge.take(), receiving)

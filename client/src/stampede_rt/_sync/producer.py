@@ -12,21 +12,21 @@ from typing import Any
 from weakref import WeakMethod
 
 from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.run_streams import RunStream, open_run_stream
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep, when_dropped
-from stampede_rt.transports.grpc_sync import PutDuplex
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Ack
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import ack_of, content_type_of
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
-from stampede_rt.wire.put_frames import put_head, put_pieces, put_tail
+from stampede_rt.wire.put_frames import put_tail
 from stampede_rt.wire.records import ack_to_wire
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # the most bytes of unacknowledged runs
@@ -54,8 +54,8 @@ class Producer(BoundToProcess):
         self._unacked = UnackedRuns()
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
-        self._stream: PutDuplex | None = None
-        self._opened: list[PutDuplex] = []  # holds the latest stream, which `_give_up` cancels
+        self._stream: RunStream | None = None
+        self._opened: list[RunStream] = []  # holds the latest stream, which `_give_up` cancels
         self._generation = 0  # the number of the stream; acks of an older stream do not count
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set from a failure until the next ack
@@ -181,7 +181,10 @@ class Producer(BoundToProcess):
     def _write(self, runs: Sequence[NumberedRun]) -> None:
         """Write one message. If the stream is broken, `_open` sends the runs again over the next stream."""
         if self._stream is not None and runs:
-            self._stream.send(_message(runs, self._tail))
+            try:
+                self._stream.send(runs)
+            except Unavailable as error:
+                self._failure = self._failure or error
 
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
@@ -224,17 +227,14 @@ class Producer(BoundToProcess):
         self.close()
 
         def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
-            endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
-            head = put_head(binding.subject_id, binding.epoch, self._producer_id)
+            stream = open_run_stream(self._session, binding, self._producer_id, self._tail, on_acks, on_end)
             with self._mutex:
-                self._stream = stream = endpoint.duplex(on_acks, on_end)
+                self._stream, self._failure = stream, None
                 self._opened[:] = [stream]
-                self._failure = None
-                stream.send(head)
                 for runs in self._unacked.resend():
-                    stream.send(_message(runs, self._tail))
+                    self._write(runs)
                 if len(self._unacked):
                     _in_flight.add(self)
                 else:
@@ -275,10 +275,6 @@ class Producer(BoundToProcess):
         self._moved.set()
 
 
-def _message(runs: Sequence[NumberedRun], tail: bytes) -> list[bytes]:
-    return [piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded, tail=tail)]
-
-
 def _weakly(method: Callable[..., None]) -> Callable[..., None]:
     """Wrap `method` so that it does not keep its object alive. The wrapper does nothing once the object is gone."""
     reference = WeakMethod(method)
@@ -291,6 +287,6 @@ def _weakly(method: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-def _give_up(streams: list[PutDuplex]) -> None:
+def _give_up(streams: list[RunStream]) -> None:
     for stream in streams:
         stream.cancel()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt._sync.channel_state import ChannelState
@@ -16,6 +17,7 @@ from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import Bound
+from stampede_rt.wire.long_answers import LongRun
 from stampede_rt.wire.reads import bound_to_message
 
 WINDOW_BYTES = 1024 * 1024  # that the host may send ahead of the recording, for each channel
@@ -108,14 +110,14 @@ class RecordingStream(Subscription):
     def _follow_ring(self) -> None:
         return
 
-    def _take(self, response: channel_pb.SubscribeResponse) -> None:
+    def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
         if response.HasField("opened"):
             self._next_incarnation = response.opened.incarnation
             if self.opened_seq is None:
                 self.incarnation, self.opened_seq = response.opened.incarnation, response.opened.next_seq
         if response.HasField("gap"):
             self._batch.gaps.append(self._gap(response.gap))
-        super()._take(response)
+        super()._take(response, runs)
         if response.HasField("progress") and response.progress.HasField("advance_unix_nano"):
             advance = response.progress.advance_unix_nano
             if advance != self._told_advance:

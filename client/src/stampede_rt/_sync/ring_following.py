@@ -6,16 +6,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.ring_reads import ASK_HOST, AskHost, columns_of, items_of, newest_item
+from stampede_rt._sync.ring_reads import ASK_HOST, AskHost, columns_of, items_of, newest_item, plain_item
+from stampede_rt.pacing.crediting import WINDOW_AGE_S
 from stampede_rt.ring.facts import host_now
 from stampede_rt.ring.layout import CHANGES_WORD
 from stampede_rt.ring.newest import find_newest
 from stampede_rt.ring.successors import FoundNext, find_next
+from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.ring_mapping import WAIT_S_MAX, RingMapping, boottime_nanos
 from stampede_rt.transports.ring_waiting_sync import RingWaits
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
+from stampede_rt.wire.long_answers import LongRun
 
+STEP_BYTES_MAX = 2**20
+"""A subscription takes slots until it has this many bytes. The program then takes the items from memory of its own."""
+SLOTS_MAX = 64
 _SEQ_MAX = 2**63 - 1
 
 
@@ -41,6 +47,7 @@ class RingFollower:
         self._cursor.CopyFrom(cursor)
         self._begun_seq, self._slot = cursor.next_seq, -1
         self._delivered = 0
+        self._slots_max, self._stepped_s = 1, monotonic_s()  # the slots that a step may take
 
     @property
     def cursor(self) -> channel_pb.SubscriptionCursor:
@@ -58,10 +65,11 @@ class RingFollower:
             return False
         if self._newest_only:
             return find_newest(self.mapping.view, facts, self._position) is not True
-        return self._next(facts) is not True
+        return self._next(facts, self._cursor.next_seq, self._slot) is not True
 
     def step(self) -> Sequence[Item] | AskHost:
         """Return the next items; none after a wait. Raises StampedeError for a damaged ring."""
+        self._measure(monotonic_s())
         changes = self.mapping.view.words[CHANGES_WORD]
         facts = self.mapping.view.facts()
         if facts is None:
@@ -72,6 +80,12 @@ class RingFollower:
         if not self._waits.wait(self.mapping, changes, WAIT_S_MAX):
             return ASK_HOST
         return ()
+
+    def _measure(self, now_s: float) -> None:
+        """Let a fast reader take twice as many slots as in its last step. A slow reader takes one."""
+        is_fast = now_s - self._stepped_s < WINDOW_AGE_S
+        self._slots_max = min(2 * self._slots_max, SLOTS_MAX) if is_fast else 1
+        self._stepped_s = now_s
 
     @property
     def _position(self) -> tuple[int, int] | None:
@@ -94,15 +108,30 @@ class RingFollower:
         return (item,)
 
     def _take_next(self, facts: list[int]) -> Sequence[Item] | AskHost:
-        found = self._next(facts)
-        if found is True or not self.mapping.is_open(boottime_nanos()):
+        """Return the items of the next slots, or of as few as have STEP_BYTES_MAX."""
+        found, slot, next_seq, taken_bytes = list[FoundNext](), self._slot, self._cursor.next_seq, 0
+        while len(found) < self._slots_max and taken_bytes < STEP_BYTES_MAX:
+            one = self._next(facts, next_seq, slot)
+            if isinstance(one, bool):
+                if one and not found:
+                    return ASK_HOST
+                break
+            found.append(one)
+            slot, next_seq, taken_bytes = one.slot.number, one.end_seq, taken_bytes + len(one.piece.body)
+        if not self.mapping.is_open(boottime_nanos()):
             return ASK_HOST
-        if found is False:
-            return ()
-        items = items_of(self._state, self.mapping, [found.piece], found.next_time, backwards=False)
-        self._slot, self._cursor.next_seq = found.slot, found.end_seq
+        items = [item for one in found for item in self._items(one)]
+        self._slot, self._cursor.next_seq = slot, next_seq
         return items
 
-    def _next(self, facts: list[int]) -> FoundNext | bool:
+    def _items(self, found: FoundNext) -> Sequence[Item]:
+        if found.is_plain:
+            return (plain_item(self._state, self.mapping, found.slot, found.piece.body, found.next_time),)
+        if not found.piece.is_whole:
+            return items_of(self._state, self.mapping, [found.piece], found.next_time, backwards=False)
+        decoder = self._state.decoder(self.mapping.view.incarnation, payloads=True)
+        return decoder.decode_long([LongRun(memoryview(found.piece.body), found.next_time)])
+
+    def _next(self, facts: list[int], seq: int, slot: int) -> FoundNext | bool:
         now = host_now(facts, boottime_nanos())
-        return find_next(self.mapping.view, facts, self._cursor.next_seq, self._slot, now, columns_of)
+        return find_next(self.mapping.view, facts, seq, slot, now, columns_of)

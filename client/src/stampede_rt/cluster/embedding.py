@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from stampede_rt.cluster.connecting import Target
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.values.model import Reason
 from stampede_rt.values.policy import flag_of, memory_of
 from stampede_rt.values.reading import ReadQuery
@@ -104,6 +104,37 @@ class AnswerHere(NamedTuple):
     incarnation: int
 
 
+class RunToPut(Protocol):
+    """A run of a producer."""
+
+    @property
+    def first_number(self) -> int:
+        """The producer's number of the first item."""
+        ...
+
+    @property
+    def items(self) -> int:
+        """The number of items."""
+        ...
+
+    @property
+    def encoded(self) -> Sequence[bytes]:
+        """The bytes of the run, in pieces."""
+        ...
+
+
+class RunsHere(Protocol):
+    """A producer's stream of runs to the host of this process. Any thread may use it, and no call waits."""
+
+    def send(self, runs: Sequence[RunToPut]) -> None:
+        """Send runs. Raises Unavailable if the host has ended."""
+        ...
+
+    def cancel(self) -> None:
+        """End the stream."""
+        ...
+
+
 class HostHere(Protocol):
     """A channel host in this process. Several threads may use it."""
 
@@ -123,6 +154,20 @@ class HostHere(Protocol):
 
     def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[Any]:
         """Put one item by reference. The future gets the PutAck, or None: then the put has to go over a stream."""
+        ...
+
+    def puts(
+        self,
+        channel_id: bytes,
+        epoch: int,
+        producer_id: int,
+        on_acks: Callable[[Any], None],
+        on_end: Callable[[StampedeError], None],
+    ) -> RunsHere | None:
+        """Open a stream of runs. None: they have to go over a stream of the transport. Does not wait.
+
+        The host's thread passes each PutResponse to `on_acks`, and the error that ends the stream to `on_end`.
+        """
         ...
 
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:

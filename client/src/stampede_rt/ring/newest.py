@@ -31,8 +31,7 @@ def find_newest(view: RingView, facts: list[int], after: tuple[int, int] | None 
     slot = view.slot(number)
     if after is not None and (slot.last_time, slot.seq + slot.items - 1) <= after:
         return not view.is_whole(number)
-    is_plain = slot.items == 1 and slot.payload > 0
-    body = view.copy_payload(slot) if is_plain else view.copy(slot)
+    body = view.copy_item(slot)
     if body is None or slot.items < 1 or number < view.oldest_slot(facts) or not view.is_whole(number):
         return True
-    return FoundNewest(slot, body, is_plain, facts[NEXT_SEQ])
+    return FoundNewest(slot, body, slot.is_plain, facts[NEXT_SEQ])

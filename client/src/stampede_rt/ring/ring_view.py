@@ -42,6 +42,11 @@ class Slot(NamedTuple):
     duration: int
     payload: int
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the run has one item, without labels, and PAYLOAD tells where its payload is."""
+        return self.items == 1 and self.payload > 0
+
 
 class RingView:
     """A mapped ring."""
@@ -102,6 +107,10 @@ class RingView:
         if not 0 < slot.length <= self._data_bytes - at:
             return None
         return bytes(self._data[at : at + slot.length])
+
+    def copy_item(self, slot: Slot) -> bytes | None:
+        """Return the payload of a plain slot, or the run of another one; None as `copy`."""
+        return self.copy_payload(slot) if slot.is_plain else self.copy(slot)
 
     def copy_payload(self, slot: Slot) -> bytes | None:
         """Return the payload of a slot with PAYLOAD; None if its numbers lead outside of the run."""

@@ -14,13 +14,15 @@ from stampede_rt.ring.selecting import ColumnsOf, RunPiece
 class FoundNext(NamedTuple):
     """Items with consecutive seqs. `next_time`: the time of the next later bucket; None: there is none.
 
-    `slot`: the slot of the items. `end_seq`: the seq after the last item's seq.
+    `slot`: the slot of the items. `end_seq`: the seq after the last item's seq. `is_plain`: there is one item, without
+    labels, and `piece.body` is its payload and not its run.
     """
 
     piece: RunPiece
     next_time: int | None
-    slot: int
+    slot: Slot
     end_seq: int
+    is_plain: bool
 
 
 def find_next(
@@ -43,18 +45,22 @@ def find_next(
     next_time = _next_time(view, facts, slot, columns_of)
     if next_time is True:
         return True
-    return FoundNext(RunPiece(body, lo, slot.items, lo == 0), next_time, slot.number, slot.seq + slot.items)
+    piece = RunPiece(body, lo, slot.items, lo == 0)
+    return FoundNext(piece, next_time, slot, slot.seq + slot.items, slot.is_plain)
 
 
 def _run_with(view: RingView, facts: list[int], seq: int, near: int) -> tuple[Slot, bytes] | None:
-    """Return the run with the item `seq`, and its slot; None if the ring does not have it in order."""
+    """Return the slot with the item `seq`, and its run, or the payload of a plain item.
+
+    None if the ring does not have the item in order.
+    """
     first, number = view.first_ordered(facts), near + 1
     if near < 0 or not first <= number < facts[HEAD] or view.first_seq(number) != seq:
         number = _slot_with(view, first, facts[HEAD], seq)
     if not first <= number < facts[HEAD]:
         return None
     slot = view.slot(number)
-    body = view.copy(slot) if slot.seq <= seq < slot.seq + slot.items else None
+    body = view.copy_item(slot) if slot.seq <= seq < slot.seq + slot.items else None
     return None if body is None or not view.is_whole(number) else (slot, body)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 class BidiMethod:
     """One RPC: its full name, the functions that encode and decode its messages, and the method of gRPC.
 
-    A function is None if the program sends or gets encoded messages.
+    A function is None if the program sends or gets encoded messages. `decode` may get a view, and keeps no part of it.
     """
 
     __slots__ = ("decode", "encode", "name", "over_grpc")
@@ -18,7 +18,7 @@ class BidiMethod:
         self,
         name: str,
         encode: Callable[[Any], bytes] | None,
-        decode: Callable[[bytes], Any] | None,
+        decode: Callable[[Any], Any] | None,
         over_grpc: Callable[..., Any],
     ) -> None:
         self.name, self.encode, self.decode, self.over_grpc = name, encode, decode, over_grpc

@@ -10,6 +10,7 @@ import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Hashable, Sequence
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeVar
 from weakref import WeakValueDictionary
@@ -211,6 +212,20 @@ def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[],
         return
     with suppress(RuntimeError):  # the loop has ended with all its streams
         loop.call_soon_threadsafe(BackgroundTask, operation, "closing")
+
+
+def from_any_thread(operation: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    """Return a function that any thread may call. It runs `operation` on this loop, one call after the other.
+
+    `operation` must handle its errors itself. If the loop has ended before, it does not run.
+    """
+    loop = asyncio.get_running_loop()
+
+    def call(*arguments: Any) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(BackgroundTask, partial(operation, *arguments), "callback")
+
+    return call
 
 
 class BackgroundStart:

@@ -210,6 +210,11 @@ def run_later(operation: Callable[[], object]) -> None:
     _dropped.operations.put(operation)
 
 
+def from_any_thread(operation: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that any thread may call: `operation` itself."""
+    return operation
+
+
 class EventLoopCheck:
     """Checks nothing, because any thread may use a blocking connection."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+SUBSCRIBE_METHOD = "/stampede_rt.v1.ChannelService/Subscribe"
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
 SILENCE_S_MAX = 15.0  # after this silence a client ends a stream; servers send a sign of life on each stream every 5 s

@@ -182,7 +182,7 @@ def _response(connected: socket.socket, frames: FrameReader, files: list[int]) -
             raise Unavailable("the host closed its socket before it sent its memory")
         for kind, body in frames.feed(data):
             if kind == FrameKind.MESSAGE:
-                return pb.ShareMemoryResponse.FromString(body)
+                return pb.ShareMemoryResponse.FromString(bytes(body))
             if kind == FrameKind.STATUS:
                 error = error_of(body)
                 raise from_rpc_error(error, "the host") if error else Unavailable("the host shares no memory now")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from functools import partial
 from ssl import SSLError
 from typing import Any
@@ -25,7 +25,7 @@ from stampede_rt.transports.socket_limits import (
 )
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
-from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, frame_of, head_of
 
 
 class SocketCall(asyncio.BufferedProtocol):
@@ -40,7 +40,7 @@ class SocketCall(asyncio.BufferedProtocol):
         # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
-        self._came: deque[Frame] = deque()
+        self._came: deque[FrameInRoom] = deque()
         self._unread_bytes = 0
         # the end of the stream; no response comes after it
         self._error: grpc.RpcError | asyncio.CancelledError | None = None
@@ -99,9 +99,9 @@ class SocketCall(asyncio.BufferedProtocol):
             self._transport.pause_reading()
         _wake(self._news)
 
-    def _opened(self, tls: TlsLayer, nbytes: int) -> list[Frame]:
+    def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInRoom]:
         tls.feed(self._sealed[:nbytes])
-        frames: list[Frame] = []
+        frames: list[FrameInRoom] = []
         while opened_bytes := tls.read(self._frames.place(self._buffer)):
             frames += self._frames.take(self._buffer, opened_bytes)
         return frames
@@ -156,7 +156,7 @@ class SocketCall(asyncio.BufferedProtocol):
             self._is_paused, self._heard_s = False, self._loop.time()
             self._transport.resume_reading()
         decode = self._method.decode
-        return body if decode is None else decode(body)
+        return bytes(body) if decode is None else decode(body)
 
     def cancel(self) -> None:
         """End the stream. Messages that the program has not read are lost."""

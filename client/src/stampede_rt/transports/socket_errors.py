@@ -34,15 +34,15 @@ class SocketError(grpc.RpcError):  # type: ignore[misc, unused-ignore]
         return ((DETAILS_KEY, self._encoded),) if self._encoded else ()
 
 
-def error_of(status: bytes) -> SocketError | None:
+def error_of(status: bytes | memoryview) -> SocketError | None:
     """Return the error for the body of a status frame; None for the regular end."""
     try:
-        found = rpc_status_pb2.Status.FromString(status)
+        found = rpc_status_pb2.Status.FromString(bytes(status))
     except DecodeError:
         return SocketError(grpc.StatusCode.UNKNOWN, "the last frame holds no status")
     if not found.code:
         return None
-    return SocketError(_CODES.get(found.code, grpc.StatusCode.UNKNOWN), found.message, status)
+    return SocketError(_CODES.get(found.code, grpc.StatusCode.UNKNOWN), found.message, bytes(status))
 
 
 def broken(why: str) -> SocketError:

@@ -27,7 +27,7 @@ from stampede_rt.transports.socket_limits import (
 )
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
-from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
+from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, head_of
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
@@ -57,7 +57,7 @@ class SocketCall:
         self._socket, self._tls = connected, tls
         self._forks = forking.forks()
         self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_ROOM_BYTES_MAX)
-        self._came: deque[Frame] = deque()
+        self._came: deque[FrameInRoom] = deque()
         self._is_cancelled = False
         self._failure: SocketError | None = None  # the error of a send
         self._mutex = threading.Lock()  # guards the sending side
@@ -115,7 +115,7 @@ class SocketCall:
             kind, body = self._came.popleft()
             if kind == FrameKind.MESSAGE:
                 decode = self._method.decode
-                return body if decode is None else decode(body)
+                return bytes(body) if decode is None else decode(body)
             if kind == FrameKind.STATUS:
                 self._came.append((kind, body))  # for the next call
                 self.cancel()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from stampede_rt.transports.grpc_options import SUBSCRIBE_METHOD
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
@@ -15,6 +17,7 @@ from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt.v1.replica_directory_service_pb2_grpc import ReplicaDirectoryServiceStub
+from stampede_rt.wire.long_answers import read_answer
 
 _OF_SUPERNODES = (
     DirectoryServiceStub,
@@ -51,3 +54,6 @@ class Stubs:
         self.groups = GroupServiceStub(channel)
         self.queues = QueueServiceStub(channel)
         self.moves = MigrationServiceStub(channel)
+        encode = channel_pb.SubscribeRequest.SerializeToString
+        self.subscribe = channel.stream_stream(SUBSCRIBE_METHOD, encode, read_answer)
+        """ChannelService.Subscribe. Its responses are SubscribeAnswers."""

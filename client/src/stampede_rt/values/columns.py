@@ -20,6 +20,8 @@ class DecodedRun:
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` are those of all items.
     `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
     the time of the bucket after the run; None: it is the next run, or the run has the newest bucket.
+
+    Payloads that are a view must be made at once, because the memory of the view is used again.
     """
 
     times: Sequence[int]
@@ -29,7 +31,7 @@ class DecodedRun:
     attributes: dict[str, str]
     content_type: str
     incarnation: int
-    payloads: bytes | None
+    payloads: bytes | memoryview | None
     next_time: int | None = None
 
     @property
@@ -112,7 +114,7 @@ class ItemColumns(Sequence[Item]):
                 self._all_ends()[at],
                 None if duration < 0 else duration,
                 run.first_seq + place,
-                None if payloads is None else payloads[begin : begin + run.lengths[place]],
+                None if payloads is None else bytes(payloads[begin : begin + run.lengths[place]]),
                 run.attributes,
                 run.content_type,
                 run.lengths[place],
@@ -132,11 +134,11 @@ class ItemColumns(Sequence[Item]):
         self._runs[number].payloads = None  # each item has its own
         return whole
 
-    def _make_all(self, number: int, payloads: bytes | None) -> list[Item]:
+    def _make_all(self, number: int, payloads: bytes | memoryview | None) -> list[Item]:
         run = self._runs[number]
         split: Iterable[bytes | None] = repeat(None)
         if payloads is not None:
-            split = [payloads[a:b] for a, b in pairwise(accumulate(run.lengths, initial=0))]
+            split = map(bytes, [payloads[a:b] for a, b in pairwise(accumulate(run.lengths, initial=0))])
         given: Iterable[int | None] = repeat(None)
         if run.durations is not None:
             given = [None if duration < 0 else duration for duration in run.durations]

@@ -5,12 +5,18 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
+from google.protobuf.message import DecodeError
+
 from stampede_rt.cluster.embedding import RunHere
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.columns import DecodedRun, ItemColumns, span_end
 from stampede_rt.values.model import ABSENT, Item
-from stampede_rt.wire.delivered import ItemCount, check_delivered
+from stampede_rt.wire.delivered import ItemCount, check_columns, check_delivered, malformed
+from stampede_rt.wire.long_answers import LongRun
+from stampede_rt.wire.run_slices import sealed_parts
+
+_NO_LABELS = item_pb2.ItemRun()
 
 
 class ItemDecoder:
@@ -98,6 +104,34 @@ class ItemDecoder:
         ItemCount().add(one.run for one in delivered)
         return [item for one in delivered for item in self.decode((one,))]
 
+    def decode_long(self, runs: Sequence[LongRun]) -> list[Item]:
+        """Return the items of a long response, as `decode_each`. Each payload is copied once."""
+        decoded = [self._long_columns(one) for one in runs]
+        ItemCount().add_items(sum(len(run.lengths) for run in decoded))
+        return [item for run in decoded for item in ItemColumns([run], overlap=self._overlap, make=self._make)]
+
+    def _long_columns(self, one: LongRun) -> DecodedRun:
+        parts = sealed_parts(one.encoded)
+        if parts is None:
+            run = parse_run(one.encoded)
+            check_delivered(run, payloads=self._payloads)
+            return self._columns(run, one.next_time)
+        first_seq, times, durations, lengths = parts.columns
+        payloads = one.encoded[parts.payloads]
+        check_columns(lengths, times, durations or (), first_seq, len(payloads) if self._payloads else None)
+        labels = parse_run(parts.labels) if parts.labels else _NO_LABELS
+        return DecodedRun(
+            times=times,
+            durations=durations,
+            lengths=lengths,
+            first_seq=first_seq,
+            attributes=dict(labels.attributes),
+            content_type=labels.content_type or self._content_type,
+            incarnation=self._incarnation,
+            payloads=payloads if self._payloads else None,
+            next_time=one.next_time,
+        )
+
     def _columns(self, run: item_pb2.ItemRun, next_time: int | None) -> DecodedRun:
         return DecodedRun(
             times=array("q", run.time_unix_nano),
@@ -126,6 +160,14 @@ class ItemDecoder:
             self._incarnation,
         )
         return self._make(fields) if self._make else Item._make(fields)
+
+
+def parse_run(encoded: bytes | memoryview) -> item_pb2.ItemRun:
+    """Return a run that a host sent. Raises StampedeError if it is damaged."""
+    try:
+        return item_pb2.ItemRun.FromString(encoded)  # type: ignore[arg-type]  # it takes views, too
+    except DecodeError as error:
+        raise malformed("bytes that are no valid message") from error
 
 
 def _next_time(one: item_pb2.DeliveredRun) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import item_pb2
@@ -17,14 +17,24 @@ def check_delivered(run: item_pb2.ItemRun, *, payloads: bool) -> int:
 
     Raises StampedeError if the columns disagree.
     """
-    lengths, times, durations = run.payload_length_bytes, run.time_unix_nano, run.duration_nanos
+    columns = run.payload_length_bytes, run.time_unix_nano, run.duration_nanos
+    return check_columns(*columns, run.first_seq, len(run.payloads) if payloads else None)
+
+
+def check_columns(
+    lengths: Sequence[int], times: Sequence[int], durations: Sequence[int], first_seq: int, payload_bytes: int | None
+) -> int:
+    """Return the number of items of a run with these columns. `payload_bytes` None: it should have no payloads.
+
+    Raises StampedeError if the columns disagree.
+    """
     items = len(lengths)
     if not 0 < items <= RUN_ITEMS_MAX or len(times) != items or len(durations) not in (0, items):
         raise malformed(f"{items} lengths, {len(times)} times and {len(durations)} durations")
-    if payloads and sum(lengths) != len(run.payloads):
-        raise malformed(f"lengths of {sum(lengths)} bytes in all and payloads of {len(run.payloads)} bytes")
-    if run.first_seq + items > _SEQ_END:
-        raise malformed(f"{items} items from seq {run.first_seq} on")
+    if payload_bytes is not None and sum(lengths) != payload_bytes:
+        raise malformed(f"lengths of {sum(lengths)} bytes in all and payloads of {payload_bytes} bytes")
+    if first_seq + items > _SEQ_END:
+        raise malformed(f"{items} items from seq {first_seq} on")
     return items
 
 
@@ -40,7 +50,10 @@ class ItemCount:
 
     def add(self, runs: Iterable[item_pb2.ItemRun]) -> None:
         """Count the items of one response. Raises StampedeError if the host sent more items than it may."""
-        items = sum(len(run.payload_length_bytes) for run in runs)
+        self.add_items(sum(len(run.payload_length_bytes) for run in runs))
+
+    def add_items(self, items: int) -> None:
+        """Count the items of one response, as `add`."""
         self._items += items
         if items > RESPONSE_ITEMS_MAX:
             raise _too_many(items, RESPONSE_ITEMS_MAX, "one response has")

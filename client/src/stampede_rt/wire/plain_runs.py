@@ -36,8 +36,11 @@ def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> l
     return [head, payload]
 
 
-def read_plain_run(raw: bytes | memoryview) -> PlainRun | None:
-    """Return the columns of such a run if its fields come in the order of their numbers; None for all other bytes."""
+def read_plain_run(raw: bytes | memoryview, run_bytes: int | None = None) -> PlainRun | None:
+    """Return the columns of such a run if its fields come in the order of their numbers; None for all other bytes.
+
+    `run_bytes`: the length of the run, if `raw` has only the bytes before its payload; None: `raw` is the run.
+    """
     try:
         at, time = _number_at(raw, 0, _TIMES_TAG)
         at, duration = _number_at(raw, at, _DURATIONS_TAG)
@@ -46,7 +49,7 @@ def read_plain_run(raw: bytes | memoryview) -> PlainRun | None:
     except (IndexError, struct.error):  # the run ends within a field
         return None
     is_plain = tags == [_LENGTHS_TAG, 4] and payloads_tag == _PAYLOADS_TAG
-    if not is_plain or length != payload_bytes or begin + length != len(raw):
+    if not is_plain or length != payload_bytes or begin + length != (len(raw) if run_bytes is None else run_bytes):
         return None
     return PlainRun(time, duration, length)
 

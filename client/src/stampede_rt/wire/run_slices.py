@@ -44,8 +44,22 @@ class SealedColumns(NamedTuple):
     lengths: array[int]
 
 
-def sealed_columns(sealed: bytes) -> SealedColumns | None:
+class SealedParts(NamedTuple):
+    """The columns of a sealed run, its encoded content type and attributes, and the place of all its payloads."""
+
+    columns: SealedColumns
+    labels: bytes
+    payloads: slice
+
+
+def sealed_columns(sealed: bytes | memoryview) -> SealedColumns | None:
     """The columns of a sealed run, without a look at its payloads. None: only a parser of messages can read the run."""
+    parts = sealed_parts(sealed)
+    return None if parts is None else parts.columns
+
+
+def sealed_parts(sealed: bytes | memoryview) -> SealedParts | None:
+    """The parts of a sealed run, as `sealed_columns`."""
     try:
         fields = list(_fields(sealed))
         if sys.byteorder != "little" or not _is_plain(fields) or fields[-1].end != len(sealed):
@@ -55,12 +69,14 @@ def sealed_columns(sealed: bytes) -> SealedColumns | None:
         times, durations, lengths = (_column(sealed, number, found.get(number)) for number in _COLUMN_WIDTHS)
     except (IndexError, ValueError, struct.error):
         return None
-    return SealedColumns(first_seq, times, durations or None, lengths)
+    labels = b"".join(sealed[field.begin : field.end] for field in fields if field.number in _LABELS)
+    payloads = slice(found[_PAYLOADS].value, found[_PAYLOADS].end) if _PAYLOADS in found else slice(0)
+    return SealedParts(SealedColumns(first_seq, times, durations or None, lengths), labels, payloads)
 
 
-def _column(sealed: bytes, number: int, field: _Field | None) -> array[int]:
+def _column(sealed: bytes | memoryview, number: int, field: _Field | None) -> array[int]:
     """A column; empty: the run does not have it."""
-    return array(_COLUMN_CODES[number], b"" if field is None else sealed[field.value : field.end])
+    return array(_COLUMN_CODES[number], b"" if field is None else bytes(sealed[field.value : field.end]))
 
 
 class RunSlicer:
@@ -111,7 +127,7 @@ def _is_plain(fields: list[_Field]) -> bool:
     return packed and len(numbers) == len(set(numbers)) and {_LENGTHS, _FIRST_SEQ} <= set(numbers)
 
 
-def _fields(message: bytes) -> Iterator[_Field]:
+def _fields(message: bytes | memoryview) -> Iterator[_Field]:
     """Yield the fields of a valid ItemRun message, in their order."""
     at = 0
     while at < len(message):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from struct import Struct
 
@@ -27,6 +27,8 @@ class FrameKind(IntEnum):
 
 Frame = tuple[int, bytes]
 """The kind and the body of a frame."""
+FrameInRoom = tuple[int, bytes | memoryview]
+"""The same. The body of a long frame may be a view of its room."""
 
 
 def head_of(kind: FrameKind, body_bytes: int) -> bytes:
@@ -37,6 +39,15 @@ def head_of(kind: FrameKind, body_bytes: int) -> bytes:
 def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
     """Return a whole frame. It copies the body."""
     return _HEAD.pack(len(body), kind) + body
+
+
+def has_views(room: bytearray) -> bool:
+    """Whether somebody has a view of the room. Python refuses to change the length of memory with views."""
+    try:
+        room.append(room.pop())
+    except BufferError:
+        return True
+    return False
 
 
 class FrameReader:
@@ -52,7 +63,8 @@ class FrameReader:
     ) -> None:
         """`bytes_max`: the longest body of each kind of frame that may come.
 
-        `kept_bytes_max`: the reader writes each frame of up to this length into the same room, and keeps that room.
+        `kept_bytes_max`: the reader writes each frame of up to this length into the same room, unless somebody still
+        has a view of it, and keeps that room.
         New memory for each frame would cost a page fault for each 4 KiB. `new_room` gives the room for a frame of a
         stated length; it may be longer.
         """
@@ -86,12 +98,15 @@ class FrameReader:
         """
         return self.room() if self._came_bytes or self.missing_bytes > len(short) else short
 
-    def take(self, short: memoryview, came_bytes: int) -> list[Frame]:
+    def take(self, short: memoryview, came_bytes: int) -> Sequence[FrameInRoom]:
         """Take the bytes that were written to `place`. Returns the frames that are complete now.
 
-        Raises InvalidArgument, as `feed`.
+        The body of a long frame is a view of its room. Raises InvalidArgument, as `feed`.
         """
-        return self.filled(came_bytes) if self._came_bytes else self.feed(short[:came_bytes])
+        if not self._came_bytes:
+            return self.feed(short[:came_bytes])
+        found = self.filled_room(came_bytes)
+        return [] if found is None else [found]
 
     def room(self) -> memoryview:
         """Make room for the missing bytes of the unfinished frame, and return it.
@@ -105,7 +120,7 @@ class FrameReader:
         return memoryview(self._partial)[self._came_bytes : self._wanted_bytes]
 
     def _room_for(self, frame_bytes: int) -> bytearray:
-        if len(self._kept_room) >= frame_bytes:
+        if len(self._kept_room) >= frame_bytes and not has_views(self._kept_room):
             return self._kept_room
         room = self._new_room(frame_bytes)
         if frame_bytes <= self._kept_bytes_max:

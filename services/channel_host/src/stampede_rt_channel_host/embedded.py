@@ -16,17 +16,18 @@ from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakSet
 
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.cluster.embedding import AnswerHere, HostOptions, PutHere
-from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials, SecretReader
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.channels.calls_here import at_now, newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
+from stampede_rt_channel_host.channels.puts_here import PutsHere, takes_runs
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.forked_sockets import close_copies
 from stampede_rt_channel_host.served_host import ServedHost
@@ -42,6 +43,7 @@ from stampede_rt_runtime.tls import load_tls
 from stampede_rt_runtime.values import parse_address_text, parse_target
 
 logger = logging.getLogger(__name__)
+Found = TypeVar("Found")
 
 ANSWER_SECONDS = 2.0  # `start` waits longer than the host tries to enter, so that it gets the host's own error
 LEAVE_SECONDS_MAX = 10.0  # for the end of a host, beside the time of its drain
@@ -63,6 +65,7 @@ class EmbeddedHost:
         self._is_leaving = False  # also before the loop runs
         self._has_ended = False
         self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
+        self._puts: set[PutsHere] = set()  # the open streams of producers
         self._started: Future[None] = Future()
         self._turns = Turns()
         # not a daemon: when the program ends without a close, the interpreter waits until the host has left
@@ -119,6 +122,27 @@ class EmbeddedHost:
 
         return self._on_loop(perform)
 
+    def puts(
+        self,
+        channel_id: bytes,
+        epoch: int,
+        producer_id: int,
+        on_acks: Callable[[Any], None],
+        on_end: Callable[[StampedeError], None],
+    ) -> PutsHere | None:
+        """Open a producer's stream of runs. None: the host has ended, or the channel needs a stream over the wire."""
+        loop, served = self._loop, self._served
+        try:
+            takes = self._look(takes_runs, channel_id, epoch)
+        except StampedeError:  # the usual way finds the reason
+            return None
+        if not takes or loop is None or served is None:
+            return None
+        opened = PutsHere(loop, served.host.store, (channel_id, epoch), producer_id, on_acks, on_end)
+        self._puts.add(opened)
+        opened.on_over = partial(self._puts.discard, opened)
+        return opened
+
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
         """Read by reference, at once. None: take `read`. Raises the errors of a get."""
         return self._look(read_now, channel_id, epoch, query)
@@ -131,7 +155,7 @@ class EmbeddedHost:
         """Read the newest item by reference, at once. None: take `read_now`."""
         return self._look(newest_now, channel_id, epoch)
 
-    def _look(self, look: Callable[..., AnswerHere | None], *arguments: Any) -> AnswerHere | None:
+    def _look(self, look: Callable[..., Found | None], *arguments: Any) -> Found | None:
         """Call `look` with the store, between two steps of the loop. None if the host is not there."""
         if self._served is None or self._has_ended or self._process != os.getpid():
             return None
@@ -206,6 +230,8 @@ class EmbeddedHost:
             _here.discard(self)  # its port may belong to others now
             for told in [*self._asked]:  # the loop no longer answers them
                 _tell(told, None)
+            for stream in [*self._puts]:
+                stream.end(Unavailable("the host of this process has ended"))
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()

@@ -22,6 +22,7 @@ from stampede_rt.multicast.sealing import Sealer, Signer
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.decoding import ItemDecoder
+from stampede_rt.wire.long_answers import SubscribeAnswer
 
 STREAM_ID, KEY = b"stream-1", bytes(KEY_BYTES)
 SIGNER, SEALER = Signer(STREAM_ID, bytes(KEY_BYTES)), Sealer(STREAM_ID, 1, KEY)
@@ -72,11 +73,11 @@ class Stream:
             self.responses += self.answers
             self.responses[-1].repair_next_seq = request.repair_next_seq
 
-    async def __aiter__(self) -> AsyncIterator[pb.SubscribeResponse]:
+    async def __aiter__(self) -> AsyncIterator[SubscribeAnswer]:
         while not self.cancelled:
             while not self.responses:
                 await asyncio.sleep(0)
-            yield self.responses.popleft()
+            yield SubscribeAnswer(self.responses.popleft(), [])
 
     def cancel(self) -> None:
         self.cancelled = True
@@ -98,7 +99,7 @@ class Session:
         self.streams = list[Stream]()
         self.closed = self.closing = False
         self.state = ""
-        self.endpoints = self.channels = self.Subscribe = self
+        self.endpoints = self.subscribe = self
 
     def to(self, target: str) -> Session:
         return self

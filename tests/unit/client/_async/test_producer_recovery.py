@@ -53,6 +53,7 @@ class Place:
 
     closed = False
     inherited = False
+    here = None
 
     def check_process(self) -> None:
         return

@@ -339,7 +339,7 @@ _shtab_stampede_bench_paper_defaults_added=0
 
 _shtab_stampede_bench_peers_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "*--system[only this system\; may be repeated\; stampede, stampede-socket, stampede-tcp, stampede-shared, redis, redis-unix, nats, jetstream, zenoh-router, zenoh-peer, zenoh-shm, grpc, unix, tcp]:NAME:(stampede stampede-socket stampede-tcp stampede-shared redis redis-unix nats jetstream zenoh-router zenoh-peer zenoh-shm grpc unix tcp)"
+  "*--system[only this system\; may be repeated\; stampede, stampede-socket, stampede-tcp, stampede-shared, stampede-embedded, redis, redis-unix, nats, jetstream, zenoh-router, zenoh-peer, zenoh-shm, grpc, unix, tcp]:NAME:(stampede stampede-socket stampede-tcp stampede-shared stampede-embedded redis redis-unix nats jetstream zenoh-router zenoh-peer zenoh-shm grpc unix tcp)"
   "*--readers[the number of readers of frames\; may be repeated (default\: 8, 16, 32, 64)]:N:"
   "*--work[only this work, or all works of this kind\; may be repeated\; put, newest, interval, stream-64b, stream-18kb, stream-300kb, latency-30, latency-300, latency-3000, frames-18kb-8, frames-18kb-16, frames-18kb-32, frames-18kb-64, frames-300kb-8, frames-300kb-16, frames-300kb-32, frames-300kb-64]:NAME:(stream latency frames frames-18kb frames-300kb put newest interval stream-64b stream-18kb stream-300kb latency-30 latency-300 latency-3000 frames-18kb-8 frames-18kb-16 frames-18kb-32 frames-18kb-64 frames-300kb-8 frames-300kb-16 frames-300kb-32 frames-300kb-64)"
   "--seconds[the time of each run in steady state (default\: 5)]:S:"

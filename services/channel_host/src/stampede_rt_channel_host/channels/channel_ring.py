@@ -13,7 +13,8 @@ from stampede_rt.ring.layout import CHANGES_WORD, PAYLOAD_BEGIN_MAX, WORD_BYTES,
 from stampede_rt.transports import futexes
 from stampede_rt.wire.runs import plain_payload_at
 from stampede_rt_channel_host.channels.frames import run_bytes
-from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
+from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, ReferencedBody, Slice
+from stampede_rt_channel_host.core.ring_sizes import longest_run
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingRun, RingWriter
 
 SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
@@ -35,7 +36,8 @@ class ChannelRing:
         self.ended = asyncio.Event()
         self.on_closed: Callable[[], None] | None = None
         self.refused_bytes = 0
-        """The length of the run that was too large for this ring; 0: there was none."""
+        """The length of the run that was too long for this ring; 0: there was none."""
+        self._longest_run = longest_run(size.data_bytes)
         self._channel, self._clock = channel, clock
         self.file = os.memfd_create("stampede-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
@@ -66,7 +68,7 @@ class ChannelRing:
     def follow(self) -> bool:
         """Write the newly accepted items and the present facts, and wake the readers.
 
-        Returns False if an item is too large for this ring: close it.
+        Returns False if a run is too long for this ring: close it. The next ring may be larger.
         """
         for part in self._channel.accepted_from(self._next_seq):
             if not self._append(part):
@@ -77,15 +79,14 @@ class ChannelRing:
         return True
 
     def _append(self, part: Slice) -> bool:
-        body = run_bytes(part, without_payloads=False)
-        if not self._writer.takes(len(body)):
+        body, begin = _body_of(part)
+        if len(body) > self._longest_run:
             self.refused_bytes = len(body)
             return False
         duration, payload = ABSENT, 0
         if part.items == 1:
             durations = part.run.durations
             duration = ABSENT if durations is None else durations[part.lo]
-            begin = plain_payload_at(body, part.payload_bytes)
             payload = part.payload_bytes << 16 | begin if 0 < begin <= PAYLOAD_BEGIN_MAX else 0
         self._writer.append(
             RingRun(part.first_seq, part.items, part.first_time, part.last_time, body, duration, payload)
@@ -109,3 +110,12 @@ class ChannelRing:
             self.ended.set()
             if self.on_closed is not None:
                 self.on_closed()
+
+
+def _body_of(part: Slice) -> tuple[bytes | ReferencedBody, int]:
+    """The encoded items of a slice, and where the payload of a plain item begins; 0: the item is not plain."""
+    body = part.run.body
+    if part.is_whole and isinstance(body, ReferencedBody):
+        return body, body.payload_at
+    encoded = run_bytes(part, without_payloads=False)
+    return encoded, plain_payload_at(encoded, part.payload_bytes) if part.items == 1 else 0

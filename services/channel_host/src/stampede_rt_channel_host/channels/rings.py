@@ -12,9 +12,10 @@ from stampede_rt.errors import InvalidArgument, Overloaded
 from stampede_rt.ring.layout import RING_BYTES_MAX
 from stampede_rt.transports import futexes
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.channel_ring import ChannelRing
+from stampede_rt_channel_host.channels.channel_ring import FILLED_SLICES_MAX, ChannelRing
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.core.ring_sizes import DATA_BYTES_MAX, data_bytes_for, longest_run
 from stampede_rt_channel_host.core.ring_writer import ClockReading, ring_size
 from stampede_rt_runtime.access.control import is_denied
 from stampede_rt_runtime.rpc import Context
@@ -22,8 +23,6 @@ from stampede_rt_runtime.sockets.stream_socket import LOCAL_PEER
 
 logger = logging.getLogger(__name__)
 
-DATA_BYTES_MIN, DATA_BYTES_MAX = 4 * 2**20, 64 * 2**20
-RUNS_MIN = 16  # a ring has room for at least this many runs of the largest size that its channel has had
 MEMORY_SHARE = 4  # all rings together take at most this part of the host's memory
 KEPT_SECONDS = 10.0  # a ring without readers stays for this time
 REFRESH_SECONDS = 0.2  # the time between two refreshes of the fence and the clock in all rings
@@ -73,9 +72,9 @@ class Rings:
     def _of(self, hosted: HostedChannel) -> ChannelRing:
         if hosted.ring is not None:
             return hosted.ring
-        largest = max((len(part.run.body) for part in islice(hosted.channel.newest_slices(), RUNS_MIN)), default=0)
-        largest = max(largest, hosted.largest_run_bytes)
-        size = ring_size(min(max(DATA_BYTES_MIN, RUNS_MIN * largest), DATA_BYTES_MAX))
+        newest = islice(hosted.channel.newest_slices(), FILLED_SLICES_MAX)
+        largest = max((len(part.run.body) for part in newest), default=0)
+        size = ring_size(data_bytes_for(max(largest, hosted.largest_run_bytes)))
         assert size.whole_bytes <= RING_BYTES_MAX, "readers refuse a larger one"
         wanted_bytes = size.whole_bytes
         if self._used_bytes + wanted_bytes > self._memory.bytes_max // MEMORY_SHARE:
@@ -136,7 +135,7 @@ def _unsuited(hosted: HostedChannel) -> str:
         return "items of a channel with consumers leave it when they are consumed, which only the host knows"
     if hosted.core is not hosted.channel:
         return "the items of a channel with replicas are shown when the replicas have them, which only the host knows"
-    if 4 * (hosted.largest_run_bytes + 1) > DATA_BYTES_MAX:
+    if hosted.largest_run_bytes > longest_run(DATA_BYTES_MAX):
         return "the channel's items are too large"
     return ""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 from stampede_rt.ring.layout import (
     ABSENT_INSTANT,
@@ -37,6 +38,16 @@ _SLOT_BYTES = 512  # of data for each slot: a guess of the length of a usual run
 _PAGE_BYTES = 4096
 
 
+class BodyInParts(Protocol):
+    """An encoded run in parts, which the ring joins."""
+
+    @property
+    def parts(self) -> Sequence[bytes]:
+        """The parts, in their order."""
+
+    def __len__(self) -> int: ...
+
+
 class RingRun(NamedTuple):
     """Items in the order of acceptance that ascend in time. `body`: the encoded run with exactly these items.
 
@@ -47,7 +58,7 @@ class RingRun(NamedTuple):
     items: int
     first_time: int
     last_time: int
-    body: bytes
+    body: bytes | BodyInParts
     duration: int = -1
     payload: int = 0
 
@@ -107,7 +118,9 @@ class RingWriter:
         """Write a run that `takes` allows. Readers see it after the next `publish`."""
         begin = self._make_room(len(run.body))
         at = begin % self._size.data_bytes
-        self._data[at : at + len(run.body)] = run.body
+        for part in (run.body,) if isinstance(run.body, bytes) else run.body.parts:
+            self._data[at : at + len(part)] = part
+            at += len(part)
         self._offset = begin + -(-len(run.body) // WORD_BYTES) * WORD_BYTES
         self._write_slot(run, begin)
         self._kept.append(begin)

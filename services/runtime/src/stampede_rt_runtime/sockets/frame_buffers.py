@@ -11,6 +11,7 @@ import asyncio
 from collections import OrderedDict
 from weakref import WeakKeyDictionary
 
+from stampede_rt.wire.stream_frames import has_views
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.working import SOCKET_COSTS, CallerWork
 
@@ -67,9 +68,7 @@ class FrameBuffers:
 
     def give_back(self, room: bytearray) -> None:
         """Keep the memory of a frame for later ones, unless somebody still has a view of it."""
-        try:
-            room.append(room.pop())  # refuses while there are views
-        except BufferError:
+        if has_views(room):
             return
         self._rooms.append(room)
         if len(self._rooms) > ROOMS_KEPT:

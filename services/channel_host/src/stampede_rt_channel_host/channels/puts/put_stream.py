@@ -11,6 +11,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 from grpc.aio import EOF
@@ -130,7 +131,8 @@ class PutStream:
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
         received_s = time.monotonic()
-        acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
+        with _announced_together(hosted):
+            acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
         due = [ack for ack in acks if isinstance(ack, pb.PutAck)]
         if len(due) == len(acks):
             write(pb.PutResponse(acks=due).SerializeToString())
@@ -230,6 +232,12 @@ class PutStream:
 
     async def _write(self, acks: list[pb.PutAck]) -> None:
         await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
+
+
+def _announced_together(hosted: HostedChannel) -> AbstractContextManager[None]:
+    """A block at whose end the readers of a ring learn of all its runs. Without a ring readers learn of each run."""
+    has_ring = hosted.ring is not None and hosted.recording is None
+    return hosted.puts.announced_together() if has_ring else nullcontext()
 
 
 def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:

@@ -5,7 +5,8 @@ wait while the channel is full.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -107,6 +108,21 @@ class ChannelPuts:
             raise
         finally:
             self._on_touched()
+
+    @contextmanager
+    def announced_together(self) -> Iterator[None]:
+        """A block without an await whose runs are announced at its end, once for all of them.
+
+        Give no ack before: a reader must see each item whose put is acknowledged.
+        """
+        announce, accepted_at = self._on_accepted, list[int]()
+        self._on_accepted = accepted_at.append
+        try:
+            yield
+        finally:
+            self._on_accepted = announce
+            if accepted_at:
+                announce(accepted_at[-1])
 
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         if self._ending is not None:  # the run may repeat a run that still waits

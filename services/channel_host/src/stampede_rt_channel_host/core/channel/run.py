@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple, Protocol
 
 ABSENT = -1
@@ -43,6 +44,13 @@ class ReferencedBody:
         self.attributes = attributes
         self.content_type = content_type
         self._length = sum(map(len, parts))
+
+    @property
+    def payload_at(self) -> int:
+        """Where the payload begins in the encoded run; 0 if the item has a content type, attributes or no payload."""
+        if self.attributes or self.content_type or not self.payload:
+            return 0
+        return sum(map(len, takewhile(lambda part: part is not self.payload, self.parts)))
 
     def followed_by(self, part: bytes) -> ReferencedBody:
         """This body with one more part at its end."""

@@ -1,0 +1,69 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""The streams over which a producer puts its runs: over the wire, or as they are to the host of this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from stampede_rt._sync.session import Session
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.errors import StampedeError
+from stampede_rt.transports.concurrency_sync import from_any_thread
+from stampede_rt.transports.grpc_sync import PutDuplex
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.wire.batching import NumberedRun
+from stampede_rt.wire.put_frames import put_head, put_pieces
+
+OnAcks = Callable[[channel_pb.PutResponse], None]
+OnEnd = Callable[[StampedeError], None]
+
+
+class RunStream(Protocol):
+    """An open stream of puts to one host."""
+
+    def send(self, runs: Sequence[NumberedRun]) -> None:
+        """Send runs without waiting. If the stream breaks, its `on_end` gets the reason."""
+        ...
+
+    def cancel(self) -> None:
+        """End the stream."""
+        ...
+
+
+class EncodedRuns:
+    """A RunStream over the wire."""
+
+    def __init__(self, duplex: PutDuplex, head: bytes, tail: bytes) -> None:
+        """`head` and `tail`: see `put_request`."""
+        self._duplex, self._tail = duplex, tail
+        duplex.send(head)
+
+    def send(self, runs: Sequence[NumberedRun]) -> None:
+        """Send the runs in one request."""
+        self._duplex.send([piece for run in runs for piece in self._pieces(run)])
+
+    def _pieces(self, run: NumberedRun) -> list[bytes]:
+        return put_pieces(b"", run.first_number, run.encoded, tail=self._tail)
+
+    def cancel(self) -> None:
+        """End the stream."""
+        self._duplex.cancel()
+
+
+def open_run_stream(
+    session: Session, binding: Binding, producer_id: int, tail: bytes, on_acks: OnAcks, on_end: OnEnd
+) -> RunStream:
+    """Open a stream to the host of `binding`. The caller holds no lock that `on_acks` needs.
+
+    `tail`: the encoded conditions for the acks (`put_tail`). If the channel is at the host of this process, and can
+    take the runs there, they do not go over the wire.
+    """
+    here = session.here
+    if here is not None and binding.target == here.target and not tail:
+        told = from_any_thread(on_acks), from_any_thread(on_end)
+        stream = here.puts(binding.subject_id, binding.epoch, producer_id, *told)
+        if stream is not None:
+            return stream
+    duplex = session.endpoints.to(binding.target).duplex(on_acks, on_end)
+    return EncodedRuns(duplex, put_head(binding.subject_id, binding.epoch, producer_id), tail)
