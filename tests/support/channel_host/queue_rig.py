@@ -33,6 +33,7 @@ class QueueRig:
         self.connection = started.connect()
         self.stub = QueueServiceStub(self.connection)
         self.accounts = started.server.access.accounts
+        self.sockets = started.server.sockets
 
     def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
         """Return a queue whose owner in the directory is this host."""

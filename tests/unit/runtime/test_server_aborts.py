@@ -20,6 +20,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime import stream_headers
 from stampede_rt_runtime.access.open_call import OpenCall
 from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.error_frames import drop_frames, failure_of
 from stampede_rt_runtime.server import serving
 from stampede_rt_runtime.stream_headers import send_headers
 
@@ -178,3 +179,45 @@ async def test_unread_headers_delay_the_end_of_a_stream_for_a_limited_time(
     async with asyncio.timeout(LIMIT_S):
         with pytest.raises(asyncio.CancelledError):
             await sending
+
+
+class Owner:
+    """Keeps its task, whose frame refers to it."""
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self.task = asyncio.create_task(self._run(work))
+
+    async def _run(self, work: Callable[[], object]) -> None:
+        await asyncio.sleep(0)
+        work()
+        await asyncio.Event().wait()
+
+
+def fail() -> None:
+    try:
+        raise KeyError("first")
+    except KeyError as error:
+        kept = ValueError("then")
+        raise kept from error
+
+
+@pytest.mark.parametrize("work", [fail, lambda: None])
+async def test_the_owner_of_an_ended_task_is_freed_without_the_garbage_collector(work: Callable[[], object]) -> None:
+    gc.collect()
+    gc.disable()
+    try:
+        owner = Owner(work)
+        for _ in range(3):
+            await asyncio.sleep(0)
+        owner.task.cancel()  # without effect if it has failed
+        await asyncio.wait([owner.task])
+        failure = failure_of(owner.task)
+        assert (failure is None) == (work is not fail)
+        if failure is not None:
+            drop_frames(failure)
+            assert isinstance(failure.__cause__, KeyError)
+        ended = weakref.ref(owner)
+        del owner, failure
+        assert ended() is None
+    finally:
+        gc.enable()

@@ -55,8 +55,10 @@ class CallStream:
         """Whether a new stream may be faster than this one. Then the owner should replace this one while it is idle."""
         return self._route.late_arrivals != self._late_arrivals
 
-    def _error(self, error: BaseException) -> StampedeError:
+    def _error(self, error: BaseException, *, is_overdue: bool = False) -> StampedeError:
         self.cancel()
+        if is_overdue:
+            return DeadlineExceeded(f"{self._target} did not answer in time; it may be overloaded or stopped")
         if isinstance(error, grpc.RpcError):
             return from_rpc_error(error, self._target)
         return Unavailable(f"{self._target} ended the stream")
@@ -86,12 +88,7 @@ class LockstepStream(CallStream):
         try:
             return next(self._call)
         except (grpc.RpcError, StopIteration) as error:
-            failure = self._error(error)
-            if limit:
-                raise DeadlineExceeded(
-                    f"{self._target} did not answer in time; it may be overloaded or stopped"
-                ) from error
-            raise failure from error
+            raise self._error(error, is_overdue=bool(limit)) from error  # a variable would keep it and this frame
         except BaseException:  # an interrupt: otherwise the next request would get the answer of this one
             self.cancel()
             raise

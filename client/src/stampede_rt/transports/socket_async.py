@@ -11,10 +11,9 @@ from ssl import SSLError
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.grpc_quiet import grpc
 from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
-from stampede_rt.transports.socket_errors import broken, error_of, silent
+from stampede_rt.transports.socket_errors import SocketError, broken, error_of, silent
 from stampede_rt.transports.socket_limits import (
     JOINED_BYTES_MAX,
     KEPT_ROOM_BYTES_MAX,
@@ -43,7 +42,7 @@ class SocketCall(asyncio.BufferedProtocol):
         self._came: deque[FrameInRoom] = deque()
         self._unread_bytes = 0
         # the end of the stream; no response comes after it
-        self._error: grpc.RpcError | asyncio.CancelledError | None = None
+        self._error: SocketError | asyncio.CancelledError | None = None
         self._is_over = self._is_full = self._is_paused = False
         self._news: asyncio.Future[None] | None = None
         self._room: asyncio.Future[None] | None = None
@@ -127,7 +126,7 @@ class SocketCall(asyncio.BufferedProtocol):
         encoded: bytes = request if encode is None else encode(request)
         for message in messages_of(encoded, SOCKET_MESSAGE_BYTES_MAX):
             if self._is_over:
-                raise self._error or broken("the stream has ended")
+                raise self._reason() or broken("the stream has ended")
             if len(message) <= JOINED_BYTES_MAX:
                 self._send(frame_of(FrameKind.MESSAGE, message))
             else:
@@ -147,7 +146,7 @@ class SocketCall(asyncio.BufferedProtocol):
         """Return the next response. Raises grpc.RpcError, or CancelledError if this side has cancelled the stream."""
         while not self._came:
             if self._is_over:
-                raise self._error or StopAsyncIteration
+                raise self._reason() or StopAsyncIteration
             self._news = self._loop.create_future()
             await self._news
         _, body = self._came.popleft()
@@ -171,7 +170,12 @@ class SocketCall(asyncio.BufferedProtocol):
         else:
             self._done.append(callback)
 
-    def _end(self, error: grpc.RpcError | asyncio.CancelledError | None) -> None:
+    def _reason(self) -> BaseException | None:
+        """The reason of the end, to be raised; None for the regular end."""
+        error = self._error
+        return error.again() if isinstance(error, SocketError) else error and asyncio.CancelledError()
+
+    def _end(self, error: SocketError | asyncio.CancelledError | None) -> None:
         """Note the end of the stream; `error` is None if the host ended it regularly.
 
         Only the first call has an effect.

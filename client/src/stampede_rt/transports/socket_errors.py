@@ -29,6 +29,13 @@ class SocketError(grpc.RpcError):  # type: ignore[misc, unused-ignore]
         """Return the text for people."""
         return self._details
 
+    def again(self) -> SocketError:
+        """Return the same error without frames. A stream that keeps an error raises it so.
+
+        Otherwise the error would refer to the frames of the stream's reader, and they to the stream.
+        """
+        return SocketError(self._code, self._details, self._encoded)
+
     def trailing_metadata(self) -> Any:
         """Return the status of the service, as gRPC's trailing metadata have it."""
         return ((DETAILS_KEY, self._encoded),) if self._encoded else ()

@@ -110,7 +110,7 @@ class SocketCall:
         while True:
             while not self._came:
                 if self._failure is not None:
-                    raise self._failure
+                    raise self._failure.again()
                 self._receive()
             kind, body = self._came.popleft()
             if kind == FrameKind.MESSAGE:
@@ -119,9 +119,7 @@ class SocketCall:
             if kind == FrameKind.STATUS:
                 self._came.append((kind, body))  # for the next call
                 self.cancel()
-                if error := error_of(body):
-                    raise error
-                raise StopIteration
+                raise error_of(body) or StopIteration
 
     def cancel(self) -> None:
         """End the stream. Any thread may do this."""
@@ -182,7 +180,7 @@ class SocketCall:
         except OSError:
             pass  # a read gives the reason: perhaps a status that came before the host closed the socket
         except SocketError as error:
-            self._failure = error
+            self._failure = error.again()
 
     def _send_rest(self, left: Buffers) -> None:
         """Send the rest, and receive meanwhile.

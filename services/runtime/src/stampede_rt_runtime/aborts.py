@@ -15,6 +15,7 @@ from typing import Any
 import grpc
 from grpc.aio import AbortError
 
+from stampede_rt_runtime.error_frames import drop_frames
 from stampede_rt_runtime.handlers import behavior_of, with_behavior
 from stampede_rt_runtime.rpc import Context
 
@@ -68,10 +69,6 @@ def _without_frames(error: AbortError) -> AbortError:
 
     An error that a local variable refers to is in a circle with the frame of that variable.
     """
-    former: list[BaseException | None] = [error.__cause__, error.__context__]
+    drop_frames(error)
     error.__cause__ = error.__context__ = None
-    for one in former:  # the list grows meanwhile
-        if one is not None and one.__traceback__ is not None:
-            one.__traceback__ = None
-            former += (one.__cause__, one.__context__, *getattr(one, "exceptions", ()))
-    return error.with_traceback(None)
+    return error

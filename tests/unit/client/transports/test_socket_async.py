@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import socket
+import weakref
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import grpc
 import pytest
@@ -152,3 +154,30 @@ async def test_a_stream_whose_opening_fails_or_is_cancelled_ends_with_the_reason
     asyncio.get_running_loop().call_soon(cancelled.cancel)
     with pytest.raises(asyncio.CancelledError):
         await anext(aiter(cancelled))
+
+
+@pytest.mark.parametrize("last", [frame_of(FrameKind.STATUS, encode_status(InvalidArgument("no"))), b"", None])
+async def test_a_failed_stream_is_freed_without_the_garbage_collector(last: bytes | None) -> None:
+    """The kept error of a stream referred to the frames of its reader, and these to the stream.
+
+    `last`: what the host sends before it closes the socket; None: this side cancels the stream.
+    """
+    gc.collect()
+    gc.disable()
+    try:
+        async with opened() as (call, far):
+            if last is None:
+                call.cancel()
+            else:
+                far.socket.sendall(last)
+                far.socket.shutdown(socket.SHUT_RDWR)
+            for _ in range(2):
+                with suppress(grpc.RpcError, asyncio.CancelledError):
+                    await anext(call)
+        ended = weakref.ref(call)
+        del call
+        for _ in range(10):  # the transport ends in a later turn
+            await asyncio.sleep(0)
+        assert ended() is None
+    finally:
+        gc.enable()

@@ -6,7 +6,9 @@ import signal
 import socket
 import threading
 import time
+import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 
 import grpc
 import pytest
@@ -271,3 +273,30 @@ def test_a_request_in_parts_comes_as_one(
     found = [far.message() for _ in range(messages)]
     whole = found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)
     assert whole == b"".join(request)
+
+
+@pytest.mark.parametrize("last", [frame_of(FrameKind.STATUS, encode_status(InvalidArgument("no"))), b"", None])
+def test_a_failed_stream_is_freed_without_the_garbage_collector(
+    pair: tuple[socket.socket, FarEnd], last: bytes | None
+) -> None:
+    """An error in a variable of a frame that the error refers to kept the stream, and its buffers of 128 KiB.
+
+    `last`: what the host sends before it closes the socket; None: this side cancels the stream.
+    """
+    gc.collect()
+    gc.disable()
+    try:
+        call, far = opened(pair)
+        if last is None:
+            call.cancel()
+        else:
+            far.socket.sendall(last)
+            far.socket.shutdown(socket.SHUT_RDWR)
+        for _ in range(2):
+            with suppress(grpc.RpcError):
+                next(call)
+        ended = weakref.ref(call)
+        del call
+        assert ended() is None
+    finally:
+        gc.enable()

@@ -17,6 +17,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt_channel_host.core.channel import batched
 from stampede_rt_runtime.access.control import current_account
+from stampede_rt_runtime.error_frames import drop_frames, failure_of
 from stampede_rt_runtime.quotas.working import charged
 from stampede_rt_runtime.rpc import Context
 
@@ -53,7 +54,8 @@ class OpenStream:
         return task
 
     def _check(self, task: asyncio.Task[None]) -> None:
-        if task.cancelled() or (failure := task.exception()) is None:
+        failure = failure_of(task)
+        if failure is None:
             return
         if isinstance(failure, InternalError):
             self._task.cancel()  # gRPC could not write, because the caller has gone
@@ -62,6 +64,7 @@ class OpenStream:
         else:
             logger.error("a stream failed", exc_info=failure, extra={"event": "stream_defect"})
             self.end(StampedeError(f"the host failed to serve the stream ({failure!r}); please report it"))
+        drop_frames(failure)
 
 
 class OpenStreams:

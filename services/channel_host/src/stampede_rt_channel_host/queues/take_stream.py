@@ -104,6 +104,7 @@ class TakeStream:
             await writer
         finally:
             writer.cancel()
+            del writer  # the error of a failed writer refers to this frame
 
     async def _take(self, hosted: HostedQueue, taker: TakerState, request: pb.TakeRequest) -> None:
         if self._work.must_wait:

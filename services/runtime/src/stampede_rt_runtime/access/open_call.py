@@ -188,6 +188,10 @@ class RequestRights:
                 if not waiting:
                     del self._waiting[grant]
 
+    def close(self) -> None:
+        """End no more requests: the stream has ended. `lose` usually refers to it, and it refers to this object."""
+        self._lose = lambda *_: None
+
     def judging_again(self, rules: AccessRules) -> Iterator[None]:
         """End the waiting requests that need a right which the caller has lost. Yields after each bounded step."""
         assert self._call is not None, "only a call is judged"

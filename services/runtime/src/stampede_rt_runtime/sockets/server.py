@@ -23,6 +23,7 @@ from stampede_rt.transports.machine import is_of_this_user, send_more_at_once
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.v1 import socket_stream_pb2 as pb
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, frame_of
+from stampede_rt_runtime.error_frames import failure_of
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.open_files import connections_max
 from stampede_rt_runtime.overload import RefusedCalls
@@ -269,7 +270,8 @@ class SocketServer:
         if stream is not None and stream.task is not None:
             stream.task.cancel()
 
-    def _note_end(self, _task: asyncio.Task[None]) -> None:
+    def _note_end(self, task: asyncio.Task[None]) -> None:
+        failure_of(task)  # the stream's entry keeps the task, and the frames of a cancelled task refer to the entry
         self._changed.set()
 
     async def _serve(self, stream: _Stream, opening: pb.StreamOpening) -> None:

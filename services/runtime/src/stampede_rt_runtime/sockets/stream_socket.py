@@ -72,9 +72,8 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._messages: deque[bytes] = deque()
         self._unread_bytes = 0
         self._came: asyncio.Future[None] | None = None
-        self._has_ended = self._is_lost = self._is_paused = self._has_written = False
+        self._has_ended = self._is_lost = self._is_paused = self._has_written = self._is_full = False
         self._room: asyncio.Future[None] | None = None
-        self._is_full = False
         self._frame_since_s: float | None = None
         self._place: FramePlace | None = None  # of the stream's caller, from its first read on
         self._is_filling = False  # Whether a long frame that has a place is being read.
@@ -312,6 +311,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             return self.at_once(body, self._write_message)
         except Exception as defect:  # noqa: BLE001  # the method ends with it, as if it had read the message
             came.set_exception(defect)
+            self._came = came = None  # the error refers to this frame
             return True
 
     def _take(self, kind: int, body: bytes) -> None:

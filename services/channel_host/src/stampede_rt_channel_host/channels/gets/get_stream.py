@@ -89,6 +89,7 @@ class GetStream:
             self._under_way.set(0)
             self._held_back.clear()
             self._outbox.close()
+            self._rights.close()
             self._store.scheduler.begin(self._cancelling())
 
     def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:

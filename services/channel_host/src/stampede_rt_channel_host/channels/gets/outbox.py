@@ -48,8 +48,8 @@ class Outbox:
         self,
         context: Context,
         stream: OpenStream,
-        on_end: Callable[[int], None],
-        on_room: Callable[[], None] = lambda: None,
+        on_end: Callable[[int], object],
+        on_room: Callable[[], object] = lambda: None,
         begin: Callable[[Pieces[None]], None] = run_to_end,
         account: Account | None = None,
     ) -> None:
@@ -157,6 +157,7 @@ class Outbox:
             self._begin(answer.emptying)
         if self._task is not None:
             self._task.cancel()
+        self._task, self._on_end, self._on_room = None, _ignore, _ignore  # they refer to the owner of this object
         self._in_flight.set(0)
 
     async def _write_all(self) -> None:
@@ -194,3 +195,7 @@ class Outbox:
         if self.has_room:
             self._room.set()
             self._on_room()
+
+
+def _ignore(*_: object) -> None:
+    """Does nothing: the stream has ended."""

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.puts.held_acks import HeldAck, HeldAcks
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck, HeldAcks, to_nobody
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
@@ -27,7 +27,7 @@ class AckWriter:
         self._is_writing = self._is_closed = False
         self._news = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
-        self._task = spawn(self._run())
+        self._task: asyncio.Task[None] | None = spawn(self._run())
 
     @property
     def is_idle(self) -> bool:
@@ -71,13 +71,16 @@ class AckWriter:
             await self._held.all_passed()
         self._is_closed = True
         self._news.set()
+        assert self._task is not None, "a closed writer has nothing to write"
         await self._task
 
     def close(self) -> None:
-        """Write nothing more. Idempotent."""
-        self._task.cancel()
+        """Write nothing more, and drop everything that refers back to this object. Idempotent."""
+        if self._task is not None:
+            self._task.cancel()
         if self._held is not None:
             self._held.close()
+        self._task, self._write_message = None, to_nobody
 
     def _holding(self) -> HeldAcks:
         if self._held is None:

@@ -159,8 +159,9 @@ class HeldAcks:
             await self._changed.wait()
 
     def close(self) -> None:
-        """Stop waiting. Idempotent."""
+        """Stop waiting, and drop `pass_on`, which refers to the owner of this object. Idempotent."""
         self._task.cancel()
+        self._pass_on = to_nobody
 
     async def _run(self) -> None:
         while True:  # until the stream ends
@@ -177,6 +178,10 @@ class HeldAcks:
     def _note(self) -> None:
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
+
+
+async def to_nobody(_: list[pb.PutAck]) -> None:
+    """Write no acks: the stream has ended."""
 
 
 def _is_due(ack: pb.PutAck | HeldAck) -> bool:

@@ -129,6 +129,7 @@ class ReadAhead:
     def close(self) -> None:
         """Stop reading, and forget the requests that were read ahead."""
         self._received.clear()
+        self._failure = None  # it refers to the frame of the task, and so to this object
         self.release()
         self._count(-self._bytes)
         if self._task is not None:

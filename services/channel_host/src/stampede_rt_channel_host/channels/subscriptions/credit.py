@@ -41,6 +41,10 @@ class Credit:
         """Take off the credit that a sent message costs."""
         self.left -= amount
 
+    def close(self) -> None:
+        """Call `on_news` no more: it usually refers to the owner of this object."""
+        self._on_news = lambda: None
+
     def end(self) -> None:
         """Note that the reader grants no more."""
         self.is_final = True

@@ -84,6 +84,12 @@ class Subscription(ChangeObserver):
         Raises Overloaded if the channel has too many subscriptions, or if the reader takes nothing for
         WRITE_SECONDS_MAX.
         """
+        try:
+            await self._run(request)
+        finally:
+            self._credit.close()
+
+    async def _run(self, request: pb.SubscribeRequest) -> None:
         opening = request.open
         if len(self._hosted.subscriptions) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
