@@ -35,12 +35,12 @@ class SeqMerge(Generic[OneItem]):
     """The items of one reader, whose next item has the seq `next_seq`.
 
     `announced_seq`: there are items below this seq, as far as the reader has heard. `held_bytes`: the memory of the
-    messages that wait for earlier items, at most `bytes_max`.
+    messages that wait for earlier items, at most `bytes_max`. `taken`: how many items of messages the reader has got.
     """
 
     def __init__(self, next_seq: int, bytes_max: int) -> None:
         self.next_seq = self.announced_seq = next_seq
-        self.held_bytes = 0
+        self.held_bytes = self.taken = 0
         self._bytes_max = bytes_max
         self._held: list[_Held[OneItem]] = []
 
@@ -89,6 +89,7 @@ class SeqMerge(Generic[OneItem]):
             taken += [item for item in one.items if item.seq >= self.next_seq]
             self.next_seq = max(self.next_seq, one.end_seq)
         del self._held[:count]
+        self.taken += len(taken)
         return taken
 
     def fill(self, items: Iterable[OneItem]) -> list[OneItem]:

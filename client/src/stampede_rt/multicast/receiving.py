@@ -48,7 +48,6 @@ class Receiving:
         self.hear(datagrams, now_s)
         items = self.merge.take()
         if items:
-            self._counts["items"] += len(items)
             self.pace.got_items()
             self._assembler.forget_before(self.merge.next_seq)
         return items
@@ -66,7 +65,8 @@ class Receiving:
         """The counts so far."""
         counts = dict(self._counts)
         counts["repeated"] = counts.get("repeated", 0) + self._assembler.repeated
-        return MulticastStats(group=group, following=following, repairs=self.pace.repairs, **counts)
+        items, repairs = self.merge.taken, self.pace.repairs
+        return MulticastStats(group=group, following=following, items=items, repairs=repairs, **counts)
 
     def _reject(self, rejected: Rejected, now_s: float) -> None:
         self._counts[rejected.value] += 1

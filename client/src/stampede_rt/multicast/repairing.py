@@ -29,10 +29,20 @@ class RepairPace:
     def __init__(self, now_s: float) -> None:
         self.repairs = 0
         self._heard_s = now_s
+        self._looked_s: float | None = None
         self._missing_since_s: float | None = None
         self._vain = 0
         self._key_asked_s = now_s - KEY_ASKED_S
         self._must_ask = self._has_ended = False
+
+    def looks(self, now_s: float) -> None:
+        """Note that the reader, which follows the datagrams, looks for some.
+
+        A reader that waits looks every BEAT_S_MAX at least. A longer time without a look is a rest, and no silence.
+        """
+        if self._looked_s is not None:
+            self._heard_s += max(0.0, now_s - self._looked_s - BEAT_S_MAX)
+        self._looked_s = now_s
 
     def heard(self, now_s: float) -> None:
         """Note a message of the host."""

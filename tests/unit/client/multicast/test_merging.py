@@ -39,6 +39,7 @@ def test_the_answer_of_the_host_and_datagrams_give_each_item_once() -> None:
     merge.add(3, 6, items(3, 6), 10)
     assert seqs(merge.fill(items(1, 5))) == [1, 2, 3, 4]
     assert seqs(merge.take()) == [5]
+    assert merge.taken == 1  # the others came from the host
     assert not merge.add(3, 6, items(3, 6), 10)
     assert merge.fill(items(1, 6)) == []
 
@@ -49,7 +50,7 @@ def test_held_items_inside_a_gap_are_not_lost_with_it() -> None:
     merge.add(3, 5, items(3, 5), 10)
     merge.add(7, 12, items(7, 12), 10)
     assert seqs(merge.take_up_to(9)) == [3, 4, 7, 8, 9, 10, 11]
-    assert (merge.next_seq, merge.held_bytes) == (12, 0)
+    assert (merge.next_seq, merge.held_bytes, merge.taken) == (12, 0, 7)
 
 
 def test_beyond_the_bound_the_latest_items_are_dropped_and_asked_for_later() -> None:

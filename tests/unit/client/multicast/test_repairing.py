@@ -1,6 +1,14 @@
 from __future__ import annotations
 
-from stampede_rt.multicast.repairing import KEY_ASKED_S, REORDERED_S, SILENT_S, VAIN_REPAIRS_MAX, RepairPace, Step
+from stampede_rt.multicast.repairing import (
+    BEAT_S_MAX,
+    KEY_ASKED_S,
+    REORDERED_S,
+    SILENT_S,
+    VAIN_REPAIRS_MAX,
+    RepairPace,
+    Step,
+)
 
 
 def test_a_reader_waits_for_datagrams_that_overtake_each_other_before_it_asks() -> None:
@@ -65,3 +73,16 @@ def test_questions_for_a_key_do_not_make_a_reader_leave() -> None:
         assert pace.next_step(second, is_missing=False)[0] is Step.REPAIR
         pace.asked()
     assert pace.next_step(second, is_missing=False)[0] is Step.WAIT
+
+
+def test_a_reader_that_rests_does_not_take_its_own_rest_for_silence() -> None:
+    """A fixed fault: a program that read nothing for 3.5 s lost multicast for a minute, although datagrams came."""
+    pace = RepairPace(0.0)
+    pace.looks(0.0)
+    now_s = 10 * SILENT_S
+    pace.looks(now_s)
+    assert pace.next_step(now_s, is_missing=False)[0] is Step.WAIT
+    while pace.next_step(now_s, is_missing=False)[0] is Step.WAIT:  # it waits, and hears nothing
+        now_s += BEAT_S_MAX
+        pace.looks(now_s)
+    assert now_s - 10 * SILENT_S <= SILENT_S + BEAT_S_MAX

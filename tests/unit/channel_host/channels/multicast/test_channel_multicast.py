@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, cast
 
@@ -36,10 +36,16 @@ class Group:
         self.has_news, self.may_send = asyncio.Event(), asyncio.Event()
         self.may_send.set()
 
-    async def send(self, datagrams: Sequence[bytes]) -> None:
-        self.sent += datagrams
+    async def send(self, parts: Sequence[bytes], seal: Callable[[bytes], bytes]) -> None:
+        for at, part in enumerate(parts):
+            if at:
+                await self.between_parts()
+            self.sent.append(seal(part))
         self.has_news.set()
         await self.may_send.wait()
+
+    async def between_parts(self) -> None:
+        """Stands for the wait at a low rate."""
 
     def close(self) -> None:
         pass
@@ -62,8 +68,10 @@ class Rig:
         self.group = Group()
         self.multicasts = Multicasts(cast(Any, self.group), lambda: NOW)
 
-    def put(self, payload: bytes) -> None:
-        run = IncomingRun(encode_run([payload], times=None), producer_id=0, first_number=0, wait_nanos=None)
+    def put(self, payload: bytes, attributes: dict[str, str] | None = None) -> None:
+        run = IncomingRun(
+            encode_run([payload], times=None, attributes=attributes), producer_id=0, first_number=0, wait_nanos=None
+        )
         self.hosted.puts.put(run, NOW)
 
     @asynccontextmanager
@@ -118,6 +126,62 @@ async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.Monke
         assert {staying.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
 
 
+async def test_the_key_changes_within_a_message_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fixed fault: at a rate of 1 KB/s a reader that had left could open datagrams for minutes."""
+    monkeypatch.setattr(channel_multicast, "KEY_SECONDS_MIN", 0.0)
+    rig = Rig()
+    one = rig.multicasts._begin(rig.hosted)
+    await asyncio.sleep(0)
+    offer = one.offer
+    former = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
+
+    async def leave() -> None:
+        one.join()
+        one.leave()
+
+    monkeypatch.setattr(rig.group, "between_parts", leave)
+    rig.put(bytes(5000))
+    async with asyncio.timeout(30):
+        await rig.group.has_news.wait()
+    rig.multicasts.close()
+    opened = [former.open(datagram) for datagram in rig.group.sent]
+    assert isinstance(opened[0], Part)
+    assert set(opened[1:]) == {Rejected.OTHER_KEY}
+
+
+async def test_a_reader_after_a_defect_begins_another_multicast(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A fixed fault: the host offered the dead stream to each later reader, and each heard nothing for 3.5 s."""
+    rig = Rig()
+    async with rig.reader() as first:
+        one = rig.multicasts.find(rig.hosted)
+        assert one is not None
+        with monkeypatch.context() as broken:
+            broken.setattr(rig.group, "send", None)
+            rig.put(b"one")
+            async with asyncio.timeout(30):
+                while not one.has_ended:  # noqa: ASYNC110
+                    await asyncio.sleep(0)
+        async with rig.reader() as second:
+            rig.put(b"two")
+            assert (await rig.group.parts(second, 1))[0].first_seq == 2
+            assert await rig.group.parts(first, 0) == []
+    assert [record.event for record in caplog.records] == ["multicast_failed"]  # type: ignore[attr-defined]
+
+
+async def test_an_item_that_no_datagram_carries_does_not_count_as_delivered() -> None:
+    rig = Rig()
+    async with rig.reader() as opener:
+        rig.put(bytes(2**20 + 1))
+        await rig.group.parts(opener, 1)
+        assert (rig.hosted.delivered_items, rig.hosted.delivered_bytes) == (0, 0)
+        rig.put(b"one")
+        while (await rig.group.parts(opener, 2))[-1].kind is not MessageKind.ITEMS:
+            rig.group.sent.clear()
+        assert (rig.hosted.delivered_items, rig.hosted.delivered_bytes) == (1, 3)
+
+
 async def test_readers_learn_that_the_host_no_longer_serves_the_channel() -> None:
     rig = Rig()
     async with rig.reader() as opener:
@@ -149,6 +213,21 @@ async def test_an_item_that_is_too_large_is_only_announced() -> None:
         rig.put(bytes(2**20 + 1))
         part = (await rig.group.parts(opener, 1))[0]
         assert (part.kind, part.first_seq) == (MessageKind.BEAT, 2)
+
+
+async def test_short_items_with_long_attributes_go_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fixed fault: 64 such items made a message of more than 1 MiB, which the host did not send."""
+    monkeypatch.setattr(channel_multicast, "MESSAGE_BYTES_MAX", 2500)
+    rig = Rig()
+    async with rig.reader() as opener:
+        for _ in range(3):
+            rig.put(b"x", {"k": "v" * 1000})
+        rig.put(b"x", {"k": "v" * 3000})  # too long for a message
+        found = await rig.group.parts(opener, 1)
+        while found[-1].kind is not MessageKind.BEAT:
+            found = await rig.group.parts(opener, len(found) + 1)
+        ranges = dict.fromkeys((one.first_seq, one.end_seq) for one in found if one.kind is MessageKind.ITEMS)
+        assert [*ranges] == [(1, 3), (3, 4)]
 
 
 async def test_a_multicast_that_is_too_slow_skips_items_and_announces_them_in_a_heartbeat() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ from stampede_rt.multicast.repairing import BEAT_S_MAX
 from stampede_rt.multicast.sealing import Sealer, Signer
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup
-from stampede_rt_channel_host.core.channel import AllCursor, SubscriptionBatch
+from stampede_rt_channel_host.core.channel import AllCursor, DeliveredSlice
 
 ITEMS_BYTES = 8192
 """About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
@@ -99,6 +99,7 @@ class ChannelMulticast:
                 await self._step(cursor)
             await self._send(MessageKind.END, cursor.next_seq, cursor.next_seq, self._next_beat())
         finally:
+            self.has_ended = True  # also after a defect: the next reader begins another multicast
             self._hosted.group_observers.pop(self, None)
 
     def _in_time(self, cursor: AllCursor) -> AllCursor:
@@ -116,23 +117,26 @@ class ChannelMulticast:
     async def _step(self, cursor: AllCursor) -> None:
         """Send the next items, or wait for some. Sends a beat after a silence."""
         self._news.clear()
-        if self._owes_key and asyncio.get_running_loop().time() - self._key_at_s >= KEY_SECONDS_MIN:
-            self._renew_key()
+        self._renew_owed_key()
         part = self._hosted.channel.since(cursor, self._now(), ITEMS_BYTES)
         if part.slices:
             self._beat_s = BEAT_S_MIN
-            await self._send_items(part)
+            await self._send_items(part.slices)
         elif part.is_empty and not part.more:
             await self._wait(cursor)
         else:  # the items left before they were sent: readers ask the host, which tells them
             await asyncio.sleep(0)
 
-    async def _send_items(self, part: SubscriptionBatch) -> None:
-        first_seq, end_seq = part.slices[0].slice.first_seq, part.slices[-1].slice.end_seq
-        delivery = self._hosted.deliveries.encode(part.slices, b"", without_payloads=False, readers=1)
-        self._hosted.count_delivered(end_seq - first_seq, delivery.payload_bytes)
+    async def _send_items(self, slices: Sequence[DeliveredSlice]) -> None:
+        """Send items in one message, or in several if attributes make it long. Leaves out an item that is too long."""
+        first_seq, end_seq = slices[0].slice.first_seq, slices[-1].slice.end_seq
+        delivery = self._hosted.deliveries.encode(slices, b"", without_payloads=False, readers=1)
         if len(delivery.encoded) <= MESSAGE_BYTES_MAX:
+            self._hosted.count_delivered(end_seq - first_seq, delivery.payload_bytes)
             await self._send(MessageKind.ITEMS, first_seq, end_seq, delivery.encoded)
+        elif len(slices) > 1:
+            for some in (slices[: len(slices) // 2], slices[len(slices) // 2 :]):
+                await self._send_items(some)
         await asyncio.sleep(0)
 
     async def _wait(self, cursor: AllCursor) -> None:
@@ -146,14 +150,27 @@ class ChannelMulticast:
 
     async def _send(self, kind: MessageKind, first_seq: int, end_seq: int, body: bytes) -> None:
         message = self._signer.sign(MulticastMessage(kind, first_seq, end_seq, body))
-        datagrams = [self._sealer.seal(part) for part in parts_of(message)]
-        self.datagrams += len(datagrams)
-        self.bytes += sum(map(len, datagrams))
-        await self._group.send(datagrams)
+        await self._group.send([*parts_of(message)], self._seal)
+
+    def _seal(self, part: bytes) -> bytes:
+        """The datagram of a part, under a key that readers who have left 10 s ago do not know.
+
+        At a low rate the parts of one message may take longer.
+        """
+        self._renew_owed_key()
+        datagram = self._sealer.seal(part)
+        self.datagrams += 1
+        self.bytes += len(datagram)
+        return datagram
 
     def _next_beat(self) -> bytes:
         self._beats += 1
         return self._beats.to_bytes(8, "big")
+
+    def _renew_owed_key(self) -> None:
+        """Change the key if a reader has left, and the key is old enough."""
+        if self._owes_key and asyncio.get_running_loop().time() - self._key_at_s >= KEY_SECONDS_MIN:
+            self._renew_key()
 
     def _renew_key(self) -> None:
         self._key_number = self._key_number % KEY_NUMBERS_MAX + 1
