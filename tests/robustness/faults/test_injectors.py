@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,8 @@ from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.robustness.__main__ import write_page
-from tests.robustness.faults.hostile_callers import FAULTS, QUOTAS, Puts
+from tests.robustness.faults import hostile_callers
+from tests.robustness.faults.hostile_callers import FAULTS, MIB, QUOTAS, Puts
 from tests.robustness.faults.malformed_traffic import giant_frame
 from tests.robustness.real_cluster.certificates import Certificates
 from tests.robustness.real_cluster.network import Network
@@ -109,3 +111,24 @@ async def test_a_lost_item_of_a_good_client_beside_an_attack_is_noticed() -> Non
     puts.acked.add(2)
     with pytest.raises(AssertionError, match="1 acknowledged items are lost, among them seq 2"):
         await puts.check_kept()
+
+
+async def test_a_host_may_keep_what_its_channels_hold_and_not_a_megabyte_for_each_of_60_streams(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(hostile_callers, "BACK_SECONDS", 0.0)
+    calm, cached, held, leaked = 68 * MIB, 55 * MIB, 40 * MIB, 60 * MIB
+
+    async def after(memory: int, told: int | None) -> int:
+        async def held_bytes() -> int | None:
+            return told
+
+        watched: Any = SimpleNamespace(name="h1", memory_bytes=lambda: memory)
+        return await hostile_callers.memory_back(watched, calm, "silent-gets", held_bytes)
+
+    assert await after(calm + cached + held, held) == calm + cached + held
+    with pytest.raises(TimeoutError, match="its channels and queues hold 40"):
+        await after(calm + cached + held + leaked, held)
+    assert await after(calm + 2 * leaked, None)  # a supernode has no channels
+    with pytest.raises(TimeoutError):
+        await after(calm + 3 * leaked, None)

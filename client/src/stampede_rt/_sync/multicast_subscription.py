@@ -132,6 +132,7 @@ class MulticastSubscription(Subscription):
         if self._session.closed:  # only the stream tells it, and nobody reads the stream
             self._reopen()
             return
+        receiving.pace.looks(now_s)
         if items := receiving.take(socket.poll(), now_s):
             self._add(items, receiving)
             sleep(0)  # if datagrams come faster than the program takes them, other tasks have turns, too
