@@ -20,6 +20,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.queues.rig import Rig
 from tests.support.operator import Operator, operating
+from tests.support.waiting import pause
 
 numbers = itertools.count()
 Do = Callable[["Scene"], Awaitable[Any]]
@@ -205,7 +206,7 @@ async def waiting_get(scene: Scene) -> Awaitable[Any]:
     waiting = asyncio.ensure_future(channel.newest(timeout=30))
     async with asyncio.timeout(45):
         while not (await own.stats()).waiting_gets:
-            pass  # each look is a round trip
+            await pause()
     return waiting
 
 
@@ -225,7 +226,7 @@ async def taking(scene: Scene) -> Awaitable[Any]:
     waiting = asyncio.ensure_future(queue.get(timeout=30))
     async with asyncio.timeout(45):
         while not (await own.stats()).waiting_gets:
-            pass  # each look is a round trip
+            await pause()
     return waiting
 
 
@@ -272,7 +273,7 @@ async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that
     waiting = [asyncio.ensure_future(one.newest(timeout=30)) for one in (lost, through, kept)]
     async with asyncio.timeout(20):
         while [(await one.stats()).waiting_gets for one in own] != [2, 1]:
-            pass  # each look is a round trip
+            await pause()
         await scene.forbid("read", "channel", "a")
         for one in waiting[:2]:
             with pytest.raises(st.PermissionDenied, match=f"may (not read|do nothing with) channel {scene.name('a')}"):
@@ -291,7 +292,7 @@ async def test_a_right_that_is_lost_for_a_group_ends_no_get_of_its_channels(scen
     waiting = [asyncio.ensure_future(one.newest(timeout=30)) for one in (through, channel)]
     async with asyncio.timeout(20):
         while (await own.stats()).waiting_gets < 2:
-            pass  # each look is a round trip
+            await pause()
         await scene.forbid("read", "group", "pair")
         with pytest.raises(st.PermissionDenied, match=f"may (not read|do nothing with) group {scene.name('pair')}"):
             await waiting[0]
@@ -335,7 +336,7 @@ async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_ri
     waiting = asyncio.ensure_future(handle.put(b"2", timeout=30))
     async with asyncio.timeout(20):
         while not (await own.stats()).waiting_puts:
-            pass  # each look is a round trip
+            await pause()
         await scene.forbid(verb, kind, "full")
         with pytest.raises(st.PermissionDenied, match=f"may not {verb} {kind} {scene.name('full')}"):
             await waiting

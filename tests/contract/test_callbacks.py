@@ -15,6 +15,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from tests.contract.surfaces import Surface
+from tests.support.waiting import pause
 
 MS = 1_000_000
 pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
@@ -53,6 +54,7 @@ async def until(condition: Callable[[], bool], channel: Any) -> None:
     async with asyncio.timeout(45):
         while not condition():
             await channel.stats()
+            await pause()
 
 
 async def test_a_function_is_called_for_each_new_item(surface: Surface) -> None:

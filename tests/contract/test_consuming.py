@@ -16,6 +16,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryChannel, MemoryConnection
 from tests.contract.surfaces import Surface
 from tests.support.cluster import find_secret_of
+from tests.support.waiting import pause
 
 
 class Team:
@@ -65,7 +66,7 @@ async def put_three(channel: Any) -> st.Items:
 async def waiting_puts(channel: Any, count: int) -> None:
     async with asyncio.timeout(45):
         while (await channel.stats()).waiting_puts != count:
-            pass
+            await pause()
 
 
 async def test_an_item_is_collected_when_all_consumers_have_consumed_it_and_is_visible_until_then(team: Team) -> None:

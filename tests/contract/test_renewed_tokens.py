@@ -77,7 +77,7 @@ async def test_open_streams_continue_with_a_renewed_token_without_a_gap(rig: Rig
             message = await queue.get(timeout=10)
             assert message.payload == b"%d" % number
             await message.ack()
-            await pause()
+            await pause(0.02)
 
 
 class Waits:
@@ -151,7 +151,7 @@ async def ticking(own: Any, rt: Any, name: str, until_unix_nano: float) -> None:
         while st.now() < until_unix_nano or not (items.reconnects or st.now() > until_unix_nano + 10 * S):
             await channel.put(b"tick")
             await anext(aiter(items))
-            await pause()
+            await pause(0.02)
 
 
 @pytest.mark.parametrize("renewed", [True, False])

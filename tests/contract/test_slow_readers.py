@@ -15,6 +15,7 @@ import stampede_rt as st
 from stampede_rt.pacing.crediting import WINDOW_BYTES_MAX
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.surfaces import Surface, connected, take
+from tests.support.waiting import pause
 
 MS = 1_000_000
 ITEMS = 40
@@ -118,6 +119,7 @@ async def until(condition: Any, channel: Any) -> None:
     async with asyncio.timeout(45):
         while not condition():
             await channel.stats()
+            await pause()
 
 
 async def in_step(surface: Surface, hosts_used: int = 2, **policy: Any) -> tuple[Any, Any, Any]:
@@ -142,7 +144,7 @@ async def fill(left: Any, right: Any, group: Any, start: int) -> None:
         await right.put(b"%d" % number, time=start + number * MS)
     for channel in (left, right):
         while (newest := await group[channel].newest(timeout=10)) is None or newest.time < start + (ITEMS - 1) * MS:
-            pass
+            await pause()
 
 
 async def test_a_descriptor_yields_the_newest_visible_item_at_the_moment_of_the_request(pair: Surface) -> None:

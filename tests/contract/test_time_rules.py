@@ -11,6 +11,7 @@ import pytest
 import stampede_rt as st
 from tests.contract.surfaces import Surface
 from tests.contract.test_reads import filled, shown
+from tests.support.waiting import pause
 
 MS = 1_000_000
 SECOND = 1_000 * MS
@@ -136,7 +137,7 @@ async def waiting(channel: Any, count: int = 1) -> None:
     """Wait until `count` gets are blocked on the channel, for at most 20 s."""
     async with asyncio.timeout(SOON_S):
         while (await channel.stats()).waiting_gets < count:
-            pass
+            await pause()
 
 
 async def test_a_get_with_a_future_start_is_answered_when_the_start_arrives(surface: Surface) -> None:

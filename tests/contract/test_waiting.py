@@ -6,6 +6,7 @@ import asyncio
 
 import stampede_rt as st
 from tests.contract.surfaces import Surface, waits_in_memory
+from tests.support.waiting import pause
 
 MS = 1_000_000
 
@@ -14,7 +15,7 @@ async def waiting(channel: object, count: int = 1) -> None:
     """Wait until `count` gets are blocked on the channel, for at most 10 s."""
     async with asyncio.timeout(45):
         while (await channel.stats()).waiting_gets + waits_in_memory(channel) < count:
-            pass
+            await pause()
 
 
 async def test_a_blocking_get_is_released_by_the_first_matching_item(surface: Surface) -> None:
@@ -83,7 +84,7 @@ async def test_a_cancelled_get_leaves_no_wait_at_the_host(surface: Surface) -> N
     get.cancel()
     async with asyncio.timeout(45):
         while (await channel.stats()).waiting_gets:
-            pass
+            await pause()
 
 
 async def test_many_gets_wait_side_by_side(surface: Surface) -> None:

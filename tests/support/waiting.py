@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 WITHIN_SECONDS = 45.0
 PAUSE_SECONDS = 0.02
+LOOK_SECONDS = 0.005
 
 
 def wait_until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
@@ -24,9 +25,9 @@ async def until(holds: Callable[[], object], what: str = "", within_seconds: flo
     deadline = time.monotonic() + within_seconds
     while not holds():
         assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
-        await pause()
+        await pause(PAUSE_SECONDS)
 
 
-async def pause() -> None:
-    """Wait between two looks at something, so that a loop that waits for it leaves the processor to others."""
-    await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=PAUSE_SECONDS)
+async def pause(seconds: float = LOOK_SECONDS) -> None:
+    """Wait between two looks at something. Without it, such a loop takes a core, and a second one in the service."""
+    await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=seconds)

@@ -11,6 +11,7 @@ from typing import Any
 import stampede_rt as st
 from stampede_rt import aio
 from tests.support.awaitable_blocking import awaitable
+from tests.support.waiting import pause
 
 numbers = itertools.count()
 
@@ -44,6 +45,7 @@ async def until(queue: Any, condition: Callable[[st.QueueStats], bool]) -> st.Qu
     async with asyncio.timeout(45):
         while not condition(stats := await queue.stats()):
             adds_up(stats)
+            await pause()
         return adds_up(stats)
 
 

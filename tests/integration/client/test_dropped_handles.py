@@ -15,7 +15,7 @@ from stampede_rt._async import put_streams as put_streams_async
 from stampede_rt._sync import put_streams as put_streams_sync
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
-from tests.support.waiting import until, wait_until
+from tests.support.waiting import pause, until, wait_until
 
 cluster = shared_cluster_fixture(hosts=1)
 HANDLES = 600
@@ -26,7 +26,7 @@ LIMIT_S = 20.0
 async def until_a_put_waits(channel: aio.Channel) -> None:
     async with asyncio.timeout(LIMIT_S):
         while not (await channel.stats()).waiting_puts:
-            pass
+            await pause()
 
 
 def test_dropped_handles_of_channels_leave_no_stream_open(cluster: LocalCluster) -> None:

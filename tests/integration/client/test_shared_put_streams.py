@@ -12,7 +12,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
-from tests.support.waiting import until
+from tests.support.waiting import pause, until
 
 cluster = shared_cluster_fixture(hosts=1)
 CHANNELS = 60
@@ -116,4 +116,4 @@ def answers_held_back(exchange: Any) -> asyncio.Event:
 
 async def until_a_put_waits(channel: aio.Channel) -> None:
     while not (await channel.stats()).waiting_puts:
-        pass
+        await pause()

@@ -13,6 +13,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
+from tests.support.waiting import pause
 
 pytestmark = pytest.mark.without_rules("a client token cannot host channels")
 cluster = shared_cluster_fixture(hosts=1)
@@ -63,10 +64,10 @@ async def test_a_cancelled_get_of_an_embedded_host_ends(cluster: LocalCluster) -
         waiting = asyncio.create_task(channel.newest(timeout=None))
         async with asyncio.timeout(LIMIT_S):
             while (await channel.stats()).waiting_gets == 0:
-                pass  # each question is a round trip
+                await pause()
             waiting.cancel()
             while (await channel.stats()).waiting_gets:
-                pass
+                await pause()
         payload = b"y"
         await channel.put(payload)
         newest = await channel.newest()

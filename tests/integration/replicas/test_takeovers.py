@@ -14,6 +14,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.queues.rig import Rig
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import pause
 
 cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
 
@@ -35,7 +36,7 @@ async def mirrored(thing: Any) -> None:
     """Wait until the replica of a channel or queue is in sync, and has everything."""
     async with asyncio.timeout(WAIT_SECONDS_MAX):
         while not is_level(await thing.stats()):
-            pass  # each question is a round trip
+            await pause()
 
 
 def is_level(stats: Any) -> bool:

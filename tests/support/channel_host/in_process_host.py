@@ -14,6 +14,7 @@ from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer
+from tests.support.waiting import pause
 
 HOST_ID = b"the-host-id-here"
 WAIT_SECONDS_MAX = 45.0
@@ -76,7 +77,7 @@ async def until_status(ask: Callable[[], Awaitable[Status]], condition: Callable
     """Ask for the status again and again, until `condition` holds."""
     async with asyncio.timeout(WAIT_SECONDS_MAX):
         while not condition(status := await ask()):
-            pass  # each question is a round trip
+            await pause()
     return status
 
 
