@@ -13,6 +13,7 @@ from contextlib import suppress
 import pytest
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import moving
 from stampede_rt_channel_host.channels.owned_replicas import ServingPeriod
 from stampede_rt_channel_host.channels.replication import Replication
@@ -25,7 +26,7 @@ from stampede_rt_channel_host.copies import (
 )
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Story
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, Link, World
 from tests.support.supernode.operations import id_of
 
 PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id="to a stranger")]
@@ -226,3 +227,39 @@ async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_form
     story.world.expire(DESTINATION)
     assert story.world.owner is story.world.hosts[SOURCE if replica_at == DESTINATION else THIRD]
     await story.finish()
+
+
+@pytest.mark.parametrize(
+    ("owner_epoch", "ahead", "begins_anew"),
+    [(1, 0, False), (1, 1, True), (0, -1, True), (2, 1, False)],
+    ids=["with nothing else", "with an item that the owner lacks", "from two owners ago", "with items of this owner"],
+)
+async def test_a_replica_begins_anew_if_it_may_have_items_of_a_former_owner_that_the_owner_lacks(
+    stories: list[ReplicatedStory], owner_epoch: int, ahead: int, begins_anew: bool
+) -> None:
+    """The owner has accepted other items with these seqs meanwhile, so the seqs alone do not tell."""
+    story = ReplicatedStory(DESTINATION)
+    stories.append(story)
+    await story.begin()
+    for number in (SOURCE, THIRD):  # the test makes the requests of the third host
+        story.world.kill(number)
+    story.world.expire(SOURCE)
+    hosted = await story.destination.store.bind_for_feed(story.world.channel_id, 2)
+    replication = hosted.replication
+    assert replication is not None
+    await story.until(lambda: replication.is_known and replication.is_ready)
+    for _ in range(3):
+        story.put()
+    assert hosted.core.next_seq > replication.start + 1
+    link = Link(story.world, story.destination)
+    place = pb.FeedPlace(
+        incarnation=story.world.incarnation, next_seq=replication.start + ahead, owner_epoch=owner_epoch
+    )  # fmt: skip
+    opening = pb.FeedOpen(
+        channel_id=story.world.channel_id, epoch=2, host_id=id_of(THIRD), target="third:1", place=place,
+        owner_facts=True,
+    )  # fmt: skip
+    await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
+    async with asyncio.timeout(10):
+        assert (await link.read()).opened.begins_anew is begins_anew
+    link.cut()

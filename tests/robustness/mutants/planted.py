@@ -307,6 +307,18 @@ MUTANTS = (
         noticed_by="tests/robustness/takeovers/test_queue_moves_at_each_step.py",
     ),
     Mutant(
+        name="a_replica_continues_with_items_of_a_former_owner",
+        file=f"{HOST}/copies/feed_stream.py",
+        edits=(("place is not None and _has_others_items(hosted, opening.place)", "False"),),
+        noticed_by="tests/robustness/moves/test_crashes_with_replicas.py -k anew",
+    ),
+    Mutant(
+        name="a_queue_that_comes_back_trusts_its_replicas",
+        file=f"{HOST}/queues/hosted_queue.py",
+        edits=(("if moving is not None and was_elsewhere and self.replication is not None:", "if False:"),),
+        noticed_by="tests/unit/channel_host/queues/test_queue_replication.py",
+    ),
+    Mutant(
         name="items_of_another_reader",
         file="client/src/stampede_rt/multicast/sealing.py",
         edits=(

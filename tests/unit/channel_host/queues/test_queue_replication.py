@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.queueing import QueuePolicy
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.core.replication import KnownReplica
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import STALLED_NANOS, QueueReplication
 from tests.support.channel_host.queue_cores import Core
 
@@ -138,3 +143,38 @@ def test_the_status_shows_the_position_of_a_replica() -> None:
     (status,) = owner.replication.statuses()
     assert (status.host_id, status.waiting, status.in_sync, status.replica) == (REPLICA, 1, True, True)
     assert status.heard_ago_nanos == 30
+
+
+def test_an_owner_that_owns_the_queue_again_trusts_no_replica_before_it_has_heard_of_it_anew() -> None:
+    owner = Owner()
+    owner.put("one")
+    owner.report(2)
+    owner.replication.own_again(3)
+    assert (owner.replication.since_epoch, owner.replication.start, owner.replication.is_known) == (3, 2, False)
+    owner.put("two")
+    owner.report(3)
+    assert owner.done == ["one"], "the owner does not know which replicas the directory has"
+    owner.replication.know([KnownReplica(REPLICA, 1, True)])
+    assert owner.done == ["one"]
+    owner.report(3)
+    assert owner.done == ["one", "two"]
+
+
+async def test_a_queue_that_comes_back_after_a_move_is_owned_again_and_one_that_never_left_is_not() -> None:
+    for epoch, since_epoch in ((2, 1), (3, 3)):
+        hosted = await held_queue()
+        assert hosted.replication is not None
+        hosted.update(replace(hosted.record, epoch=epoch))
+        assert hosted.moving is None
+        assert (hosted.epoch, hosted.replication.since_epoch) == (epoch, since_epoch)
+
+
+async def held_queue() -> HostedQueue:
+    """A queue with replicas, at epoch 1, which is about to move."""
+    record = RecordedQueue(
+        queue_id=b"q" * 16, name="jobs", host_id=b"h" * 16, epoch=1, incarnation=5, spec_version=1,
+        policy=QueuePolicy(replicas=1, ack="replica"), message=b"",
+    )  # fmt: skip
+    hosted = HostedQueue(record, MemoryBudget(2**20), lambda: 0, lambda hosted: None, Deadlines())
+    await hosted.hold(Unavailable("the queue moves"))
+    return hosted

@@ -116,6 +116,15 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self.know([])
         self.journal.stop()
 
+    def own_again(self, epoch: int) -> None:
+        """Note that this host is the owner again, at `epoch`. The queue had moved away, and its new owner was lost.
+
+        That owner may have sent steps to the other replicas that this host does not know.
+        """
+        self._in_sync.own_again()
+        self.since_epoch = epoch
+        self.news.set()
+
     def end(self, error: StampedeError) -> None:
         """End the waits, and drop the waiting actions. The feeds go on."""
         self._waiting.clear()
