@@ -319,6 +319,32 @@ MUTANTS = (
         noticed_by="tests/unit/channel_host/queues/test_queue_replication.py",
     ),
     Mutant(
+        name="a_copy_continues_with_steps_that_its_owner_lacks",
+        file=f"{HOST}/copies/queue_feed.py",
+        edits=(("if place.owner_epoch < since and is_later:", "if False:"),),
+        noticed_by="tests/unit/channel_host/copies/test_queue_feed.py",
+    ),
+    Mutant(
+        name="steps_of_another_incarnation",
+        file=f"{HOST}/copies/queue_feed.py",
+        edits=(
+            ("if not place.next_step or place.incarnation != hosted.queue.incarnation:", "if not place.next_step:"),
+        ),
+        noticed_by="tests/unit/channel_host/copies/test_queue_feed.py",
+    ),
+    Mutant(
+        name="an_inherited_queue_counts_as_replicated",
+        file=f"{HOST}/queues/queue_copies.py",
+        edits=(("is_replicated=False", "is_replicated=True"),),
+        noticed_by="tests/unit/channel_host/queues/test_queue_copies.py",
+    ),
+    Mutant(
+        name="the_pause_of_a_takeover_ends_leases",
+        file=f"{HOST}/queues/queue_copies.py",
+        edits=(("        copy.core.postpone(time.monotonic_ns() - copy.heard_nanos)\n", ""),),
+        noticed_by="tests/unit/channel_host/queues/test_queue_copies.py",
+    ),
+    Mutant(
         name="items_of_another_reader",
         file="client/src/stampede_rt/multicast/sealing.py",
         edits=(

@@ -58,3 +58,23 @@ async def test_while_nothing_changes_there_are_signs_of_life(monkeypatch: pytest
     rig = Rig(monkeypatch, 0.01)
     assert [await rig.parts() for _ in range(3)] == [0, 0, 0]
     await rig.end()
+
+
+@pytest.mark.parametrize(
+    ("next_step", "incarnation", "owner_epoch", "continues"),
+    [(11, 5, 4, True), (10, 5, 3, True), (11, 5, 3, False), (9, 5, 2, False), (10, 6, 3, False), (7, 5, 4, False)],
+    ids=[
+        "steps of this owner", "steps that this owner has inherited", "a step of the former owner that is lost",
+        "two owners ago", "another incarnation", "steps that the journal has dropped",
+    ],
+)  # fmt: skip
+def test_a_copy_continues_only_if_it_has_no_other_steps_than_its_owner(
+    next_step: int, incarnation: int, owner_epoch: int, continues: bool
+) -> None:
+    """This owner began at step 10 in epoch 4, and has the steps from 8 on."""
+    journal = SimpleNamespace(next_step=12, steps_from=lambda first, most: [] if 8 <= first <= 12 else None)
+    replication: Any = SimpleNamespace(journal=journal, since_epoch=4, start=10)
+    hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
+    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
+    place = pb.FeedQueueResponse(next_step=next_step, incarnation=incarnation, owner_epoch=owner_epoch)
+    assert feed._continues(place) is continues
