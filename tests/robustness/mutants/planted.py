@@ -273,8 +273,8 @@ MUTANTS = (
     ),
     Mutant(
         name="a_message_is_acknowledged_by_its_host_alone",
-        file=f"{HOST}/queues/enqueue_stream.py",
-        edits=(('if hosted.replication is None or not ack.HasField("first_seq"):', "if True:"),),
+        file=f"{HOST}/queues/replica_acks.py",
+        edits=(('if replication is None or not ack.HasField("first_seq"):', "if True:"),),
         noticed_by="queues",
     ),
     Mutant(

@@ -110,6 +110,14 @@ def test_after_a_move_to_a_replica_the_hosts_have_changed_places(log: Log) -> No
     assert copies(log) == [(id_of(1), True)]
 
 
+def test_of_two_moves_of_a_queue_from_one_epoch_the_first_one_counts(log: Log) -> None:
+    first = CommitQueueMove(queue_id=jobs(log).queue_id, epoch=1, to_host_id=id_of(2), to_boot_incarnation=1)
+    log.apply(first)
+    log.apply(first)
+    assert reason(log, replace(first, to_host_id=id_of(3))) == "WRONG_EPOCH"
+    assert (jobs(log).host_id, jobs(log).epoch) == (id_of(2), 2)
+
+
 def test_a_replica_is_kept_after_a_move_to_another_host(log: Log) -> None:
     add(log, 2)
     move = CommitQueueMove(queue_id=jobs(log).queue_id, epoch=1, to_host_id=id_of(3), to_boot_incarnation=1)
