@@ -232,9 +232,24 @@ class ArchivedChannel:
     def read_as_of(self, query: Query, as_of: int) -> ReadAnswer:
         """The answer as of an earlier instant, in as many requests as a host would need."""
         past = self.past(as_of)
+        span = span_of(past.segments)
         facts = PastFacts(self.channel.policy, self.channel.incarnation, past.advance, None, None)
-        moment = archive.past_moment(facts, past, span_of(past.segments), as_of)
+        moment = archive.past_moment(facts, past, span, as_of)
+        if span.newest is None:
+            within = archive.resolved(moment, span, query)
+            if self.is_cut:
+                return archive.nothing_left(within, as_of, self.channel.incarnation)
+            return run_to_end(archive.read_nothing(moment, query, within))
         return self._read(query, moment, past.segments, past.blocks_of(self._blocks_of))
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the archive has dropped items."""
+        return bool(self.segments) and self.segments[0].first_seq > 1
+
+    def drop_segments(self, count: int) -> None:
+        """Drop the oldest segments, but never the last one, as the limits of an archive do."""
+        del self.segments[: min(count, len(self.segments) - 1)]
 
     def _read(
         self, query: Query, moment: ChannelSnapshot, segments: Sequence[Segment], blocks_of: BlocksOf
@@ -325,7 +340,8 @@ def rest_of(query: Query, answer: ReadAnswer) -> Query:
 def span_of(segments: Sequence[Segment]) -> ArchiveSpan:
     lows = [one.low[0] for one in segments if one.low is not None]
     highs = [one.high[0] for one in segments if one.high is not None]
-    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=False)
+    is_cut = bool(segments) and segments[0].first_seq > 1
+    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
 
 
 def joined(answers: list[ReadAnswer], *, down: bool) -> ReadAnswer:

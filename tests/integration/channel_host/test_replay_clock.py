@@ -203,7 +203,7 @@ def test_a_replay_ends_at_its_stated_end(rt: st.Connection) -> None:
         with pytest.raises(st.DeadlineExceeded, match="the replay has ended"):
             seen.newest(after=seen.newest(), timeout=None)
         with pytest.raises(st.InvalidArgument, match="mode"):
-            replay.channel("clock/end").subscribe(mode="newest")
+            replay.channel("clock/end").subscribe(mode="latest")
 
 
 def test_a_replayed_match_whose_items_wait_too_long_fails_instead_of_taking_all_memory(
@@ -214,11 +214,109 @@ def test_a_replayed_match_whose_items_wait_too_long_fails_instead_of_taking_all_
     for number in range(8):
         fast.put(bytes(1000), time=start + number * MS)
     rt.group("clock-bound", [fast, slow])
-    monkeypatch.setattr("stampede_rt._sync.replayed_matches.WAITING_BYTES_MAX", 5000)
+    monkeypatch.setattr("stampede_rt._sync.archived_matching.KEYS_MAX", 5)
     with rt.replay(start, speed=0) as replay, replay.group("clock-bound").match("clock/fast", "1ms") as matches:
         with pytest.raises(st.Overloaded, match="until channel 'clock/slow' has passed their times"):
             next(matches)
         assert (matches.unmatched, matches.dropped) == (0, 0)
+
+
+class Paired:
+    """Two recorded channels of a group, whose second channel is a little behind, and the start of their recording."""
+
+    def __init__(self, rt: st.Connection, name: str) -> None:
+        self.left, self.right = (rt.channel(f"{name}/{side}", max_age="60s", archive="7d") for side in "lr")
+        self.group = rt.group(name, [self.left, self.right])
+        self.start = self.left.stats().host_time
+        self.began = self.start - SECOND
+        for number in range(8):
+            self.left.put(b"l%d" % number, time=self.began + number * 10 * MS)
+            if number == 5:
+                self.right.put(b"late", time=self.began + 31 * MS)
+            self.right.put(b"r%d" % number, time=self.began + number * 10 * MS + MS)
+        self.end = self.left.stats().host_time
+
+
+def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.Connection) -> None:
+    pair = Paired(rt, "replayed-group")
+    with pair.group[pair.right].subscribe(start=st.OLDEST) as items:
+        live = [next(items).payload for _ in range(8)]
+    with rt.replay(pair.end, speed=0) as replay:  # all of it is there already
+        group = replay.group("replayed-group")
+        assert [item.payload for item in group["replayed-group/r"].subscribe(start=st.OLDEST)] == live
+        assert len(group) == 2
+        assert [one.newest().payload for one in group] == [b"l6", b"r6"]
+        third = pair.right.get(pair.began + 21 * MS, pair.began + 21 * MS, match="start")[0]
+        after = [item.payload for item in group[pair.right].subscribe(after=third)]
+        assert after == live[3:]
+    with rt.replay(pair.start, speed=0) as replay:  # it comes bit by bit
+        found, shown, item = [], replay.group("replayed-group")[pair.left], None
+        while (item := shown.newest(after=item, timeout=1)) is not None:
+            found.append((item.payload, replay.now))
+        assert [payload for payload, _ in found] == [b"l%d" % number for number in range(7)]
+        for payload, instant in found:
+            assert pair.group[pair.left].newest(as_of=instant).payload == payload
+            assert getattr(pair.group[pair.left].newest(as_of=instant - 1), "payload", None) != payload
+    with rt.replay(pair.start, speed=0) as replay:
+        items = replay.group("replayed-group")[pair.right].subscribe()
+        assert [item.payload for item in items] == [b"r0", b"r1", b"r2", b"r3", b"late", b"r4", b"r5", b"r6"]
+
+
+@pytest.mark.parametrize("unique", [False, True])
+def test_replayed_matches_begin_with_earlier_items_and_go_on(rt: st.Connection, unique: bool) -> None:
+    pair = Paired(rt, f"replayed-matches-{unique}")
+    how: dict[str, Any] = {"tolerance": "15ms", "unique": unique, "start": pair.began + 20 * MS, "partial": True}
+    with pair.group.match(pair.left, **how) as matches:
+        live = [[item.payload for item in one.values()] for one in islice(matches, 4)]
+    for start, too_early in (
+        (pair.end, 0),
+        (pair.start, 2),
+    ):  # items that come after the start of the match, and lie before
+        with rt.replay(start, speed=0) as replay, replay.group(pair.group.name).match(pair.left, **how) as matches:
+            found = [[item.payload for item in one.values()] for one in matches]
+            assert (matches.unmatched, matches.dropped, matches.reason, matches.losses) == (0, too_early, None, 0)
+        assert found == live
+
+
+def test_a_replayed_channel_calls_functions_and_gives_the_newest_items(rt: st.Connection) -> None:
+    channel = rt.channel("clock/calls", max_age="60s", archive="7d")
+    start = channel.stats().host_time
+    for number in range(5):
+        channel.put(b"%d" % number)
+    last, found = channel.newest(), []
+    with rt.replay(start, speed=0) as replay:
+        listener = replay.channel("clock/calls").on_item(lambda item: found.append(item.payload))
+        assert listener.join(30)
+        assert (listener.error, listener.active, listener.dropped, listener.reconnects) == (None, False, 0, 0)
+    assert found == [b"0", b"1", b"2", b"3", b"4"]
+    with rt.replay(start, speed=0) as replay:
+        seen, found = replay.channel("clock/calls"), []
+        with seen.subscribe(mode="newest") as newest:
+            for item in newest:
+                found.append(item.payload)
+                while item.payload == b"1" and replay.now < last.time:
+                    replay.sleep("1ms")  # meanwhile others come
+            assert (found, newest.skipped) == ([b"0", b"1", b"4"], 2)
+        with seen.subscribe(after=channel.get(st.OLDEST, st.NOW)[2]) as rest:
+            assert [item.payload for item in rest] == [b"3", b"4"]
+
+
+def test_a_name_that_a_replay_lacks_says_why_and_a_wrong_argument_is_refused(rt: st.Connection) -> None:
+    channel = rt.channel("clock/lacks", max_age="60s", archive="7d")
+    with rt.replay(channel.stats().host_time) as replay:
+        with pytest.raises(AttributeError, match="changes nothing"):
+            replay.channel("clock/lacks").put(b"x")
+        with pytest.raises(AttributeError, match="not recorded"):
+            replay.queue("jobs")
+        with pytest.raises(TypeError, match="max_ages"):
+            replay.channel("clock/lacks", max_ages="60s")
+        assert replay.channel("clock/lacks", max_age="60s", archive="7d") == replay.channel("clock/lacks")
+
+
+def test_a_connection_has_the_clock_of_a_replay(rt: st.Connection) -> None:
+    before = rt.now
+    rt.sleep("1ms")
+    assert before + MS <= rt.now <= time.time_ns()
 
 
 @pytest.mark.parametrize("arguments", [{"speed": -1}, {"speed": "fast"}, {"end": 5}, {"step": 1}])

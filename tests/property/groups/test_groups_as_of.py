@@ -7,9 +7,11 @@ import random
 import pytest
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.values.model import Reason
+from stampede_rt.values.past import PastCut, PastMark, past_cut_of
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.core.archive import archived_read
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Query
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Query, ReadAnswer
 from stampede_rt_channel_host.core.group import (
     GroupCut,
     GroupDefinition,
@@ -55,14 +57,51 @@ class Then:
             self.cut.refresh(at)
 
 
-def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
+def past_cut(small: dict[bytes, ArchivedChannel], as_of: int) -> PastCut:
     """The cut as a client computes it: the smallest of the members' newest times and advances of then."""
-    cuts = []
+    marks = []
     for one in small.values():
-        newest, advance = one.read_as_of(NEWEST, as_of).slices, one.past(as_of).advance
-        marks = [*(part.last_time for part in newest), *([] if advance is None else [advance])]
-        cuts.append(max(marks, default=None))
-    return None if None in cuts else min(cut for cut in cuts if cut is not None)
+        found, advance = one.read_as_of(NEWEST, as_of), one.past(as_of).advance
+        newest = max((part.last_time for part in found.slices), default=None)
+        marks.append(PastMark("member", newest, advance, None if found.slices else lack_of(found), None))
+    return past_cut_of(marks)
+
+
+def lack_of(answer: ReadAnswer) -> Reason | None:
+    return answer.reason if answer.reason in (Reason.COLLECTED, Reason.LOST) else None
+
+
+def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
+    found = past_cut(small, as_of)
+    assert found.lack is None
+    return None if found.cut == MIN_INSTANT else found.cut
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_says_what_is_missing(seed: int) -> None:
+    draw = random.Random(seed)
+    told = {name: tell(draw, advances=True) for name in NAMES}
+    large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
+    for channel in small.values():
+        channel.archive()
+    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in told.values())
+    for _ in range(4):
+        draw.choice(list(small.values())).drop_segments(draw.randrange(3))
+        for _ in range(3):
+            as_of = draw.randrange(first, max(first, last) + 2)
+            found, then = past_cut(small, as_of), Then(large, small, as_of).cut.cut
+            assert found.cut <= (MIN_INSTANT if then is None else then)
+            if found.lack is not None:
+                assert found.lack == "COLLECTED"
+            elif not any(has_lost_its_newest(one, as_of) for one in small.values()):
+                assert found.cut == then
+
+
+def has_lost_its_newest(channel: ArchivedChannel, as_of: int) -> bool:
+    """Whether a dropped item was later in time than all kept ones of then. Nothing in the archive tells of it."""
+    gone = channel.segments[0].first_seq
+    accepted = [(offer.times[0], seq) for seq, (at, offer) in enumerate(channel.offers, 1) if at <= as_of]
+    return bool(accepted) and max(accepted)[1] < gone and any(seq >= gone for _, seq in accepted)
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))

@@ -18,6 +18,7 @@ from stampede_rt._async.mailboxes import Mailboxes
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id
 from stampede_rt._async.queue_locator import queue_state
+from stampede_rt._async.real_clock import RealClock
 from stampede_rt._async.replay import ReplayedConnection
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt.cluster.embedding import HostHere
@@ -46,7 +47,7 @@ from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, InstantLik
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Mailboxes, Reference):
+class Connection(Mailboxes, RealClock, Reference):
     """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:

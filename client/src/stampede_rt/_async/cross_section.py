@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from stampede_rt._async.reader import Reader
@@ -27,8 +27,9 @@ async def cross_section(
     payloads: bool,
     timeout: float | None,
     as_of: InstantLike | None = None,
+    clock_s: Callable[[], float] = monotonic_s,
 ) -> CrossSection[Key]:
-    """See `Connection.cross_section`."""
+    """See `Connection.cross_section`. `clock_s`: the clock of the timeout."""
     if over not in ("start", "span"):
         raise InvalidArgument(f'over is {over!r}; write "start" or "span" (of the reference\'s item)')
     if isinstance(others, str | Reader):
@@ -38,13 +39,13 @@ async def cross_section(
             raise InvalidArgument(
                 f"{channel!r} is not a channel; give the handle from connection.channel(...), not the name"
             )
-    wait, began_s = Wait.parse(timeout), monotonic_s()
+    wait, began_s = Wait.parse(timeout), clock_s()
     held = await reference.at(at, payloads=payloads, timeout=timeout, as_of=as_of)
     found = {reference.info.channel_id: held}
     if held:
 
         def beside(other: Key) -> Awaitable[Items]:
-            left = wait.after(monotonic_s() - began_s)
+            left = wait.after(clock_s() - began_s)
             how = {"complete": complete, "payloads": payloads, "timeout": left.seconds, "as_of": as_of}
             return _beside(other, held[-1], over, how)
 

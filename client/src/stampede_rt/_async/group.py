@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cuts import CutSubscription
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers
+from stampede_rt._async.group_reads import MembersRead, read_members
 from stampede_rt._async.matches import MatchSubscription
-from stampede_rt._async.past_cuts import cut_as_of
+from stampede_rt._async.past_matches import PastMatches
 from stampede_rt._async.reader import Reader
-from stampede_rt._async.reads import read
 from stampede_rt._async.session import CALL_TIMEOUT_S, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
@@ -28,7 +27,6 @@ from stampede_rt.errors import (
     Unavailable,
 )
 from stampede_rt.handles import Reference, handle_repr
-from stampede_rt.transports.concurrency_async import run_all
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import (
@@ -37,12 +35,11 @@ from stampede_rt.values.grouping import (
     GroupStatus,
     NamedChannel,
     NewestItems,
-    SeenCut,
     parse_lateness,
     parse_max_wait,
     parse_members,
-    parse_tolerance,
 )
+from stampede_rt.values.match_rule import MatchRule
 from stampede_rt.values.model import Items
 from stampede_rt.values.reading import ReadQuery, parse_as_of, parse_limit
 from stampede_rt.values.timeline import (
@@ -54,7 +51,6 @@ from stampede_rt.values.timeline import (
     InstantLike,
     Match,
     MatchLike,
-    parse_bound,
     parse_interval,
     parse_match,
 )
@@ -63,7 +59,6 @@ from stampede_rt.wire.groups import member_status
 Result = TypeVar("Result")
 
 HOST_TIMEOUT_S = 2.0  # for one host; after this time the client asks another host
-CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it knows the cut that this process has already seen
 
 
 class Group(Reference):
@@ -141,20 +136,21 @@ class Group(Reference):
 
         The client reads all members at one cut, even if several hosts own them. The arguments are those of
         `Channel.get`. A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest
-        item. The answer maps each member to its Items. With `as_of` all members are recorded; the cut is that of then.
-        Raises GroupNotFound, InvalidInterval, InvalidArgument, Unavailable.
+        item. The answer maps each member to its Items.
+
+        With `as_of` the cut is that of then. All members are recorded, and the caller may read all members that decide
+        the cut. If an archive does not tell that cut any more, the reason of each answer is COLLECTED or LOST. Raises
+        GroupNotFound, InvalidInterval, InvalidArgument, PermissionDenied, Unavailable.
         """
-        interval = parse_interval(start, end, bounds)
-        return await self._read(
-            ReadQuery(
-                interval,
-                match=parse_match(match),
-                limit=parse_limit(limit),
-                newest_first=newest_first,
-                payloads=payloads,
-                as_of=parse_as_of(as_of),
-            )
+        query = ReadQuery(
+            parse_interval(start, end, bounds),
+            match=parse_match(match),
+            limit=parse_limit(limit),
+            newest_first=newest_first,
+            payloads=payloads,
+            as_of=parse_as_of(as_of),
         )
+        return (await self._read(query)).answers
 
     async def newest(self, *, payloads: bool = True, as_of: InstantLike | None = None) -> NewestItems[Channel]:
         """Return the newest visible item of each member, all at one cut. A member without visible items has None.
@@ -164,14 +160,15 @@ class Group(Reference):
         has only one item, the group may therefore show nothing for a member. `as_of`: see `get`. Raises as `get`.
         """
         interval, past = parse_interval(MIN_INSTANT, MAX_INSTANT), parse_as_of(as_of)
-        answers = await self._read(
+        answers, lack = await self._read(
             ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads, as_of=past)
         )
-        return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
+        found = {channel.info.channel_id: items for channel, items in answers.items()}
+        return NewestItems(self.channels, found, lack)
 
-    async def _read(self, query: ReadQuery) -> ByChannel[Channel, Items]:
+    async def _read(self, query: ReadQuery) -> MembersRead:
         with span("get", group=self.name):
-            return await self._with_members_of_now(functools.partial(self._read_all, query))
+            return await self._with_members_of_now(functools.partial(read_members, self._members, query))
 
     async def _with_members_of_now(self, operation: Callable[[], Awaitable[Result]]) -> Result:
         """Return the result of `operation`.
@@ -186,35 +183,6 @@ class Group(Reference):
             if (self.info.group_id, self.info.spec_version) == known:
                 raise
         return await operation()
-
-    async def _read_all(self, query: ReadQuery) -> ByChannel[Channel, Items]:
-        view = self._members.view if query.as_of is None else SeenCut(self.info.group_id)
-        cut = self._cut() if query.as_of is None else cut_as_of(self._members, query.as_of)
-        query = replace(query, cut=await cut)
-        answers = await run_all(
-            [functools.partial(read, self._session, one._state, query, view) for one in self.channels]
-        )
-        ids = (channel.info.channel_id for channel in self.channels)
-        return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
-
-    async def _cut(self) -> int:
-        """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet."""
-
-        async def cut_at(binding: Binding, timeout_s: float) -> group_pb.GetCutResponse:
-            endpoint = self._session.endpoints.to(binding.target)
-            request = group_pb.GetCutRequest(
-                group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
-            )
-            response: group_pb.GetCutResponse = await endpoint.call(endpoint.groups.GetCut, request, timeout_s)
-            return response
-
-        response = await self._session.perform(self.channels[0]._state, cut_at)
-        if not response.HasField("floor"):
-            return MIN_INSTANT
-        if (response.floor.spec_version, response.floor.incarnation) != (self.info.spec_version, self.incarnation):
-            await self._members.refresh()
-        self._members.view.saw(response.floor.cut_unix_nano)
-        return int(response.floor.cut_unix_nano)
 
     def subscribe(
         self,
@@ -237,6 +205,18 @@ class Group(Reference):
             self._members, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads
         )
 
+    @overload
+    def match(
+        self, per: NamedChannel | str, tolerance: DurationLike, *, unique: bool = ..., lateness: DurationLike = ...,
+        partial: bool = ..., payloads: bool = ..., reconnect: DurationLike | None = ..., start: BoundLike | None = ...,
+        as_of: None = None,
+    ) -> MatchSubscription: ...  # fmt: skip
+    @overload
+    def match(
+        self, per: NamedChannel | str, tolerance: DurationLike, *, unique: bool = ..., lateness: DurationLike = ...,
+        partial: bool = ..., payloads: bool = ..., reconnect: DurationLike | None = ..., start: BoundLike | None = ...,
+        as_of: InstantLike,
+    ) -> PastMatches: ...  # fmt: skip
     def match(
         self,
         per: NamedChannel | str,
@@ -248,7 +228,8 @@ class Group(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
         start: BoundLike | None = None,
-    ) -> MatchSubscription:
+        as_of: InstantLike | None = None,
+    ) -> MatchSubscription | PastMatches:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
         The nearest item must lie at most `tolerance` before or after the item of `per`. The host sends a match as soon
@@ -261,18 +242,15 @@ class Group(Reference):
         `reconnect` is as in `subscribe`. `start`: begin with the items of `per` from this bound on, in memory or in the
         archive; by default with those that come. Raises InvalidArgument; the iterator raises GroupNotFound,
         IncarnationLost, Unavailable, and Overloaded if one match needs too many archived items.
+
+        With `as_of` the iterator returns the matches that such a subscription would have got at once at that past
+        instant, and ends (see `PastMatches`). All members are recorded, and `start` is stated.
         """
-        return MatchSubscription(
-            self._members,
-            self._members.member(per),
-            parse_tolerance(tolerance),
-            reconnect,
-            lateness_nanos=parse_lateness(lateness),
-            unique=unique,
-            partial=partial,
-            payloads=payloads,
-            start=None if start is None else parse_bound(start, "start"),
-        )
+        rule = MatchRule.parse(tolerance, lateness, unique=unique, partial=partial, payloads=payloads, start=start)
+        member, past = self._members.member(per), parse_as_of(as_of)
+        if past is not None:
+            return PastMatches(self._members, member, rule, past)
+        return MatchSubscription(self._members, member, rule, reconnect)
 
     async def status(self) -> GroupStatus[Channel]:
         """Return the cut, the members that hold the cut back, and each member's own cut, as one host sees them.

@@ -9,10 +9,11 @@ from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.past_cuts import cut_as_of
 from stampede_rt._async.reader import Reader
-from stampede_rt._async.reads import read
-from stampede_rt.errors import GroupNotFound
+from stampede_rt._async.reads import read_as_of
+from stampede_rt.errors import ChannelNotFound, GroupNotFound
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items
+from stampede_rt.values.past import PastCut, tell_lack
 from stampede_rt.values.reading import ReadQuery
 
 
@@ -28,7 +29,7 @@ class GroupChannel(Reader):
 
     async def _read(self, query: ReadQuery) -> Items:
         if query.as_of is not None:
-            return await self._read_as_of(query, query.as_of)
+            return (await read_at_past_cut(self._group, self._state, query, query.as_of))[0]
         floor = self._group.view.cut_floor
         try:
             items = await super()._read(query)
@@ -40,13 +41,22 @@ class GroupChannel(Reader):
         await self._group.refresh()  # the host has a lower cut than this process saw: the group may have begun anew
         return await super()._read(query) if self._group.view.cut_floor is None else items
 
-    async def _read_as_of(self, query: ReadQuery, as_of: int) -> Items:
-        """Read at the cut of then. This changes nothing about the cut that the process has seen."""
-        query = replace(query, cut=await cut_as_of(self._group, as_of))
-        return await read(self._session, self._state, query, SeenCut(self._group.info.group_id))
-
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, through group {self._group.name!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._session.reopened("descriptor", self._group, self.name, self._state.coding)
+
+
+async def read_at_past_cut(
+    group: GroupMembers, state: ChannelState, query: ReadQuery, as_of: int
+) -> tuple[Items, PastCut]:
+    """Read a channel at the group's cut of then. This changes nothing about the cut that the process has seen."""
+    try:
+        past = await cut_as_of(group, as_of)
+    except (ChannelNotFound, GroupNotFound):
+        await group.refresh()
+        past = await cut_as_of(group, as_of)
+    query = replace(query, cut=past.cut)
+    items = await read_as_of(group.session, state, query, as_of, SeenCut(group.info.group_id))
+    return tell_lack(items, past.lack), past

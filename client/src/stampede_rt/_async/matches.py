@@ -22,9 +22,10 @@ from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.v1 import item_pb2 as item_pb
 from stampede_rt.values.grouping import Matched
+from stampede_rt.values.match_rule import MatchRule
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, Wait
-from stampede_rt.values.timeline import Bound, DurationLike, Interval, Match, clamp, parse_interval
+from stampede_rt.values.timeline import DurationLike, Interval, Match, clamp, parse_interval
 
 
 class MatchSubscription(BoundToProcess):
@@ -41,33 +42,17 @@ class MatchSubscription(BoundToProcess):
     - `losses` counts how many times the host of `per` was lost with its items.
     """
 
-    def __init__(
-        self,
-        group: GroupMembers,
-        per: Channel,
-        tolerance_nanos: int,
-        reconnect: DurationLike | None,
-        *,
-        lateness_nanos: int,
-        unique: bool,
-        partial: bool,
-        payloads: bool,
-        start: Bound | None = None,
-    ) -> None:
+    def __init__(self, group: GroupMembers, per: Channel, rule: MatchRule, reconnect: DurationLike | None) -> None:
         self._reconnecting = Reconnecting(group.session, f"the matching of group {group.name!r}", reconnect)
         self._group = group
         self._per = per
-        self._tolerance_nanos = tolerance_nanos
-        self._lateness_nanos = lateness_nanos
-        self._unique = unique
-        self._partial = partial
-        self._payloads = payloads
+        self._rule = rule
         self._stream: BidiStream[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
         self._steps = StepLock()  # callers that step at the same time take turns
-        self._start = start  # where the first stream begins
+        self._start = rule.start  # where the first stream begins
         self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
         self._unmatched_before = self._dropped_before = 0
@@ -191,11 +176,11 @@ class MatchSubscription(BoundToProcess):
             group_id=self._group.info.group_id,
             per_channel_id=self._per.info.channel_id,
             epoch=epoch,
-            tolerance_nanos=self._tolerance_nanos,
+            tolerance_nanos=self._rule.tolerance_nanos,
             after=self._after,
-            without_payloads=not self._payloads,
-            unique=self._unique,
-            lateness_nanos=self._lateness_nanos,
+            without_payloads=not self._rule.payloads,
+            unique=self._rule.unique,
+            lateness_nanos=self._rule.lateness_nanos,
         )
 
     async def _grant(self) -> None:
@@ -240,7 +225,7 @@ class MatchSubscription(BoundToProcess):
         for message, (matched, gone) in zip(response.matches, found, strict=True):
             self._dropped_before += gone
             self._unmatched_before += bool(matched.missing) and not (gone or message.unmatched_channel_ids)
-            if self._partial or not matched.missing:
+            if self._rule.partial or not matched.missing:
                 self._ready.append((matched, _charge(message)))
             else:
                 self._window.drop(_charge(message))
@@ -264,7 +249,7 @@ class MatchSubscription(BoundToProcess):
         Fetches the items that the response lacks, because other hosts hold them, in parallel.
         """
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
-        mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
+        mine = self._per._state.decoder(self._per.incarnation, payloads=self._rule.payloads).decode([message.item])[0]
         others = [one for one in message.matched if one.channel_id in by_id]
         fetched = await run_all([functools.partial(self._item, by_id[one.channel_id], one) for one in others])
         found = {one.channel_id: item for one, item in zip(others, fetched, strict=True) if item is not None}
@@ -276,10 +261,10 @@ class MatchSubscription(BoundToProcess):
         """Return an item of a match; None if retention has collected the item in the meantime."""
         position = matched.position
         if matched.HasField("item"):
-            decoder = channel._state.decoder(position.incarnation, payloads=self._payloads)
+            decoder = channel._state.decoder(position.incarnation, payloads=self._rule.payloads)
             return decoder.decode([matched.item])[0]
         interval = parse_interval(position.time_unix_nano, position.time_unix_nano)
-        query = ReadQuery(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
+        query = ReadQuery(interval, match=Match.START, payloads=self._rule.payloads, wait=Wait(0))
         items = await read(self._group.session, channel._state, query)
         found = [item for item in items if (item.seq, item.incarnation) == (position.seq, position.incarnation)]
         return found[0] if found else None

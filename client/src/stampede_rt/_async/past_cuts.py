@@ -7,10 +7,14 @@ from dataclasses import replace
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
-from stampede_rt._async.reads import read
-from stampede_rt.errors import InvalidArgument, VersionMismatch
+from stampede_rt._async.present_cuts import confirm_members
+from stampede_rt._async.reads import read_as_of
+from stampede_rt._async.session import Session
+from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.transports.concurrency_async import run_all
 from stampede_rt.values.grouping import GroupInfo
+from stampede_rt.values.model import PastState, Reason
+from stampede_rt.values.past import PastCut, PastMark, past_cut_of
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 
@@ -19,18 +23,23 @@ _NEWEST = ReadQuery(
 )
 
 
-async def cut_as_of(group: GroupMembers, as_of: int) -> int:
-    """Return the cut of a group as of an instant (decision 0229); MIN_INSTANT if the group showed nothing.
+async def cut_as_of(group: GroupMembers, as_of: int) -> PastCut:
+    """Return the cut of a group as of an instant (decision 0229).
 
-    One request to the host of each member, in parallel. Raises InvalidArgument if a member is not recorded, or if the
-    rule of the group needs more than the archives have; Unavailable.
+    One request to the host of each counting member, in parallel, after one for the present members. Raises
+    InvalidArgument if a member is not recorded, or if the rule of the group needs more than the archives have;
+    PermissionDenied if the caller may not read a counting member; Unavailable.
     """
-    info = group.info
-    _check(info)
-    counting = [one for one in group.channels if info.reference_id in (None, one.info.channel_id)]
-    cuts = await run_all([functools.partial(_cut_of, group, channel, as_of) for channel in counting])
-    known = [cut for cut in cuts if cut is not None]
-    return min(known) if known and len(known) == len(cuts) else MIN_INSTANT
+    await _confirm(group)
+    _check(group.info)
+    counting = counting_members(group)
+    marks = await run_all([functools.partial(_mark_in_group, group, channel, as_of) for channel in counting])
+    return past_cut_of(marks)
+
+
+def counting_members(group: GroupMembers) -> list[Channel]:
+    """Return the members that decide the cut: the reference, or all."""
+    return [one for one in group.channels if group.info.reference_id in (None, one.info.channel_id)]
 
 
 def _check(info: GroupInfo) -> None:
@@ -46,10 +55,42 @@ def _check(info: GroupInfo) -> None:
     )
 
 
-async def _cut_of(group: GroupMembers, channel: Channel, as_of: int) -> int | None:
-    """Return the cut of one member alone; None if it had neither an item nor an advance."""
-    found = await read(group.session, channel._state, replace(_NEWEST, as_of=as_of))
-    if found.past is None:
-        raise VersionMismatch(f"the host of channel {channel.name!r} does not know as_of; upgrade the host")
-    marks = [] if found.past.advance is None else [found.past.advance]
-    return max([*marks, *found.times], default=None)
+async def _confirm(group: GroupMembers) -> None:
+    member = counting_members(group)[0]
+    try:
+        await confirm_members(group, member)
+    except PermissionDenied as error:
+        raise _denied(group, member, error) from None
+
+
+async def _mark_in_group(group: GroupMembers, channel: Channel, as_of: int) -> PastMark:
+    try:
+        return await _mark_as_of(group.session, channel, as_of)
+    except PermissionDenied as error:
+        raise _denied(group, channel, error) from None
+
+
+def _denied(group: GroupMembers, channel: Channel, error: PermissionDenied) -> PermissionDenied:
+    """Return the error that says for what the caller needs the right."""
+    return PermissionDenied(
+        f"as_of: the cut of then of group {group.name!r} needs the right to read its channel {channel.name!r}: "
+        f"{error}; get that right, or read the other channels without the group",
+        metadata=error.metadata,
+    )
+
+
+async def _mark_as_of(session: Session, channel: Channel, as_of: int) -> PastMark:
+    """Return how far a channel had come at an instant, as far as its archive tells."""
+    found = await read_as_of(session, channel._state, _NEWEST, as_of)
+    lack = found.reason if found.reason == "LOST" or (found.reason == "COLLECTED" and not found) else None
+    if lack is None and found and found.truncated:
+        lack = await _lost_since(session, channel, found[0].time, as_of)
+    past = found.past or PastState(None, None, None)
+    return PastMark(channel.name, max(found.times, default=None), past.advance, lack, past.next_change)
+
+
+async def _lost_since(session: Session, channel: Channel, newest: int, as_of: int) -> Reason | None:
+    """Return the reason if items later than the newest one may have been lost with a host, else None."""
+    query = replace(_NEWEST, interval=parse_interval(newest, MAX_INSTANT, "(]"))
+    items = await read_as_of(session, channel._state, query, as_of)
+    return items.reason if items.reason == "LOST" else None

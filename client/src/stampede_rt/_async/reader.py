@@ -88,6 +88,11 @@ class Reader(Reference):
     def _identity(self) -> tuple[bytes, bytes]:
         return self._state.info.channel_id, self._view.group_id if self._view else b""
 
+    @property
+    def _is_direct(self) -> bool:
+        """Whether reads may use shared memory, or the host of this process: they have the present, without groups."""
+        return self._view is None
+
     async def get(
         self,
         start: BoundLike,
@@ -148,7 +153,7 @@ class Reader(Reference):
         """Return the items whose span holds `time`. `timeout` and `as_of` as in `get`."""
         bound = parse_bound(time, "time")
         is_plain = bound.meta is None and payloads is True and timeout == 0 and timeout is not False and as_of is None
-        if is_plain and self._view is None and self._session.here is not None:
+        if is_plain and self._is_direct and self._session.here is not None:
             found = at_here(self._session, self._state, bound.offset)
             if found is not None:
                 return found
@@ -195,7 +200,7 @@ class Reader(Reference):
         """
         demand = parse_staleness(max_staleness), parse_least_seq(least_seq)
         position = None if after is None else after_position(after)
-        if self._view is None and payloads is True and as_of is None:
+        if self._is_direct and payloads is True and as_of is None:
             deadline_s: float | None = 0.0
             if timeout != 0 or timeout is False:
                 wait_s = Wait.parse(timeout).seconds
@@ -238,12 +243,12 @@ class Reader(Reference):
         return items[0] if items else None
 
     async def _read(self, query: ReadQuery) -> Items:
-        if self._view is None and self._session.here is not None:
+        if self._is_direct and self._session.here is not None:
             items = await read_here(self._session, self._state, query)
             if items is not None:
                 return items
         is_plain = query.payloads and query.after is None and query.newer_than is None and query.as_of is None
-        if self._view is None and is_plain:
+        if self._is_direct and is_plain:
             found = await read_interval(self._session, self._state, query)
             if not isinstance(found, AskHost):
                 return found

@@ -2,36 +2,23 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Awaitable, Callable, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, NoReturn, Protocol
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.group import Group
 from stampede_rt._async.replayed_channel import ReplayedChannel
-from stampede_rt._async.replayed_matches import ReplayedMatches
+from stampede_rt._async.replayed_group import ReplayedGroup
 from stampede_rt._async.session import Session
 from stampede_rt._async.virtual_clock import VirtualClock
-from stampede_rt.errors import AheadOfClock, InvalidArgument
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.codecs import CodecLike
-from stampede_rt.values.grouping import (
-    ByChannel,
-    CrossSection,
-    NamedChannel,
-    NewestItems,
-    Over,
-    is_named_by,
-    parse_lateness,
-    parse_tolerance,
-    shown_name,
-)
-from stampede_rt.values.model import Items
-from stampede_rt.values.policy import flag_of
-from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
-
-Result = TypeVar("Result")
+from stampede_rt.values.grouping import CrossSection, Over
+from stampede_rt.values.replaying import not_replayed
+from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, InstantLike, parse_duration
 
 
 class Opener(Protocol):
@@ -59,6 +46,9 @@ class ReplayedConnection:
         self._clock = VirtualClock(start, speed, step)
         session.attach(self._clock)
 
+    def __getattr__(self, name: str) -> NoReturn:
+        raise not_replayed("Connection", name, self)
+
     def __repr__(self) -> str:
         return f"<ReplayedConnection at {self.now}>"
 
@@ -68,9 +58,9 @@ class ReplayedConnection:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        await self.aclose()
 
-    def close(self) -> None:
+    async def aclose(self) -> None:
         """End the replay: waiting and later reads raise Unavailable. The connection stays open."""
         self._clock.close()
         self._session.detach(self._clock)
@@ -95,17 +85,18 @@ class ReplayedConnection:
         self._clock.move(self.now + nanos)
         return self.now
 
-    async def channel(self, name: str, *, codec: CodecLike | None = None, **_: Any) -> ReplayedChannel:
+    async def channel(self, name: str, *, codec: CodecLike | None = None, **stated: Any) -> ReplayedChannel:
         """Get a recorded channel. Ignores the arguments that say how to create one. Raises ChannelNotFound."""
+        check_arguments(self._connection.channel, stated)
         return self._replayed(await self._connection.channel(name, codec=codec, create=False))
 
     def _replayed(self, channel: Channel) -> ReplayedChannel:
         return ReplayedChannel(channel, self._clock, self._end)
 
-    async def group(self, name: str, *_: object, **__: object) -> ReplayedGroup:
+    async def group(self, name: str, channels: Sequence[object] | None = None, **stated: Any) -> ReplayedGroup:
         """Get a group by its name, with its present members. Ignores the other arguments. Raises GroupNotFound."""
-        group = await self._connection.group(name)
-        return ReplayedGroup(group, [self._replayed(one) for one in group.channels], self._clock)
+        check_arguments(self._connection.group, stated)
+        return ReplayedGroup(await self._connection.group(name), self._clock, self._end)
 
     async def cross_section(
         self,
@@ -114,65 +105,21 @@ class ReplayedConnection:
         at: BoundLike = NOW,
         *,
         over: Over = "start",
+        complete: bool = False,
         payloads: bool = True,
+        timeout: float | None = 0,
+        as_of: InstantLike | None = None,
     ) -> CrossSection[ReplayedChannel]:
-        """Return an item of `reference` with the items of `others` (see `Connection.cross_section`). Does not wait."""
-        return await cross_section(reference, others, at, over=over, complete=False, payloads=payloads, timeout=0)
+        """Return an item of `reference` with the items of `others` (see `Connection.cross_section`)."""
+        began = self.now
+        return await cross_section(
+            reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout, as_of=as_of,
+            clock_s=lambda: (self.now - began) / 1e9,
+        )  # fmt: skip
 
 
-class ReplayedGroup:
-    """A group under a virtual clock. It matches the items of its channels, and reads them up to the cut of the clock's
-    instant. It has no descriptors and no cut events.
-    """
-
-    def __init__(self, group: Group, channels: Sequence[ReplayedChannel], clock: VirtualClock) -> None:
-        self._group = group
-        self.name = group.name
-        self.channels = tuple(channels)
-        """The members, in the order in which they joined."""
-        self._clock = clock
-
-    async def get(self, start: BoundLike, end: BoundLike, **how: Any) -> ByChannel[Channel, Items]:
-        """Return for each member the items in an interval, at the cut of the clock's instant (see `Group.get`)."""
-        read = functools.partial(self._group.get, start, end, **how)
-        return await as_of_clock(lambda instant: read(as_of=instant), self._clock)
-
-    async def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
-        """Return the newest visible item of each member, at the cut of the clock's instant (see `Group.newest`)."""
-        return await as_of_clock(lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock)
-
-    def match(
-        self,
-        per: NamedChannel | str,
-        tolerance: DurationLike,
-        *,
-        lateness: DurationLike = "0s",
-        partial: bool = False,
-        payloads: bool = True,
-        **_: Any,
-    ) -> ReplayedMatches:
-        """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
-        if _.get("unique"):
-            raise InvalidArgument("a replay does not match with unique=True; leave it out")
-        if _.get("start") is not None:
-            raise InvalidArgument("a replay matches from the instant of its clock on; leave start= out")
-        found = next((one for one in self.channels if is_named_by(per, one)), None)
-        if found is None:
-            raise InvalidArgument(f"{shown_name(per)!r} is not a member of the group {self.name!r}")
-        return ReplayedMatches(
-            self._clock,
-            self.channels,
-            found,
-            parse_tolerance(tolerance),
-            parse_lateness(lateness),
-            partial=flag_of("partial", partial),
-            payloads=flag_of("payloads", payloads),
-        )
-
-
-async def as_of_clock(read: Callable[[int], Awaitable[Result]], clock: VirtualClock) -> Result:
-    """Return the answer as of the clock's instant, or as of the host's clock if that is earlier."""
-    try:
-        return await read(clock.now)
-    except AheadOfClock as error:  # a wait has moved the replay's clock ahead of the host's
-        return await read(int(error.metadata["host_time_unix_nano"]))
+def check_arguments(method: Callable[..., Any], stated: Mapping[str, Any]) -> None:
+    """Raise TypeError for an argument that the method of the connection does not have."""
+    unknown = next((one for one in stated if one not in inspect.signature(method).parameters), None)
+    if unknown is not None:
+        raise TypeError(f"{method.__name__}() got an unexpected keyword argument {unknown!r}")

@@ -19,6 +19,7 @@ from stampede_rt._sync.mailboxes import Mailboxes
 from stampede_rt._sync.presence import Mailbox, Presence
 from stampede_rt._sync.queue import Queue, dead_letter_id
 from stampede_rt._sync.queue_locator import queue_state
+from stampede_rt._sync.real_clock import RealClock
 from stampede_rt._sync.replay import ReplayedConnection
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt.cluster.embedding import HostHere
@@ -47,7 +48,7 @@ from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, InstantLik
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Mailboxes, Reference):
+class Connection(Mailboxes, RealClock, Reference):
     """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from stampede_rt._sync.reader import Reader
@@ -28,8 +28,9 @@ def cross_section(
     payloads: bool,
     timeout: float | None,
     as_of: InstantLike | None = None,
+    clock_s: Callable[[], float] = monotonic_s,
 ) -> CrossSection[Key]:
-    """See `Connection.cross_section`."""
+    """See `Connection.cross_section`. `clock_s`: the clock of the timeout."""
     if over not in ("start", "span"):
         raise InvalidArgument(f'over is {over!r}; write "start" or "span" (of the reference\'s item)')
     if isinstance(others, str | Reader):
@@ -39,13 +40,13 @@ def cross_section(
             raise InvalidArgument(
                 f"{channel!r} is not a channel; give the handle from connection.channel(...), not the name"
             )
-    wait, began_s = Wait.parse(timeout), monotonic_s()
+    wait, began_s = Wait.parse(timeout), clock_s()
     held = reference.at(at, payloads=payloads, timeout=timeout, as_of=as_of)
     found = {reference.info.channel_id: held}
     if held:
 
         def beside(other: Key) -> Items:
-            left = wait.after(monotonic_s() - began_s)
+            left = wait.after(clock_s() - began_s)
             how = {"complete": complete, "payloads": payloads, "timeout": left.seconds, "as_of": as_of}
             return _beside(other, held[-1], over, how)
 

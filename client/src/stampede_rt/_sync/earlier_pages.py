@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 
-from stampede_rt.errors import Overloaded
+from stampede_rt.errors import IncarnationLost, Overloaded
 from stampede_rt.values.model import Item, Items, PastState
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, fixed, parse_interval
@@ -30,7 +30,11 @@ class EarlierPages:
     one answer of the host: 2^20 keys would hold an event loop for half a second.
     """
 
-    def __init__(self, name: str, read_as_of: ReadAsOf, query: ReadQuery, as_of: int) -> None:
+    def __init__(
+        self, name: str, read_as_of: ReadAsOf, query: ReadQuery, as_of: int, after: Item | None = None
+    ) -> None:
+        """`after`: only the items that the host accepted after this one."""
+        self._accepted_after = after
         self._name, self._read_as_of, self._query, self._as_of = name, read_as_of, query, as_of
         self._times, self._seqs = array("q"), array("Q")  # in the order of time
         self._order: Iterator[int] = iter(())  # places in these columns, in the order of acceptance
@@ -47,8 +51,7 @@ class EarlierPages:
         query = replace(self._query, payloads=False, limit=KEYS_PER_PAGE)
         while True:
             page, begin = self._read_as_of(query, self._as_of), len(self._seqs)
-            self._times.extend(page.times)
-            self._seqs.extend(page.seqs)
+            self._keep(page)
             sorted_pages.append(array("I", sorted(range(begin, len(self._seqs)), key=self._seqs.__getitem__)))
             if len(self._times) > KEYS_MAX:
                 raise Overloaded(
@@ -59,6 +62,18 @@ class EarlierPages:
                 self._order = heapq.merge(*sorted_pages, key=self._seqs.__getitem__)
                 return page.past
             query = replace(query, interval=fixed(query.interval, page.interval), after=page[-1])
+
+    def _keep(self, page: Items) -> None:
+        after = self._accepted_after
+        if after is not None and page.incarnation != after.incarnation:
+            raise IncarnationLost(
+                f"channel {self._name!r} is incarnation {page.incarnation:x}, and the item to subscribe after is of "
+                f"incarnation {after.incarnation:x}; subscribe with start="
+            )
+        low = 0 if after is None else after.seq + 1
+        kept = [(time, seq) for time, seq in zip(page.times, page.seqs, strict=True) if seq >= low]
+        self._times.extend(time for time, _ in kept)
+        self._seqs.extend(seq for _, seq in kept)
 
     def take(self) -> list[Item]:
         """Return the next items; none after the last one. Leaves out items that the archive does not have any more.

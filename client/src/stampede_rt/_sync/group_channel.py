@@ -10,10 +10,11 @@ from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.past_cuts import cut_as_of
 from stampede_rt._sync.reader import Reader
-from stampede_rt._sync.reads import read
-from stampede_rt.errors import GroupNotFound
+from stampede_rt._sync.reads import read_as_of
+from stampede_rt.errors import ChannelNotFound, GroupNotFound
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items
+from stampede_rt.values.past import PastCut, tell_lack
 from stampede_rt.values.reading import ReadQuery
 
 
@@ -29,7 +30,7 @@ class GroupChannel(Reader):
 
     def _read(self, query: ReadQuery) -> Items:
         if query.as_of is not None:
-            return self._read_as_of(query, query.as_of)
+            return (read_at_past_cut(self._group, self._state, query, query.as_of))[0]
         floor = self._group.view.cut_floor
         try:
             items = super()._read(query)
@@ -41,13 +42,20 @@ class GroupChannel(Reader):
         self._group.refresh()  # the host has a lower cut than this process saw: the group may have begun anew
         return super()._read(query) if self._group.view.cut_floor is None else items
 
-    def _read_as_of(self, query: ReadQuery, as_of: int) -> Items:
-        """Read at the cut of then. This changes nothing about the cut that the process has seen."""
-        query = replace(query, cut=cut_as_of(self._group, as_of))
-        return read(self._session, self._state, query, SeenCut(self._group.info.group_id))
-
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, through group {self._group.name!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._session.reopened("descriptor", self._group, self.name, self._state.coding)
+
+
+def read_at_past_cut(group: GroupMembers, state: ChannelState, query: ReadQuery, as_of: int) -> tuple[Items, PastCut]:
+    """Read a channel at the group's cut of then. This changes nothing about the cut that the process has seen."""
+    try:
+        past = cut_as_of(group, as_of)
+    except (ChannelNotFound, GroupNotFound):
+        group.refresh()
+        past = cut_as_of(group, as_of)
+    query = replace(query, cut=past.cut)
+    items = read_as_of(group.session, state, query, as_of, SeenCut(group.info.group_id))
+    return tell_lack(items, past.lack), past

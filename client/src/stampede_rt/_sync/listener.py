@@ -113,8 +113,8 @@ class Listener(BackgroundStart, BoundToProcess):
 
     def _run(self) -> None:
         try:
-            while not self._cancelled:
-                self._listen()
+            while not self._cancelled and self._listen():
+                pass
         except StampedeError as error:
             self._fail(error)
         except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
@@ -131,12 +131,14 @@ class Listener(BackgroundStart, BoundToProcess):
             self.error = error
             _log.error("on_item of %s has ended: %s", self._name, error, exc_info=error.__cause__)
 
-    def _listen(self) -> None:
+    def _listen(self) -> bool:
+        """Call the function for the items of one subscription. Returns whether to go on with a new incarnation."""
         try:
             with self._subscription as items:
                 self._holds.set()
                 for item in items:
                     self._call(item)
+            return False  # somebody has cancelled, or a replay has ended
         except IncarnationLost as error:
             self._incarnations_lost += 1
             _log.warning("on_item of %s continues with a new incarnation: %s", self._name, error)
@@ -146,6 +148,7 @@ class Listener(BackgroundStart, BoundToProcess):
             self._subscription = self._subscribe(True)
             if self._cancelled:  # `cancel` closed only the former subscription
                 self._subscription.close()
+            return True
 
     def _call(self, item: Any) -> None:
         try:

@@ -9,7 +9,7 @@ from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.copies import copy_for_gets, may_serve_elsewhere, refused
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -47,6 +47,16 @@ def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut 
         if items.complete or (items and not query.complete) or items.reason not in _MAY_COME:
             return items
         query = replace(query, interval=fixed(query.interval, items.interval))
+
+
+def read_as_of(
+    session: Session, state: ChannelState, query: ReadQuery, as_of: int, view: SeenCut | None = None
+) -> Items:
+    """Perform `query` as of an instant. Raises VersionMismatch if the host does not know the past."""
+    items = read(session, state, replace(query, as_of=as_of), view)
+    if items.past is None:
+        raise VersionMismatch(f"the host of channel {state.info.name!r} does not know as_of; upgrade the host")
+    return items
 
 
 def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None) -> Items:

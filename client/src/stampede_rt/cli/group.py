@@ -16,13 +16,13 @@ from stampede_rt.cli.arguments import (
     parse_count,
 )
 from stampede_rt.cli.exit_statuses import NOTHING
+from stampede_rt.cli.group_match import add_as_of, add_lateness, add_match_arguments, existing_group, run_match
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.item_text import item_line, item_row
 from stampede_rt.cli.output import print_done, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
-from stampede_rt.errors import GroupNotFound
 from stampede_rt.escaping import escaped
-from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus, Matched
+from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus
 from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.timeline import format_duration
 
@@ -40,11 +40,11 @@ def add_verbs(subparsers: Any) -> None:
     for name, what, run, add_arguments in (
         ("create", "create a group of channels", run_create, _add_create_arguments),
         ("status", "print the cut, the members that hold it back, and each member's time", run_status, None),
-        ("newest", "print the newest visible item of each channel", run_newest, None),
+        ("newest", "print the newest visible item of each channel", run_newest, add_as_of),
         ("watch", "print items as they become visible, until Ctrl-C", run_watch, _add_watch_arguments),
         ("delete", "delete a group; its channels stay", run_delete, None),
         ("get", "print the visible items of each channel in an interval", run_get, _add_get_arguments),
-        ("match", "print items of the same time together, until Ctrl-C", run_match, _add_match_arguments),
+        ("match", "print items of the same time together, until Ctrl-C", run_match, add_match_arguments),
         ("add", "add a channel to a group", run_change, _add_change_arguments),
         ("remove", "remove a channel from a group", run_change, _add_change_arguments),
     ):
@@ -83,7 +83,7 @@ def _add_watch_arguments(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--max-wait", default="1s", metavar="DURATION", help="wait this long for members that lag; default 1s"
     )
-    _add_lateness(verb)
+    add_lateness(verb)
     verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N cuts")
 
 
@@ -94,27 +94,7 @@ def _add_get_arguments(verb: argparse.ArgumentParser) -> None:
         help='a time, or now, newest or oldest, also with an offset, such as "newest-1s"',
     )
     verb.add_argument("end", type=checked(parse_bound_text), help="as the start")
-
-
-def _add_match_arguments(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--per", required=True, metavar="CHANNEL", help="the channel whose items each get a match")
-    verb.add_argument(
-        "--tolerance", required=True, metavar="DURATION", help='the greatest distance in time, such as "10ms"'
-    )
-    verb.add_argument("--unique", action="store_true", help="use each item in at most one match, the nearest")
-    _add_lateness(verb)
-    verb.add_argument(
-        "--from",
-        dest="start",
-        type=checked(parse_bound_text),
-        metavar="TIME",
-        help="begin with the items from this time on, such as oldest; default: with those that come from now on",
-    )
-    verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")
-
-
-def _add_lateness(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s")
+    add_as_of(verb)
 
 
 def _add_change_arguments(verb: argparse.ArgumentParser) -> None:
@@ -166,21 +146,10 @@ def _print_members(group: Group, form: str) -> None:
     print_done({"group": group.name, "channels": names}, f"{group.name}: {', '.join(names)}", form)
 
 
-def _existing(rt: Connection, name: str) -> Group:
-    """Open an existing group. Raises GroupNotFound with an error text for users of the command line."""
-    try:
-        return rt.group(name)
-    except GroupNotFound as error:
-        raise GroupNotFound(
-            f"there is no group {name}; `stampede group ls` lists the groups, `stampede group create {name} "
-            "CHANNEL ...` creates it"
-        ) from error
-
-
 def run_status(arguments: argparse.Namespace) -> int:
     """Print a group's cut and its members' status."""
     with connected(arguments) as rt:
-        status = _existing(rt, arguments.group).status()
+        status = existing_group(rt, arguments.group).status()
     if arguments.output == "table":
         print(_status_line(status))
     rows = [_member_row(status, channel, arguments.output) for channel in status.members]
@@ -228,7 +197,7 @@ def _said(true: bool, people: bool) -> bool | str:
 def run_newest(arguments: argparse.Namespace) -> int:
     """Print the newest visible item of each channel."""
     with connected(arguments) as rt:
-        found = _existing(rt, arguments.group).newest()
+        found = existing_group(rt, arguments.group).newest(as_of=arguments.as_of)
     items = {channel.name: ([] if item is None else [item]) for channel, item in found.items()}
     reasons = {channel.name: reason for channel, reason in found.reasons.items()}
     return _print_items(items, reasons, arguments.output)
@@ -237,7 +206,7 @@ def run_newest(arguments: argparse.Namespace) -> int:
 def run_get(arguments: argparse.Namespace) -> int:
     """Print the visible items of each channel in an interval."""
     with connected(arguments) as rt:
-        found = _existing(rt, arguments.group).get(arguments.start, arguments.end)
+        found = existing_group(rt, arguments.group).get(arguments.start, arguments.end, as_of=arguments.as_of)
     reasons = {channel.name: items.reason for channel, items in found.items() if items.reason is not None}
     return _print_items({channel.name: list(items) for channel, items in found.items()}, reasons, arguments.output)
 
@@ -256,7 +225,7 @@ def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form:
 
 def run_watch(arguments: argparse.Namespace) -> int:
     """Print cut events as they come."""
-    with connected(arguments) as rt, _cuts(_existing(rt, arguments.group), arguments) as cuts:
+    with connected(arguments) as rt, _cuts(existing_group(rt, arguments.group), arguments) as cuts:
         for count, cut in enumerate(cuts, 1):
             print(_cut_text(cut) if arguments.output == "table" else json.dumps(_cut_row(cut)), flush=True)
             if count == arguments.count:
@@ -286,41 +255,6 @@ def _cut_row(cut: Cut[Channel]) -> dict[str, Any]:
     }
 
 
-def run_match(arguments: argparse.Namespace) -> int:
-    """Print matches as they come."""
-    with connected(arguments) as rt, _matches(_existing(rt, arguments.group), arguments) as matches:
-        for count, matched in enumerate(matches, 1):
-            print(_match_text(matched) if arguments.output == "table" else json.dumps(_match_row(matched)), flush=True)
-            if count == arguments.count:
-                break
-    return 0
-
-
-def _matches(group: Group, arguments: argparse.Namespace) -> Any:
-    return group.match(
-        arguments.per,
-        arguments.tolerance,
-        unique=arguments.unique,
-        lateness=arguments.lateness,
-        partial=True,
-        start=arguments.start,
-    )
-
-
-def _match_text(matched: Matched[Channel]) -> str:
-    lines = [f"match {instant_text(matched.time)}"]
-    lines += [f"  {channel.name}  {item_line(item)}" for channel, item in matched.items()]
-    return "\n".join(lines + [f"  {channel.name}  nothing within the tolerance" for channel in matched.missing])
-
-
-def _match_row(matched: Matched[Channel]) -> dict[str, Any]:
-    return {
-        "time": matched.time,
-        "items": {channel.name: item_row(item) for channel, item in matched.items()},
-        "missing": [channel.name for channel in matched.missing],
-    }
-
-
 def run_change(arguments: argparse.Namespace) -> int:
     """Add a channel to a group, or remove one."""
     with connected(arguments) as rt:
@@ -334,13 +268,13 @@ def run_change(arguments: argparse.Namespace) -> int:
 
 
 def _group_and_channel(rt: Connection, arguments: argparse.Namespace) -> tuple[Group, Channel]:
-    return _existing(rt, arguments.group), existing(rt, arguments.channel)
+    return existing_group(rt, arguments.group), existing(rt, arguments.channel)
 
 
 def run_delete(arguments: argparse.Namespace) -> int:
     """Delete a group."""
     with connected(arguments) as rt:
-        _existing(rt, arguments.group).delete()
+        existing_group(rt, arguments.group).delete()
     done = {"group": arguments.group, "deleted": True}
     print_done(done, f"{arguments.group} is deleted; its channels stay", arguments.output)
     return 0

@@ -92,12 +92,16 @@ class Matched(ByChannel[Key, Item]):
 
 
 class NewestItems(ByChannel[Key, Item | None]):
-    """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has no such item."""
+    """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has no such item.
 
-    def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items]) -> None:
-        """`answers`: for each channel an answer that has the newest item first."""
+    With `as_of` it may also say why a later item may have been visible then.
+    """
+
+    def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], lack: Reason | None = None) -> None:
+        """`answers`: for each channel an answer that has the newest item first. `lack`: see `PastCut`."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
-        reasons = {one: items.reason for one, items in answers.items() if not items and items.reason is not None}
+        told = {one: items.reason for one, items in answers.items() if lack is not None or not items}
+        reasons = {one: reason for one, reason in told.items() if reason is not None}
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
 
 

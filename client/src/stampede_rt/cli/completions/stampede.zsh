@@ -753,6 +753,7 @@ _shtab_stampede_group_get_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
+  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
   ":a time, or now, newest or oldest, also with an offset, such as \"newest-1s\":"
   ":as the start:"
@@ -782,6 +783,7 @@ _shtab_stampede_group_match_options=(
   "--unique[use each item in at most one match, the nearest]"
   "--lateness[wait this long for late items\; default 0s]:DURATION:"
   "--from[begin with the items from this time on, such as oldest\; default\: with those that come from now on]:TIME:"
+  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
   {-n,--count}"[stop after N matches]:N:"
   ":the group\'s name:"
 )
@@ -794,6 +796,7 @@ _shtab_stampede_group_newest_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
+  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
 )
 

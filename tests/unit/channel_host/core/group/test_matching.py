@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from stampede_rt.matching.pairing import STEPS_MAX
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Position
 from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnTimes, RemoteTrack
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
-from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
 

@@ -164,9 +164,18 @@ def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> 
     channel.restore((), after=span.newest, next_seq=past.next_seq, loss=(None, None))
     moment = channel.snapshot(clock)
     moment.advanced_to = facts.advance
-    if facts.lost_before is not None and facts.lost_before <= clock:
+    if facts.lost_before is not None and _may_have_lost(past, facts.lost_before, clock):
         moment.lost_before, moment.lost_from = facts.lost_before, facts.lost_from
     return moment
+
+
+def _may_have_lost(past: Past, lost_before: int, clock: int) -> bool:
+    """Whether an item accepted by `clock` may have been lost: at a time when the host had already lost items, or had
+    accepted items that it was to lose.
+    """
+    following = [past.next_advance] if past.next_items is None else [past.next_items.accepted, past.next_advance]
+    known = min((one for one in following if one is not None), default=None)
+    return lost_before <= clock or known is None or known >= lost_before
 
 
 def read_nothing(moment: ChannelSnapshot, query: Query, within: ResolvedInterval | None) -> Pieces[ReadAnswer]:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
+from stampede_rt.matching.pairing import Pairing, Undecided
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
-from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
 from stampede_rt_channel_host.core.group.recorded_track import LateCounter, NotLoaded, RecordedOwn
 from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, Track
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from stampede_rt.errors import Overloaded
+from stampede_rt.matching.key_track import nearer
 from stampede_rt.values.timeline import MAX_INSTANT, Bound, Interval, Match, clamp, parse_interval
 from stampede_rt_channel_host.core.archive import ArchivedRead
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Query, Slice
@@ -18,7 +19,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.loss_counter import split_at
-from stampede_rt_channel_host.core.group.tracks import Nearest, nearer, ones
+from stampede_rt_channel_host.core.group.tracks import Nearest, ones
 
 KEYS_MAX = 2**18
 """The most keys that a track holds, about 25 MB. Only `unique` with a large tolerance needs more than a page or two."""

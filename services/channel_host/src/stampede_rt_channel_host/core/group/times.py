@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from stampede_rt.matching.key_matcher import has_passed
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
 from stampede_rt_channel_host.core.group.loss_counter import newest_gone
@@ -40,8 +41,7 @@ class ChannelTimes(NamedTuple):
         With a lateness of 0, items come in order. Then the method ignores items that may still come into the newest
         bucket. No item comes before an advance.
         """
-        by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
-        return by_item or (self.advance is not None and self.advance > instant)
+        return has_passed(self.newest, self.advance, instant, lateness_nanos)
 
     def merged(self, reported: ChannelTimes) -> ChannelTimes:
         """These times joined with `reported`, which the same owner or a later owner has sent.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
+from stampede_rt.matching.key_track import KeyTrack, nearer
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 
@@ -76,48 +76,29 @@ class RemoteTrack:
     """
 
     def __init__(self) -> None:
-        self._keys: list[ItemKey] = []
+        self._keys = KeyTrack()
 
     def __len__(self) -> int:
         return len(self._keys)
 
     def add(self, keys: Iterable[ItemKey]) -> None:
         """Add the keys of some items of the member."""
-        for key in keys:
-            if not self._keys or key > self._keys[-1]:
-                self._keys.append(key)
-            else:
-                insort(self._keys, key)
-        if len(self._keys) > TRACK_ITEMS_MAX:
-            del self._keys[:-TRACK_ITEMS_MAX]
+        self._keys.add(keys)
+        self._keys.keep_last(TRACK_ITEMS_MAX)
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
         """See `Track`."""
-        keys = self._keys
-        first, end = bisect_left(keys, low), bisect_left(keys, high)
-        above = min(max(first, bisect_left(keys, (time, SEQ_END))), end)
-        earlier = keys[above - 1][0] if above > first else None
-        later = keys[above][0] if above < end else None
-        found = nearer(time, earlier, later, tolerance)
-        return None if found is None else Nearest(*keys[bisect_left(keys, max(low, (found, 0)))], None)
+        found = self._keys.nearest(time, tolerance, now, low, high)
+        return None if found is None else Nearest(*found, None)
 
     def forget_before(self, time: int) -> None:
         """See `Track`."""
-        del self._keys[: bisect_left(self._keys, (time, -1))]
+        self._keys.forget_before(time)
 
 
 def ones(parts: Iterable[Slice], next_time: Callable[[int], int | None]) -> Iterator[DeliveredSlice]:
     """The items of the slices, one by one. `next_time` gives the time of the bucket after a time."""
     each = (Slice(part.run, at, at + 1) for part in parts for at in range(part.lo, part.hi))
     return (DeliveredSlice(one, next_time(one.first_time)) for one in each)
-
-
-def nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:
-    """The nearer of two times, or None if both are farther from `time` than the tolerance.
-
-    Of two equally near times returns the earlier one.
-    """
-    near = [one for one in (earlier, later) if one is not None and abs(one - time) <= tolerance]
-    return min(near, key=lambda one: (abs(one - time), one), default=None)

@@ -8,10 +8,10 @@ first. So pairs do not cross: a later item has a later partner.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
+from stampede_rt.matching.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
-from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 
 STEPS_MAX = 16
 """The most steps of the chain that a `Pairing` follows."""
@@ -24,7 +24,31 @@ class Undecided(Exception):
     """Raised while an item that is still to come may change the partner."""
 
 
-class Pairing:
+class Placed(Protocol):
+    """A found item: its place among the items of its channel."""
+
+    @property
+    def time(self) -> int:
+        """The time of the item."""
+
+    @property
+    def seq(self) -> int:
+        """The seq of the item."""
+
+
+Found = TypeVar("Found", bound=Placed, covariant=True)
+
+
+class Searched(Protocol[Found]):
+    """The items of one channel, among which a pairing searches (see the `Track` of a host)."""
+
+    def nearest(
+        self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
+    ) -> Found | None:
+        """The nearest item from `low` on and below `high`, at most `tolerance` from `time`; None if there is none."""
+
+
+class Pairing(Generic[Found]):
     """Pairs `own` items, in time order, with `other` items at or above `after`.
 
     An item does not get the `other` item that is nearest to it if a later `own` item is nearer to that item. The later
@@ -34,8 +58,14 @@ class Pairing:
     """
 
     def __init__(
-        self, own: Track, other: Track, after: ItemKey, own_has_passed: HasPassed, other_has_passed: HasPassed, now: int
-    ) -> None:  # fmt: skip
+        self,
+        own: Searched[Placed],
+        other: Searched[Found],
+        after: ItemKey,
+        own_has_passed: HasPassed,
+        other_has_passed: HasPassed,
+        now: int,
+    ) -> None:
         self._own = own
         self._other = other
         self._after = after
@@ -44,7 +74,7 @@ class Pairing:
         self._now = now
         self.looks = 0
 
-    def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
+    def partner(self, key: ItemKey, tolerance: int) -> Found | None:
         """The partner of `key`, the first unpaired own item; None if it has none.
 
         `other` must have passed the item's time + tolerance. Raises Undecided if an item still to come may change the
@@ -72,7 +102,7 @@ class Pairing:
             chain.append((rival, distance))
         return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
-    def _rival(self, first: ItemKey, one: ItemKey, near: Nearest, end: ItemKey) -> ItemKey:
+    def _rival(self, first: ItemKey, one: ItemKey, near: Placed, end: ItemKey) -> ItemKey:
         """The own item from `first` on that is nearest to `near`. `one` is the own item for which `near` was found."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):

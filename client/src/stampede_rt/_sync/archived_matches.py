@@ -1,0 +1,115 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Iterators over the matches of a group that come from archives."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+from stampede_rt._sync.archived_matching import ArchivedMatching
+from stampede_rt._sync.reader import Reader
+from stampede_rt.handles import BoundToProcess
+from stampede_rt.matching.key_matcher import KeyMatch
+from stampede_rt.transports.concurrency_sync import StepLock
+from stampede_rt.values.grouping import Matched
+from stampede_rt.values.model import Reason
+
+Key = TypeVar("Key", bound=Reader)
+
+
+class ArchivedMatches(BoundToProcess, Generic[Key]):
+    """An iterator over `Matched` items (see `Group.match`), and a context manager. The iteration ends with the last
+    match.
+
+    `unmatched` and `dropped` count as those of a `MatchSubscription` do. `reason` says why matches may be missing, or
+    be others than then: COLLECTED or LOST, if the archive of a member has dropped or lost items. None: nothing is
+    missing. A step raises Overloaded if too many items wait for a match.
+    """
+
+    def __init__(self) -> None:
+        self._matching: ArchivedMatching | None = None
+        self._found: KeyMatch | None = None  # the match whose items come next
+        self._ready: Matched[Key] | None = None
+        self._steps = StepLock()  # callers that step at the same time take turns
+        self._closed = False
+        self.losses = 0
+        self.reconnects = 0
+
+    @property
+    def unmatched(self) -> int:
+        """How many items of `per` had no partner in a member."""
+        return 0 if self._matching is None else self._matching.unmatched
+
+    @property
+    def dropped(self) -> int:
+        """How many items were gone before this client fetched them, or came too late for a match."""
+        return 0 if self._matching is None else self._matching.dropped
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why matches may be missing, or be others than then; None: nothing is missing."""
+        return None if self._matching is None else self._matching.lack
+
+    @property
+    def connected(self) -> bool:
+        """Whether the iteration may go on."""
+        return self._matching is not None and not self._closed
+
+    def __enter__(self) -> Self:
+        with self._steps:
+            self._open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Matched[Key]:
+        with self._steps:
+            self._open()
+            while not self._closed:
+                if self._ready is None:
+                    self._ready = self._next()
+                if self._ready is None:
+                    break
+                self._reach()
+                matched, self._ready = self._ready, None  # after the wait, which a caller may cancel
+                return matched
+            raise StopIteration
+
+    def close(self) -> None:
+        """End the iteration."""
+        self._closed = True
+
+    def _open(self) -> None:
+        if self._matching is None and not self._closed:
+            self._matching = self._begin()
+
+    def _next(self) -> Matched[Key] | None:
+        """Return the next match that the reader wants; None at the end."""
+        matching = self._matching
+        while matching is not None and not self._closed:
+            self._found = self._found or matching.next_match()
+            if self._found is not None:
+                matched: Matched[Any] | None = matching.matched(self._found)
+                self._found = None
+                if matched is not None and matching.wants(matched):
+                    return matched
+            elif not self._go_on(matching):
+                break
+        return None
+
+    def _begin(self) -> ArchivedMatching:
+        """Begin to match."""
+        raise NotImplementedError
+
+    def _go_on(self, matching: ArchivedMatching) -> bool:
+        """Take later items into account. Returns False if there are none."""
+        return False
+
+    def _reach(self) -> None:
+        """Wait for the instant of the next match."""

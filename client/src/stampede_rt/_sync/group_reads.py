@@ -1,0 +1,42 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Reads of all members of a group at one cut, even if several hosts own them."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import NamedTuple
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.group_members import GroupMembers
+from stampede_rt._sync.past_cuts import cut_as_of
+from stampede_rt._sync.present_cuts import present_cut
+from stampede_rt._sync.reads import read
+from stampede_rt.transports.concurrency_sync import run_all
+from stampede_rt.values.grouping import ByChannel, SeenCut
+from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.past import tell_lack
+from stampede_rt.values.reading import ReadQuery
+
+
+class MembersRead(NamedTuple):
+    """The answer of each member at one cut. `lack`: why the cut of then may have been higher; None: it was not."""
+
+    answers: ByChannel[Channel, Items]
+    lack: Reason | None
+
+
+def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
+    """Read all members at the present cut, or with `as_of` at the cut of then."""
+    view, lack = group.view, None
+    if query.as_of is None:
+        query = replace(query, cut=present_cut(group))
+    else:
+        view = SeenCut(group.info.group_id)  # the present cut plays no part
+        cut, lack, _ = cut_as_of(group, query.as_of)
+        query = replace(query, cut=cut)
+    channels = group.channels
+    found = run_all([functools.partial(read, group.session, one._state, query, view) for one in channels])
+    ids = (channel.info.channel_id for channel in channels)
+    answers = (tell_lack(items, lack) for items in found)
+    return MembersRead(ByChannel(channels, dict(zip(ids, answers, strict=True))), lack)

@@ -1,0 +1,53 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""The matches of a group as of an earlier instant."""
+
+from __future__ import annotations
+
+import functools
+
+from stampede_rt._sync.archived_matches import ArchivedMatches
+from stampede_rt._sync.archived_matching import ArchivedMatching, ArchivedMember
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.group_members import GroupMembers
+from stampede_rt._sync.present_cuts import confirm_members
+from stampede_rt._sync.reads import read_as_of
+from stampede_rt.cluster.tracing import span
+from stampede_rt.errors import ChannelNotFound, GroupNotFound, InvalidArgument
+from stampede_rt.transports.concurrency_sync import begin_if_blocking
+from stampede_rt.values.match_rule import MatchRule
+
+
+class PastMatches(ArchivedMatches[Channel]):
+    """The matches that a subscription would have got at once at an instant (see `Group.match` with `as_of`).
+
+    A step raises PermissionDenied if the caller may not read a member, and Unavailable.
+    """
+
+    def __init__(self, group: GroupMembers, per: Channel, rule: MatchRule, as_of: int) -> None:
+        super().__init__()
+        if rule.start is None:
+            raise InvalidArgument(
+                "as_of: matches without a start are those of the items that come, and as of an instant none come; give "
+                "start, such as start=OLDEST"
+            )
+        self._group, self._per, self._rule, self._as_of = group, per, rule, as_of
+        begin_if_blocking(self._open)
+
+    def __repr__(self) -> str:
+        return f"<PastMatches of group {self._group.name!r} as of {self._as_of}>"
+
+    def _begin(self) -> ArchivedMatching:
+        with span("match", group=self._group.name):
+            try:
+                confirm_members(self._group, self._per)
+            except (ChannelNotFound, GroupNotFound):
+                self._group.refresh()
+            group, per = self._group, self._group.member(self._per)
+            members = [self._member(one) for one in group.channels]
+            matched = next(one for one in members if one.id == per.info.channel_id)
+            matching = ArchivedMatching(group.info, members, matched, self._rule)
+            matching.begin(self._as_of)
+        return matching
+
+    def _member(self, channel: Channel) -> ArchivedMember:
+        return ArchivedMember(channel, functools.partial(read_as_of, self._group.session, channel._state))

@@ -1,0 +1,147 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A group under a virtual clock: each read answers at the cut of the clock's instant."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import NoReturn
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.group import Group
+from stampede_rt._sync.group_channel import read_at_past_cut
+from stampede_rt._sync.past_matches import PastMatches
+from stampede_rt._sync.reader import Reader
+from stampede_rt._sync.replayed_channel import ReplayedChannel, as_known
+from stampede_rt._sync.replayed_matches import ReplayedMatches
+from stampede_rt._sync.replayed_subscription import ReplayedSteps
+from stampede_rt._sync.replayed_visible import ReplayedVisible
+from stampede_rt._sync.virtual_clock import VirtualClock
+from stampede_rt.values.grouping import ByChannel, GroupInfo, NamedChannel, NewestItems, is_named_by
+from stampede_rt.values.match_rule import MatchRule
+from stampede_rt.values.model import Item, Items
+from stampede_rt.values.reading import ReadQuery, parse_as_of
+from stampede_rt.values.replaying import not_replayed
+from stampede_rt.values.timeline import Bound, BoundLike, Bounds, DurationLike, InstantLike, MatchLike
+
+
+class ReplayedGroup:
+    """A group under a virtual clock. It reads and matches as `Group` does, with its present members.
+
+    It has no cut events, and changes nothing.
+    """
+
+    def __init__(self, group: Group, clock: VirtualClock, end: int) -> None:
+        self._group, self._clock, self._end = group, clock, end
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise not_replayed("Group", name, self)
+
+    def __repr__(self) -> str:
+        return f"<ReplayedGroup {self.name!r} of {', '.join(one.name for one in self.channels)}>"
+
+    @property
+    def info(self) -> GroupInfo:
+        """The directory's description of the group, as last known."""
+        return self._group.info
+
+    @property
+    def name(self) -> str:
+        """The group's name."""
+        return self._group.name
+
+    @property
+    def incarnation(self) -> int:
+        """The group's incarnation, as last known."""
+        return self._group.incarnation
+
+    @property
+    def channels(self) -> tuple[ReplayedChannel, ...]:
+        """The members, in the order in which they joined."""
+        return tuple(ReplayedChannel(one, self._clock, self._end) for one in self._group.channels)
+
+    def __getitem__(self, channel: NamedChannel | str) -> ReplayedGroupChannel:
+        """Return the descriptor of a member (see `Group`)."""
+        member = self._group._members.member(channel)
+        handle = Channel(member._session, channel._state) if isinstance(channel, Reader) else member
+        return ReplayedGroupChannel(self._group, handle, self._clock, self._end)
+
+    def __iter__(self) -> Iterator[ReplayedGroupChannel]:
+        return (self[channel] for channel in self._group.channels)
+
+    def __len__(self) -> int:
+        return len(self._group)
+
+    def refresh(self) -> None:
+        """Ask the directory for the members (see `Group.refresh`)."""
+        self._group.refresh()
+
+    def get(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        *,
+        bounds: Bounds = "[]",
+        match: MatchLike = "span",
+        limit: int | None = None,
+        newest_first: bool = False,
+        payloads: bool = True,
+        as_of: InstantLike | None = None,
+    ) -> ByChannel[Channel, Items]:
+        """Return for each member the items in an interval, at the cut of the clock's instant (see `Group.get`)."""
+        read = functools.partial(
+            self._group.get, start, end, bounds=bounds, match=match, limit=limit, newest_first=newest_first,
+            payloads=payloads,
+        )  # fmt: skip
+        if as_of is not None:
+            return read(as_of=as_of)
+        return as_known(lambda instant: read(as_of=instant), self._clock.now)
+
+    def newest(self, *, payloads: bool = True, as_of: InstantLike | None = None) -> NewestItems[Channel]:
+        """Return the newest visible item of each member, at the cut of the clock's instant (see `Group.newest`)."""
+        if as_of is not None:
+            return self._group.newest(payloads=payloads, as_of=as_of)
+        return as_known(lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock.now)
+
+    def match(
+        self,
+        per: NamedChannel | str,
+        tolerance: DurationLike,
+        *,
+        unique: bool = False,
+        lateness: DurationLike = "0s",
+        partial: bool = False,
+        payloads: bool = True,
+        reconnect: DurationLike | None = None,
+        start: BoundLike | None = None,
+        as_of: InstantLike | None = None,
+    ) -> ReplayedMatches | PastMatches:
+        """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
+        rule = MatchRule.parse(tolerance, lateness, unique=unique, partial=partial, payloads=payloads, start=start)
+        member, past = self._group._members.member(per), parse_as_of(as_of)
+        if past is not None:
+            return PastMatches(self._group._members, member, rule, past)
+        channels = self.channels
+        matched = next(one for one in channels if is_named_by(member, one))
+        return ReplayedMatches(self._clock, self.info, channels, matched, rule)
+
+
+class ReplayedGroupChannel(ReplayedChannel):
+    """A descriptor under a virtual clock: a channel as a group showed it. Its NOW is the cut of then."""
+
+    def __init__(self, group: Group, channel: Channel, clock: VirtualClock, end: int) -> None:
+        super().__init__(channel, clock, end, group._members.view)
+        self._group, self._channel = group, channel
+
+    def read_as_of(self, query: ReadQuery, as_of: int) -> Items:
+        """Return the answer at the cut of an instant, or of the host's clock if that is earlier."""
+        read = functools.partial(read_at_past_cut, self._group._members, self._state, query)
+        items, past = as_known(read, as_of)
+        changes = [one for one in (past.next_change, items.past and items.past.next_change) if one is not None]
+        if items.past is not None:  # a change of any member may change the answer
+            items.past = items.past._replace(next_change=min(changes, default=None), next_items=None)
+        return items
+
+    def _subscribe_all(self, start: Bound | None, after: Item | None, *, payloads: bool) -> ReplayedSteps:
+        channel = ReplayedChannel(self._channel, self._clock, self.end)
+        return ReplayedVisible(self, channel, self._group._members, self._clock, start, after, payloads=payloads)

@@ -1,0 +1,70 @@
+"""A group's cut of an earlier instant, and what the archives of its members do not tell about it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.timeline import MIN_INSTANT
+
+
+class PastMark(NamedTuple):
+    """How far a channel had come at an instant: the time of its newest item then, and its highest advance.
+
+    `lack`: why it may have come further than its archive tells; None: it had not. `next_change`: when its host next
+    accepted items or an advance; None: it has not done so yet.
+    """
+
+    name: str
+    newest: int | None
+    advance: int | None
+    lack: Reason | None
+    next_change: int | None
+
+    @property
+    def instant(self) -> int | None:
+        """The later of `newest` and `advance`; None if it had neither."""
+        return max((one for one in (self.newest, self.advance) if one is not None), default=None)
+
+
+class PastCut(NamedTuple):
+    """A group's cut of an earlier instant.
+
+    `cut` is MIN_INSTANT if the group showed nothing. `lack`: why the group may have shown more than up to `cut`; None:
+    it had not. `next_change`: when the host of a counting member next accepted items or an advance.
+    """
+
+    cut: int
+    lack: Reason | None
+    next_change: int | None
+
+
+def past_cut_of(marks: Sequence[PastMark]) -> PastCut:
+    """Return the cut of counting members: the least of their marks, as far as their archives tell.
+
+    An archive that lacks items tells a mark that may be too low. This matters only if this mark is the least one.
+    """
+    low = min(_least(one) for one in marks)
+    exact = [_least(one) for one in marks if one.lack is None]
+    behind = next((one for one in marks if one.lack is not None and _least(one) == low), None)
+    lack = None
+    if behind is not None and behind.lack is not None and low not in exact:
+        detail = f"channel {behind.name} held back the cut of then, and may have come further: {behind.lack.detail}"
+        lack = Reason(behind.lack, detail)
+    changes = [one.next_change for one in marks if one.next_change is not None]
+    return PastCut(low, lack, min(changes, default=None))
+
+
+def _least(mark: PastMark) -> int:
+    return MIN_INSTANT if mark.instant is None else mark.instant
+
+
+def tell_lack(items: Items, lack: Reason | None) -> Items:
+    """Note in an answer at a past cut that the cut may have been higher. Returns the answer.
+
+    A complete answer stays as it is: it lies before the cut. So does one that names its own loss.
+    """
+    if lack is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):
+        items.reason = lack
+    return items

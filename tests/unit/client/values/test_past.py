@@ -1,0 +1,58 @@
+"""A group's past cut from marks of which archives may lack a part."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.values.grouping import NewestItems
+from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.past import PastMark, past_cut_of, tell_lack
+from stampede_rt.values.timeline import MIN_INSTANT
+
+GONE = Reason("COLLECTED", "the archive has dropped them")
+
+
+def mark(
+    newest: int | None, advance: int | None = None, lack: Reason | None = None, change: int | None = None
+) -> PastMark:
+    return PastMark("cam", newest, advance, lack, change)
+
+
+def answer(reason: Reason | None = None, *, complete: bool = False) -> Items:
+    return Items([], interval=None, complete=complete, truncated=False, more=False, reason=reason, incarnation=1)
+
+
+def test_the_cut_is_the_least_of_the_later_times_and_advances() -> None:
+    assert past_cut_of([mark(5, 9), mark(7), mark(None, 8)]) == (7, None, None)
+    assert past_cut_of([mark(5), mark(None)]).cut == MIN_INSTANT
+    assert past_cut_of([mark(5, change=12), mark(6, change=10), mark(7)]).next_change == 10
+
+
+def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
+    assert past_cut_of([mark(5), mark(7, lack=GONE)]) == (5, None, None)
+    assert past_cut_of([mark(7), mark(7, lack=GONE)]).lack is None
+    assert past_cut_of([mark(None), mark(None, lack=GONE)]) == (MIN_INSTANT, None, None)
+    decided = past_cut_of([mark(7), mark(6, lack=GONE)])
+    assert (decided.cut, decided.lack) == (6, "COLLECTED")
+    assert decided.lack is not None
+    assert "cam held back the cut of then" in decided.lack.detail
+    assert past_cut_of([mark(7), mark(None, lack=GONE)])[:2] == (MIN_INSTANT, "COLLECTED")
+
+
+@pytest.mark.parametrize(
+    ("items", "told"),
+    [
+        (answer(Reason.HIDDEN), "COLLECTED"),
+        (answer(Reason.NOT_YET), "COLLECTED"),
+        (answer(), "COLLECTED"),
+        (answer(complete=True), None),
+        (answer(Reason.LOST), "LOST"),
+    ],
+)
+def test_an_answer_at_an_uncertain_cut_tells_it_unless_it_lies_before_the_cut(items: Items, told: str | None) -> None:
+    assert tell_lack(items, GONE).reason == told
+    assert NewestItems([], {b"": items}, GONE).reasons._values == ({} if told is None else {b"": told})
+
+
+def test_an_exact_cut_leaves_the_reason_alone() -> None:
+    assert tell_lack(answer(Reason.HIDDEN), None).reason == "HIDDEN"
