@@ -111,8 +111,9 @@ def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the
         queue = opened(rt, replicas)
         eventually(lambda: len(in_sync(queue)) == replicas, "the replicas are in sync")
         incarnation = queue.incarnation
-        assert queue.put(b"0").copies == replicas + 1
-        queue.get(timeout=5).ack()
+        for message in (b"0", bytes(1_500_000)):  # larger than any message between hosts
+            assert queue.put(message).copies == replicas + 1
+            queue.get(timeout=5).ack()
         queue.put(b"1000000")
         leased = queue.get(timeout=5)
         leased.extend("10m")  # it stays leased while the owner dies

@@ -6,6 +6,7 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.copies import queue_steps
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
 from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits, QueueStep
@@ -36,6 +37,24 @@ def test_a_large_step_is_sent_in_several_parts(monkeypatch: pytest.MonkeyPatch) 
     copy = QueueCore(QueueLimits(), incarnation=7)
     copy.journal().apply(arrived, core.now)
     assert copy.latest_counters() == core.queue.latest_counters()
+
+
+def test_no_part_is_longer_than_a_host_takes() -> None:
+    """Parts of 1 MiB never arrived over gRPC. So a queue with large messages had no replica in sync."""
+    core = Core()
+    journal = core.queue.journal()
+    for _ in range(9_000):
+        core.put(1)
+    taker = core.taker(1, credit=9_000)
+    for length in (300_000, 1_500_000, 1):
+        core.put(length)
+    assert taker.credit < 9_000
+    assert journal.note(core.now)
+    (step,) = journal.steps_from(1, 10**9) or ()
+    for parts in (step_parts(step, core.now), whole_parts(core.queue.export(core.now), journal.next_step)):
+        lengths = [pb.FeedQueueRequest(parts=[part]).ByteSize() for part in parts]
+        assert len(lengths) > 10
+        assert max(lengths) <= MESSAGE_BYTES_MAX - 2**14, "there is room for the record of the queue"
 
 
 def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:

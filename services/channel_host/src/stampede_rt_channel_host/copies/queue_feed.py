@@ -14,7 +14,8 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.cluster.records import queue_message
-from stampede_rt_channel_host.copies.queue_steps import PART_BYTES, STEPS_PER_REQUEST, step_parts, whole_parts
+from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
+from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_parts, whole_parts
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.refusals import display_name
@@ -119,7 +120,7 @@ class QueueFeedStream:
                 raise Overloaded(f"a replica of queue {name} cannot catch up: it lacks steps that are dropped")
             steps = steps[:STEPS_PER_REQUEST]
             parts = [part for step in steps for part in step_parts(step, self._now())]
-            if sum(part.ByteSize() for part in parts) > 2 * PART_BYTES:  # a large step, in many parts
+            if sum(part.ByteSize() for part in parts) > PART_BYTES:  # the other host takes messages of 2 * PART_BYTES
                 for part in parts:
                     await self._write(call, self._request(parts=[part]))
             elif parts or owes_sign or self._hosted.record.message != self._sent_record:

@@ -27,9 +27,8 @@ from stampede_rt_channel_host.core.queue import (
     SeqRange,
 )
 
-PART_BYTES = 2**20
-ENTRIES_PER_PART = 4096
-PRODUCERS_PER_PART = 256
+PART_BYTES = 2**17  # half of the longest message that a host takes over gRPC
+RUNS_PER_PRODUCER = 64  # a producer with more runs has several entries
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
@@ -45,25 +44,14 @@ def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> It
     yield pb.HandOverQueueResponse(facts=facts)
     for run in state.runs:
         yield from _parts_of_run(run)
-    for held in _some(state.held, ENTRIES_PER_PART):
-        ranges = [subject_pb2.SeqRange(first_seq=first, items=last - first + 1) for first, last in held]
-        yield pb.HandOverQueueResponse(held=ranges)
-    for items in _some(state.items, ENTRIES_PER_PART):
-        yield pb.HandOverQueueResponse(messages=map(_message_to, items))
-    for known in _some(state.acknowledged, ENTRIES_PER_PART):
-        acknowledged = [
-            pb.HandedAcknowledgement(delivery_id=one[0], taker_id=one[1], ago_nanos=one[2]) for one in known
-        ]
-        yield pb.HandOverQueueResponse(acknowledged=acknowledged)
+    yield from (pb.HandOverQueueResponse(held=some) for some in _some(map(_range_to, state.held)))
+    yield from (pb.HandOverQueueResponse(messages=some) for some in _some(map(_message_to, state.items)))
+    acknowledged = map(_acknowledgement_to, state.acknowledged)
+    yield from (pb.HandOverQueueResponse(acknowledged=some) for some in _some(acknowledged))
     by_producer = (runs for _, runs in groupby(state.producers, lambda run: run.producer_id))
-    for some in _some(map(list, by_producer), PRODUCERS_PER_PART):
-        yield pb.HandOverQueueResponse(producers=map(_producer_to, some))
-    for ids in _some(state.message_ids, ENTRIES_PER_PART):
-        named = [
-            pb.HandedMessageId(message_id=one.message_id, seq=one.seq, ago_nanos=one.time, owner=one.owner)
-            for one in ids
-        ]
-        yield pb.HandOverQueueResponse(message_ids=named)
+    producers = (_producer_to(runs) for one in by_producer for runs in _of_one_entry(one))
+    yield from (pb.HandOverQueueResponse(producers=some) for some in _some(producers))
+    yield from (pb.HandOverQueueResponse(message_ids=some) for some in _some(map(_id_to, state.message_ids)))
     yield pb.HandOverQueueResponse(ends=True, permit=permit)
 
 
@@ -160,10 +148,37 @@ def seq_ranges(seqs: Iterable[int]) -> list[SeqRange]:
     return found
 
 
-def _some(entries: Iterable[Any], count: int) -> Iterator[list[Any]]:
-    unread = iter(entries)
-    while part := [*islice(unread, count)]:
-        yield part
+def _some(entries: Iterable[Any]) -> Iterator[list[Any]]:
+    """The messages, in lists of PART_BYTES at most, or of one message."""
+    some, some_bytes = list[Any](), 0
+    for one in entries:
+        one_bytes = one.ByteSize() + 4  # with its tag and length
+        if some and some_bytes + one_bytes > PART_BYTES:
+            yield some
+            some, some_bytes = [], 0
+        some.append(one)
+        some_bytes += one_bytes
+    if some:
+        yield some
+
+
+def _of_one_entry(runs: Iterable[KeptRun]) -> Iterator[list[KeptRun]]:
+    unread = iter(runs)
+    while some := [*islice(unread, RUNS_PER_PRODUCER)]:
+        yield some
+
+
+def _range_to(held: SeqRange) -> subject_pb2.SeqRange:
+    first, last = held
+    return subject_pb2.SeqRange(first_seq=first, items=last - first + 1)
+
+
+def _acknowledgement_to(one: Acknowledged) -> pb.HandedAcknowledgement:
+    return pb.HandedAcknowledgement(delivery_id=one[0], taker_id=one[1], ago_nanos=one[2])
+
+
+def _id_to(one: KnownMessage) -> pb.HandedMessageId:
+    return pb.HandedMessageId(message_id=one.message_id, seq=one.seq, ago_nanos=one.time, owner=one.owner)
 
 
 def _parts_of_run(run: QueuedRun) -> Iterator[pb.HandOverQueueResponse]:

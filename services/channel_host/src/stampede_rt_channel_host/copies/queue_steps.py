@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import subject_pb2
-from stampede_rt_channel_host.copies.queue_messages import ArrivingQueue, parts_of, seq_ranges
+from stampede_rt_channel_host.copies.queue_messages import PART_BYTES, ArrivingQueue, parts_of, seq_ranges
 from stampede_rt_channel_host.core.queue import QueueHandoff, QueueStep
 
-PART_BYTES = 2**20
 STEPS_PER_REQUEST = 64  # the copy repeats them in one turn of its event loop; each takes about 30 us
 
 
