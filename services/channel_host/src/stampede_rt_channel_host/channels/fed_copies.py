@@ -88,9 +88,9 @@ class FedCopies:
 
     def relieve(self, name: str, copy: FedCopy, readers: Observers) -> None:
         """Send some of the readers of this host to `copy`, if the host has more than its share of them."""
-        serving, own = self._serving(), len(readers)
-        if copy not in serving:
+        if not copy.takes_readers or copy not in self._copies:
             return
+        serving, own = self._serving(), len(readers)
         share = (own + sum(one.subscriptions for one in serving)) // (len(serving) + 1)
         is_balanced = own - copy.subscriptions <= max(1, share // BALANCED_SHARE)
         wanted = 0 if is_balanced else min(own - share, share - copy.subscriptions, READERS_MOVED_MAX)

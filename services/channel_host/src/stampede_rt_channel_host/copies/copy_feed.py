@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -57,6 +57,7 @@ class CopyFeed:
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
+        self._heard_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due at once
         self._turn = asyncio.Lock()  # of the requests
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
@@ -70,6 +71,7 @@ class CopyFeed:
             response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
         )()
         self._state.source_host_id = source.host_id
+        self._heard_s = asyncio.get_running_loop().time()
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 await call.write(self._request(self._opening(source)))
@@ -123,13 +125,18 @@ class CopyFeed:
         return self._sent_nanos
 
     async def _write_all(self, write: Write) -> None:
-        """Send requests when time has come, and for news that do not come from the source."""
+        """Send requests when time has come, and for news that do not come from the source.
+
+        Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
+        """
         while True:  # until `run` cancels this task, or an error ends it
             wait_s = self._may_grant_s - asyncio.get_running_loop().time()
             with suppress(TimeoutError):
                 async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
                     await self._news.wait()
-            async with self._turn:
+            if asyncio.get_running_loop().time() - self._heard_s > BROKEN_AFTER_SECONDS:
+                raise TimeoutError
+            async with asyncio.timeout(BROKEN_AFTER_SECONDS), self._turn:
                 await self._send(write)
 
     async def _send(self, write: Write) -> None:
@@ -142,7 +149,9 @@ class CopyFeed:
         await write(self._request(grants=grants))
 
     async def _read_all(self, call: Any, source: FeedSource) -> None:
-        async for response in _responses(call.read):
+        loop = asyncio.get_running_loop()
+        while hasattr(response := await call.read(), "state"):  # gRPC's EOF has no fields
+            self._heard_s = loop.time()
             await self._take(response)
             if self._owes_request:
                 await self._answer(call.write)
@@ -153,7 +162,7 @@ class CopyFeed:
         if self._turn.locked():
             self._news.set()
             return
-        async with self._turn, asyncio.timeout(BROKEN_AFTER_SECONDS):
+        async with self._turn:
             await self._send(write)
 
     async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
@@ -229,15 +238,6 @@ class CopyFeed:
 def _core(held: HostedChannel) -> FedChannel:
     assert isinstance(held.channel, FedChannel), "the store has found a copy"
     return held.channel
-
-
-async def _responses(read: Callable[[], Any]) -> AsyncIterator[raw_run_pb2.RawFeedResponse]:
-    while True:
-        async with asyncio.timeout(BROKEN_AFTER_SECONDS):
-            response = await read()
-        if not hasattr(response, "state"):  # gRPC's EOF has no fields
-            return
-        yield response
 
 
 def _plain(error: BaseException, target: str) -> BaseException:

@@ -10,6 +10,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -30,7 +31,7 @@ from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, Outgoin
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.rpc import Context, answer_at_once
 
 FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
 FLOORS_MAX = 64  # a copy learns of this many groups of one channel; reads through other groups go to the owner
@@ -115,6 +116,7 @@ class FeedStream:
             hosted.fed.add(copy)
         self._observe(hosted, opening, feed)
         self._take(request, hosted, copy)
+        answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
         reading = self._stream.spawn(self._read(hosted, copy, feed))
         try:
             await self._serve(hosted, feed)
@@ -167,9 +169,25 @@ class FeedStream:
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             self._take(request, hosted, copy)
-            if self._replication is not None:
-                self._replication.report(self._host_id, self, min(request.held_next_seq, feed.next_seq))
+            self._report(request, feed)
         self._credit.end()
+
+    def _take_at_once(
+        self, hosted: HostedChannel, copy: FedCopy, feed: ChannelFeed, raw: bytes | memoryview, _write: object
+    ) -> bool:
+        """Take a request in the turn of the event loop in which it comes, because puts wait for it."""
+        if self._move is not None:
+            return False
+        request: pb.FeedRequest = parse(pb.FeedRequest, bytes(raw), "FeedRequest")
+        if request.HasField("open"):
+            return False
+        self._take(request, hosted, copy)
+        self._report(request, feed)
+        return True
+
+    def _report(self, request: pb.FeedRequest, feed: ChannelFeed) -> None:
+        if self._replication is not None:
+            self._replication.report(self._host_id, self, min(request.held_next_seq, feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
         self._heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
@@ -203,8 +221,9 @@ class FeedStream:
                 await self._work.turn()
             self._check_destination(hosted)
             self._news.clear()
-            part = feed.take(self._store.now(), max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
-            self._check_lag(hosted, feed)
+            now = self._store.now()
+            part = feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
+            self._check_lag(hosted, feed, now)
             if part is not None:
                 await self._send(hosted, part)
             elif self._owes_handoff(hosted, feed):
@@ -248,10 +267,10 @@ class FeedStream:
         handoff = pb.FeedHandoff(host_time_unix_nano=self._store.now(), permit=self._move.permit)
         await self._write(self._response(hosted, self._bare(feed), handoff=handoff))
 
-    def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+    def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed, now: int) -> None:
         """End the feed of a replica or move if the copy stays behind. A proxy shows its readers its age instead."""
         behind = self._source.next_seq - feed.next_seq
-        if feed.owner is not None and self._lag.stays_behind(behind, self._store.now()):
+        if feed.owner is not None and self._lag.stays_behind(behind, now):
             raise Overloaded(
                 f"the copy of channel {hosted.record.name} cannot catch up: it is {behind} items behind, no fewer than "
                 f"{CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
