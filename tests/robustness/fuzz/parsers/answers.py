@@ -25,6 +25,7 @@ from stampede_rt.v1 import (
 )
 from stampede_rt.wire import groups, peers, queues, reads, records
 from stampede_rt.wire.decoding import ItemDecoder
+from stampede_rt.wire.long_answers import LongRun
 from tests.robustness.fuzz import hostile_values
 from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, damaged, drawn_message
@@ -50,6 +51,7 @@ READERS: tuple[tuple[Callable[[Any], Any], type[Message]], ...] = (
     (reads.summary_reason, channel_service_pb2.GetSummary),
     (lambda message: _DECODER.decode([message, message]), item_pb2.DeliveredRun),
     (lambda message: _DECODER.decode_each([message]), item_pb2.DeliveredRun),
+    (lambda message: _DECODER.decode_long([LongRun(memoryview(message.SerializeToString()), 5)]), item_pb2.ItemRun),
     (lambda message: list(queues.deliveries_of(message, "")), queue_pb2.LeasedRun),
 )
 
