@@ -345,6 +345,30 @@ MUTANTS = (
         noticed_by="tests/unit/channel_host/queues/test_queue_copies.py",
     ),
     Mutant(
+        name="a_replica_comes_before_the_former_owner",
+        file=f"{SUPERNODE}/core/takeover.py",
+        edits=(("for one in former or copies)", "for one in copies)"),),
+        noticed_by="tests/unit/supernode/core/moves/test_transitions.py",
+    ),
+    Mutant(
+        name="numbers_of_the_former_owner_count",
+        file=f"{SUPERNODE}/core/replicas/transitions.py",
+        edits=(("epoch=after.epoch, change_number=0)", "epoch=after.epoch)"),),
+        noticed_by="tests/unit/supernode/core/replicas/test_transitions_of_queues.py",
+    ),
+    Mutant(
+        name="the_second_move_of_a_queue_counts",
+        file=f"{SUPERNODE}/core/moves/transitions.py",
+        edits=(("    check_queue_epoch(queue, operation.epoch)\n    _check_permit", "    _check_permit"),),
+        noticed_by="tests/unit/supernode/core/replicas/test_transitions_of_queues.py",
+    ),
+    Mutant(
+        name="an_owner_again_trusts_its_replicas",
+        file=f"{HOST}/core/replication/in_sync.py",
+        edits=(("        self._replicas.clear()\n        self._is_known = False\n", ""),),
+        noticed_by="tests/unit/channel_host/queues/test_queue_replication.py",
+    ),
+    Mutant(
         name="items_of_another_reader",
         file="client/src/stampede_rt/multicast/sealing.py",
         edits=(

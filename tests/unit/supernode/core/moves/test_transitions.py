@@ -106,6 +106,16 @@ def test_a_former_owner_that_takes_the_place_of_a_replica_is_one_of_the_same_kin
     assert (cam(log).incarnation == before.incarnation) is acknowledged  # else it may lack acknowledged items
 
 
+def test_the_former_owner_comes_before_a_replica_if_the_new_owner_is_lost_at_once(log: Log) -> None:
+    """It has more channels than the host of the replica, which the directory would choose otherwise."""
+    log.apply(open_channel("other", host="host-1"))
+    log.apply(add_replica(cam(log).channel_id, 3, warm=True, acknowledged=True))
+    log.apply(set_in_sync(cam(log).channel_id, 3))
+    move(log, 2, 1)
+    log.apply(expire(2, registered_index=3))
+    assert cam(log).host_id == id_of(1)
+
+
 def test_the_former_owner_is_no_heir_once_its_copy_is_removed(log: Log) -> None:
     move(log, 2, 1)
     log.apply(remove_replica(cam(log).channel_id, 1))

@@ -110,6 +110,16 @@ def test_after_a_move_to_a_replica_the_hosts_have_changed_places(log: Log) -> No
     assert copies(log) == [(id_of(1), True)]
 
 
+def test_a_new_owner_numbers_its_changes_of_the_flags_anew(log: Log) -> None:
+    """The numbers are of the owner's own clock, which may be far behind that of the former owner."""
+    add(log, 2)
+    add(log, 3)
+    log.apply(deregister(1))
+    clear = set_in_sync(jobs(log).queue_id, 3, False, epoch=jobs(log).epoch)
+    assert isinstance(log.apply(replace(clear, is_of_queue=True, change_number=1)), ReplicaInSyncSet)
+    assert copies(log) == [(id_of(3), False)]
+
+
 def test_of_two_moves_of_a_queue_from_one_epoch_the_first_one_counts(log: Log) -> None:
     first = CommitQueueMove(queue_id=jobs(log).queue_id, epoch=1, to_host_id=id_of(2), to_boot_incarnation=1)
     log.apply(first)
