@@ -93,7 +93,7 @@ def test_a_folder_is_for_its_owner_only_and_an_owner_file_that_cannot_be_read_is
         folder.open(b"h" * 16)
 
 
-def test_the_names_of_new_folders_are_synced_to_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_names_of_new_folders_come_to_stable_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[Path] = []
     monkeypatch.setattr("stampede_rt_channel_host.archive.stable_writes.sync_folder", synced.append)
     folder = ArchiveFolder(tmp_path / "a" / "b")
@@ -217,43 +217,3 @@ def test_a_write_begins_as_soon_as_there_is_enough_for_it_and_waits_while_the_di
         return written
 
     assert asyncio.run(scenario()) == ([0, 0, 0, 0] if is_full else [0, 0, 3, 3])
-
-
-def test_items_that_arrive_during_a_write_are_written_together_by_a_later_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def scenario() -> int:
-        archive = archive_in(tmp_path / "a", monkeypatch)
-        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
-        recorder, put = recorded(archive, tmp_path / "c")
-        disk = SlowDisk(monkeypatch)
-        put()
-        archive.hurry()
-        assert await asyncio.to_thread(disk.reached.wait, 60)
-        put()
-        disk.go_on.set()
-        await until(lambda: recorder.archived_to > 1)
-        gathered = recorder.backlog_items
-        archive.hurry()
-        await until(lambda: not recorder.backlog_items)
-        await archive.close([])
-        return gathered
-
-    assert asyncio.run(scenario()) == 1
-
-
-def test_more_items_than_one_write_takes_are_written_without_a_pause(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def scenario() -> None:
-        archive = archive_in(tmp_path / "a", monkeypatch)
-        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
-        monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.RUNS_PER_WRITE", 2)
-        recorder, put = recorded(archive, tmp_path / "c")
-        for _ in range(5):
-            put()
-        archive.hurry()
-        await until(lambda: not recorder.backlog_items)
-        await archive.close([])
-
-    asyncio.run(scenario())

@@ -175,7 +175,7 @@ class HostArchive:
             if not self._is_closing:
                 await self._gather()
             await self.write_all()
-            if self._is_closing and not self._due:
+            if self._is_closing:
                 return
 
     async def _gather(self) -> None:
@@ -188,14 +188,13 @@ class HostArchive:
         self._hurry.clear()
 
     async def write_all(self) -> None:
-        """Write once for each channel that has items to write. Items that come meanwhile gather for a later write.
-
-        If the write of a channel fails, its items stay in memory, and the archive tries again a second later. The other
-        channels do not wait for it.
+        """Write all items that the channels have accepted. If the write of a channel fails, its items stay in memory,
+        and the archive tries again a second later. The other channels do not wait for it.
         """
-        for recorder in [*self._due]:
-            on_written = self._due.pop(recorder, None)
-            if on_written is not None and (job := recorder.take()).parts:
+        while self._due:
+            recorder = next(iter(self._due))
+            on_written = self._due.pop(recorder)
+            if (job := recorder.take()).parts:
                 await self._write(recorder, on_written, job)
 
     async def _write(self, recorder: ChannelRecorder, on_written: Callable[[], None], job: WriteJob) -> None:
@@ -210,8 +209,6 @@ class HostArchive:
         recorder.written(job, segments)
         if recorder.backlog_items:
             self._write_later(recorder, on_written)
-        if job.is_full or recorder.fills_a_write:
-            self._hurry.set()
         on_written()
 
     def _write_later(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:

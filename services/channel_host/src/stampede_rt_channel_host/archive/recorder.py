@@ -24,15 +24,13 @@ Part = list[ArchivedRun] | SeqGap | Advances
 
 
 class WriteJob(NamedTuple):
-    """The items that one write appends to the files of one channel. `end_seq`: the seq after them. `is_full`: more
-    items wait than one write takes.
-    """
+    """The items that one write appends to the files of one channel. `end_seq`: the seq after them."""
 
     files: SegmentFiles
     parts: list[Part]
     limits: ArchiveLimits
     end_seq: int
-    is_full: bool
+    bytes: int
 
 
 class ChannelRecorder:
@@ -196,7 +194,7 @@ class ChannelRecorder:
             if expected < self._channel.next_seq:
                 parts.append(SeqGap(expected, self._channel.next_seq))
                 expected = self._channel.next_seq
-        return WriteJob(self.files, parts, self.limits, expected, expected < self._channel.next_seq)
+        return WriteJob(self.files, parts, self.limits, expected, size)
 
     def _add(self, parts: list[Part], run: Run) -> int:
         at = bisect_right(self._ends, run.first_seq)
