@@ -105,7 +105,7 @@ class ReplicatedStory(Story):
     async def move(self) -> StampedeError | None:
         await self.begin()
         self.world.allow(DESTINATION)
-        move = asyncio.create_task(self.destination.incoming.move_here(self.world.record))
+        move = asyncio.create_task(self.destination.incoming.move_here(*self.world.placed()))
         while not move.done():
             self.put()
             await asyncio.sleep(0)

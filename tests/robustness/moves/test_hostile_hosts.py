@@ -39,7 +39,7 @@ async def test_a_host_that_no_move_names_neither_gets_the_channel_nor_stops_its_
     hosted = await story.source.store.bind(story.world.channel_id, 1)
     story.put()
     with pytest.raises(StampedeError, match="no caller has asked"):
-        await story.world.hosts[thief].incoming.move_here(story.world.record)
+        await story.world.hosts[thief].incoming.move_here(*story.world.placed())
     steal(story.world, thief, [])
     story.put()
     assert (hosted.moving, story.acknowledged, story.world.record.epoch) == (None, [1, 2], 1)

@@ -8,7 +8,7 @@ There are two hosts, and a third one if the channel has replicas. Then the real 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -25,6 +25,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import Kept
@@ -39,7 +40,15 @@ from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation, Refused
-from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
+from stampede_rt_supernode.core.moves.commands import (
+    CommitMove,
+    CommitMoves,
+    MoveCommitted,
+    MoveToCommit,
+    MoveToRelease,
+    ReleaseMoves,
+)
+from stampede_rt_supernode.core.moves.several import released
 from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import RemoveReplica, SetReplicaInSync
 from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register
@@ -60,18 +69,26 @@ class World:
     """The directory, the hosts, and the step at which `happens` is called."""
 
     def __init__(
-        self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0, *, third: bool = False
-    ) -> None:
-        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is a third host anyway."""
+        self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0, *, third: bool = False,
+        channels: int = 1,
+    ) -> None:  # fmt: skip
+        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is a third host anyway.
+
+        `channels`: the number of channels, all at the source. `channel_id` is the first one.
+        """
         self.crash_at, self.happens = crash_at, happens
         self.reached: list[str] = []
+        self.together = 0  # the most channels that one entry has committed
         self.log = Log(level=MOVES_LEVEL)
         numbers = (SOURCE, DESTINATION, THIRD) if replica_at or third else (SOURCE, DESTINATION)
         for number in numbers:
             self.log.apply(register(number, move_key=key_of(number)))
         replicas: dict[str, Any] = {"replicas": 1, "ack": "replica"} if replica_at else {}
-        self.log.apply(open_channel("cam", host="host-1", max_items=100_000, **replicas))
-        self.channel_id = next(iter(self.log.directory.tables.channels))
+        for number in range(channels):
+            name = f"cam{number or ''}"
+            self.log.apply(open_channel(name, host="host-1", max_items=100_000, **replicas))
+        self.channel_ids = [*self.log.directory.tables.channels]
+        self.channel_id = self.channel_ids[0]
         self.incarnation = self.record.incarnation
         self.is_cut_off = False  # no host reaches the directory
         self.commits: dict[bytes, RecordedChannel] = {}  # by the id of the request, which may come again
@@ -83,7 +100,20 @@ class World:
 
     @property
     def record(self) -> RecordedChannel:
-        return recorded_channel(channel_record(self.log.directory.tables.channels[self.channel_id]))
+        return self.record_of(self.channel_id)
+
+    def record_of(self, channel_id: bytes) -> RecordedChannel:
+        return recorded_channel(channel_record(self.log.directory.tables.channels[channel_id]))
+
+    def placed(self, channel_id: bytes = b"") -> tuple[RecordedChannel, FeedSource]:
+        """The record and the owner of a channel, the first one if no id is given."""
+        record = self.record_of(channel_id or self.channel_id)
+        return record, FeedSource(record.host_id, self.target_of(record.host_id), record.epoch)
+
+    def target_of(self, host_id: bytes) -> str:
+        """The gatekeeper of a host; empty if the host is not alive."""
+        host = self.log.directory.tables.hosts[host_id]
+        return host.name if host.alive else ""
 
     def at(self, step: str) -> None:
         """Note that the protocol has reached this step."""
@@ -102,10 +132,10 @@ class World:
         for task in host.tasks():
             task.cancel()
 
-    def allow(self, to: int, epoch: int | None = None) -> None:
+    def allow(self, to: int, epoch: int | None = None, channel_id: bytes = b"") -> None:
         """Tell the owner that a host may ask for the channel, as a client with the right does before a move."""
-        record = self.record
-        self.owner.outgoing.allowed.allow(record.channel_id, epoch or record.epoch, id_of(to))
+        record = self.record_of(channel_id or self.channel_id)
+        self.owner_of(record.channel_id).outgoing.allowed.allow(record.channel_id, epoch or record.epoch, id_of(to))
 
     def cut_links(self) -> None:
         """Break the streams between the hosts of the move."""
@@ -145,7 +175,11 @@ class World:
 
     @property
     def owner(self) -> Host:
-        return next(host for host in self.hosts.values() if host.identity.host_id == self.record.host_id)
+        return self.owner_of(self.channel_id)
+
+    def owner_of(self, channel_id: bytes) -> Host:
+        owner_id = self.record_of(channel_id).host_id
+        return next(host for host in self.hosts.values() if host.identity.host_id == owner_id)
 
 
 class Host:
@@ -187,12 +221,13 @@ class Host:
 
     def dial(self, target: str) -> Any:
         number = int(target.removeprefix("host-"))
-        return Link(self.world, self.world.hosts[number], self)
+        return Connection(self.world, self.world.hosts[number], self)
 
-    def put(self, number: int) -> IncomingRun | None:
+    def put(self, number: int, channel_id: bytes = b"") -> IncomingRun | None:
         """Put an item as producer 1. None: this host does not serve the channel, and says so."""
+        record = self.world.record_of(channel_id or self.world.channel_id)
         try:
-            hosted = self.store.find(self.world.channel_id, self.world.record.epoch)
+            hosted = self.store.find(record.channel_id, record.epoch)
         except StampedeError:
             return None
         run = IncomingRun(
@@ -206,10 +241,11 @@ class Host:
         return [time for part in hosted.channel.accepted_from(1) for time in part.run.times[part.lo : part.hi]]
 
 
-class SimulatedDirectory:
+class SimulatedDirectory(GatheredMoves):
     """The calls of one host to the directory: those of its store, its moves, its copies and its replicas."""
 
     def __init__(self, host: Host) -> None:
+        super().__init__()
         self.host, self.world = host, host.world
         self.permits: list[bytes] = []  # the permits that this host has got
 
@@ -218,39 +254,35 @@ class SimulatedDirectory:
         if self.world.is_cut_off or not self.host.alive:
             raise Unavailable("no supernode can be reached")
 
-    def _copies(self) -> tuple[ReplicaRecord, ...]:
-        return self.world.log.directory.tables.replicas.of(self.world.channel_id)
+    def _copies(self, channel_id: bytes) -> tuple[ReplicaRecord, ...]:
+        return self.world.log.directory.tables.replicas.of(channel_id)
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
         await self._reach()
-        return self.world.record
+        return self.world.record_of(channel_id)
 
-    async def owner_of(self, channel_id: bytes) -> FeedSource:
+    async def owner_of(self, channel_id: bytes) -> tuple[RecordedChannel, FeedSource]:
         await self._reach()
-        record = self.world.record
-        return FeedSource(record.host_id, self._target(record.host_id), record.epoch)
-
-    def _target(self, host_id: bytes) -> str:
-        host = self.world.log.directory.tables.hosts[host_id]
-        return host.name if host.alive else ""
+        return self.world.placed(channel_id)
 
     async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
         await self._reach()
-        record = self.world.record
+        record = self.world.record_of(channel_id)
         if record.host_id == host_id:
             return FeedSource(host_id, "", record.epoch)
-        copy = next((one for one in self._copies() if one.host_id == host_id), None)
+        copy = next((one for one in self._copies(channel_id) if one.host_id == host_id), None)
         if copy is None:
             return None
-        target = self._target(copy.source_host_id)
+        target = self.world.target_of(copy.source_host_id)
         return FeedSource(copy.source_host_id, target, record.epoch, copy.kind is ReplicaKind.WARM)
 
     async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
         await self._reach()
-        record = self.world.record
-        warm = [one for one in self._copies() if one.kind is ReplicaKind.WARM]
+        record = self.world.record_of(channel_id)
+        warm = [one for one in self._copies(channel_id) if one.kind is ReplicaKind.WARM]
         return ListedReplicas(record.host_id, record.epoch, [
-            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), self._target(one.host_id))
+            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
+                          self.world.target_of(one.host_id))
             for one in warm
         ])  # fmt: skip
 
@@ -272,58 +304,83 @@ class SimulatedDirectory:
 
     async def kept_here(self, channel_id: bytes) -> Kept:
         await self._reach()
-        return self._kept_at(self.host.identity.host_id)
+        return self._kept_at(channel_id, self.host.identity.host_id)
 
-    def _kept_at(self, host_id: bytes) -> Kept:
-        if self.world.record.host_id == host_id:
+    def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
+        if self.world.record_of(channel_id).host_id == host_id:
             return Kept.HEIR
-        kinds = [one.kind for one in self._copies() if one.host_id == host_id]
+        kinds = [one.kind for one in self._copies(channel_id) if one.host_id == host_id]
         return {ReplicaKind.MOVE: Kept.HEIR, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
 
-    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
-        if permit:
-            self.permits.append(permit)
-        moves_here = self.host.identity.host_id == id_of(DESTINATION)
-        if moves_here:
-            self.world.at("commit is asked for")
-        await self._reach()
-        if (before := self.world.commits.get(request_id)) is not None:
+    @property
+    def _moves_here(self) -> bool:
+        return self.host.identity.host_id == id_of(DESTINATION)
+
+    async def commit_one(self, move: Commit) -> RecordedChannel:
+        await self._ask_for_commit([move])
+        if (before := self.world.commits.get(move.request_id)) is not None:
             return before
         operation = CommitMove(
-            channel_id=channel_id, epoch=epoch, to_host_id=self.host.identity.host_id,
-            to_boot_incarnation=self.host.identity.boot_incarnation, permit=permit,
+            channel_id=move.channel_id, epoch=move.epoch, to_host_id=self.host.identity.host_id,
+            to_boot_incarnation=self.host.identity.boot_incarnation, permit=move.permit,
         )  # fmt: skip
         done = self.world.apply(operation)
         assert isinstance(done, MoveCommitted)
-        record = self.world.commits[request_id] = recorded_channel(channel_record(done.channel))
-        if moves_here:
-            self.world.at("committed")
-            await self._reach()  # the answer may be lost
+        record = self.world.commits[move.request_id] = recorded_channel(channel_record(done.channel))
+        await self._answer_commit()
         return record
 
-    async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
+    async def commit_all(self, moves: Sequence[Commit]) -> list[RecordedChannel]:
+        await self._ask_for_commit(moves)
+        operation = CommitMoves(
+            to_host_id=self.host.identity.host_id, to_boot_incarnation=self.host.identity.boot_incarnation,
+            moves=tuple(MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves),
+        )  # fmt: skip
+        done = self.world.apply(operation)
+        self.world.together = max(self.world.together, len(done.channels))
+        await self._answer_commit()
+        return [recorded_channel(channel_record(one)) for one in done.channels]
+
+    async def _ask_for_commit(self, moves: Sequence[Commit]) -> None:
+        self.permits += [one.permit for one in moves if one.permit]
+        if self._moves_here:
+            self.world.at("commit is asked for")
+        await self._reach()
+
+    async def _answer_commit(self) -> None:
+        if self._moves_here:
+            self.world.at("committed")
+            await self._reach()  # the answer may be lost
+
+    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
         self.world.at("removal is asked for")
         await self._reach()
-        if not (may_be_replica and self._kept_at(host_id) is Kept.REPLICA):
-            self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id))
+        asked = tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves)
+        done = self.world.apply(ReleaseMoves(host_id=self.host.identity.host_id, moves=asked))
         self.world.at("removed")
         await self._reach()
+        return {*done.channel_ids}
+
+    async def released_of(self, channel_ids: Sequence[bytes]) -> list[bytes]:
+        await self._reach()
+        return released(self.world.log.directory.tables, self.host.identity.host_id, channel_ids)
 
 
-class Link:
-    """A stream from a copy's host, such as the destination, to the source, and the connection that it is on."""
+class Connection:
+    """A connection from one host to another. Breaking it breaks its streams."""
 
-    def __init__(self, world: World, source: Host, caller: Host | None = None) -> None:
+    def __init__(self, world: World, source: Host, caller: Host) -> None:
         self.world, self.source, self.caller = world, source, caller
-        self.is_of_move = False
-        self.to_source: asyncio.Queue[Any] = asyncio.Queue()
-        self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
-        self.serving: asyncio.Task[None] | None = None
-        self.is_frozen = False  # the destination reads and writes nothing
-        world.links.append(self)
+        self._links: list[Link] = []
 
     def stream_stream(self, method: str, **_: Any) -> Callable[[], Link]:
-        return lambda: self
+        """ReplicaService.Feed."""
+
+        def begin() -> Link:
+            self._links.append(Link(self.world, self.source, self.caller))
+            return self._links[-1]
+
+        return begin
 
     def unary_unary(self, method: str, **_: Any) -> Callable[..., Any]:
         """BindChannel, with which the owner has a replica begin."""
@@ -336,7 +393,21 @@ class Link:
         return bind
 
     async def close(self, grace: float | None) -> None:
-        self.cut()
+        for link in self._links:
+            link.cut()
+
+
+class Link:
+    """A stream from a copy's host, such as the destination, to the source."""
+
+    def __init__(self, world: World, source: Host, caller: Host | None = None) -> None:
+        self.world, self.source, self.caller = world, source, caller
+        self.is_of_move = False
+        self.to_source: asyncio.Queue[Any] = asyncio.Queue()
+        self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
+        self.serving: asyncio.Task[None] | None = None
+        self.is_frozen = False  # the destination reads and writes nothing
+        world.links.append(self)
 
     def cancel(self) -> None:
         self.cut()

@@ -224,6 +224,29 @@ MUTANTS = (
         noticed_by="tests/robustness/moves/test_hostile_hosts.py",
     ),
     Mutant(
+        name="one_outcome_for_all_moves_of_an_entry",
+        file=f"{HOST}/copies/gathered_moves.py",
+        edits=(("committed.get(one.channel_id) or", "committed.get(moves[-1].channel_id) or"),),
+        noticed_by="tests/robustness/moves/test_several_at_once.py",
+    ),
+    Mutant(
+        name="puts_before_the_heirs_of_several_moves_are_released",
+        file=f"{HOST}/copies/incoming_moves.py",
+        edits=(
+            (
+                "        await self._remove_heir(hosted)",
+                "        hosted.end_move()\n        await self._remove_heir(hosted)",
+            ),
+        ),
+        noticed_by="tests/robustness/moves/test_several_at_once.py",
+    ),
+    Mutant(
+        name="a_release_at_any_epoch",
+        file=f"{SUPERNODE}/core/moves/several.py",
+        edits=(("(channel.host_id, channel.epoch) == (host_id, move.epoch)", "channel.host_id == host_id"),),
+        noticed_by="tests/unit/supernode/core/moves/test_several.py",
+    ),
+    Mutant(
         name="nobody_allows_a_move",
         file=f"{HOST}/copies/allowed_moves.py",
         edits=(("if until_s is None or until_s < self._clock_s():", "if until_s is not None and until_s < 0:"),),

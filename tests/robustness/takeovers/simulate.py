@@ -135,7 +135,7 @@ class Trial:
         record, host = self.cluster.record, self.cluster.hosts[number]
         if host.alive and record.host_id != id_of(number):
             self.cluster.allow(number)
-            await host.incoming.move_here(record)
+            await host.incoming.move_here(*await host.directory.owner_of(record.channel_id))
             self.moves += 1
 
     # The judgement.

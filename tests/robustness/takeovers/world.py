@@ -101,7 +101,7 @@ class Cluster(World):
         self.crash_at, self.happens, self.reached = "", lambda world: None, []
         self.log = Log(level=MOVES_LEVEL)
         self.is_cut_off = False
-        self.commits = {}
+        self.commits, self.together = {}, 0
         self.links: list[Any] = []
         self.cut_off: set[int] = set()  # hosts that do not reach the directory
         self.cut_pairs: set[frozenset[int]] = set()  # hosts that do not reach each other

@@ -2,6 +2,7 @@ from stampede_rt.v1 import access_pb2 as _access_pb2
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
+from stampede_rt.v1 import move_pb2 as _move_pb2
 from stampede_rt.v1 import peer_pb2 as _peer_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from stampede_rt.v1 import quota_pb2 as _quota_pb2
@@ -16,7 +17,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "set_quotas", "remove_quotas", "note_host_loads", "commit_move", "commit_queue_move", "as_of_index", "caller")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "set_quotas", "remove_quotas", "note_host_loads", "commit_move", "commit_queue_move", "commit_moves", "release_moves", "as_of_index", "caller")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -49,6 +50,8 @@ class DirectoryCommand(_message.Message):
     NOTE_HOST_LOADS_FIELD_NUMBER: _ClassVar[int]
     COMMIT_MOVE_FIELD_NUMBER: _ClassVar[int]
     COMMIT_QUEUE_MOVE_FIELD_NUMBER: _ClassVar[int]
+    COMMIT_MOVES_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_MOVES_FIELD_NUMBER: _ClassVar[int]
     AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
     CALLER_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
@@ -83,9 +86,11 @@ class DirectoryCommand(_message.Message):
     note_host_loads: NoteHostLoadsCommand
     commit_move: CommitMoveCommand
     commit_queue_move: CommitQueueMoveCommand
+    commit_moves: CommitMovesCommand
+    release_moves: ReleaseMovesCommand
     as_of_index: int
     caller: str
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., note_host_loads: _Optional[_Union[NoteHostLoadsCommand, _Mapping]] = ..., commit_move: _Optional[_Union[CommitMoveCommand, _Mapping]] = ..., commit_queue_move: _Optional[_Union[CommitQueueMoveCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ..., caller: _Optional[str] = ...) -> None: ...
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., note_host_loads: _Optional[_Union[NoteHostLoadsCommand, _Mapping]] = ..., commit_move: _Optional[_Union[CommitMoveCommand, _Mapping]] = ..., commit_queue_move: _Optional[_Union[CommitQueueMoveCommand, _Mapping]] = ..., commit_moves: _Optional[_Union[CommitMovesCommand, _Mapping]] = ..., release_moves: _Optional[_Union[ReleaseMovesCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ..., caller: _Optional[str] = ...) -> None: ...
 
 class RaiseFeatureLevelCommand(_message.Message):
     __slots__ = ("feature_level", "tenure")
@@ -355,6 +360,24 @@ class CommitQueueMoveCommand(_message.Message):
     permit: bytes
     def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
 
+class CommitMovesCommand(_message.Message):
+    __slots__ = ("to_host_id", "to_boot_incarnation", "moves")
+    TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    MOVES_FIELD_NUMBER: _ClassVar[int]
+    to_host_id: bytes
+    to_boot_incarnation: int
+    moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToCommit]
+    def __init__(self, to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ...) -> None: ...
+
+class ReleaseMovesCommand(_message.Message):
+    __slots__ = ("host_id", "moves")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    MOVES_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToRelease]
+    def __init__(self, host_id: _Optional[bytes] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToRelease, _Mapping]]] = ...) -> None: ...
+
 class SetReplicaInSyncCommand(_message.Message):
     __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
@@ -477,7 +500,7 @@ class PeerLease(_message.Message):
     def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class DirectoryResult(_message.Message):
-    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked", "feature_level_raised", "token_key_created", "access_rule_added", "access_rule_removed", "credential_revoked", "quotas_set", "quotas_removed", "host_loads_noted", "move_committed", "queue_move_committed")
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked", "feature_level_raised", "token_key_created", "access_rule_added", "access_rule_removed", "credential_revoked", "quotas_set", "quotas_removed", "host_loads_noted", "move_committed", "queue_move_committed", "moves_committed", "moves_released")
     REFUSED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
@@ -509,6 +532,8 @@ class DirectoryResult(_message.Message):
     HOST_LOADS_NOTED_FIELD_NUMBER: _ClassVar[int]
     MOVE_COMMITTED_FIELD_NUMBER: _ClassVar[int]
     QUEUE_MOVE_COMMITTED_FIELD_NUMBER: _ClassVar[int]
+    MOVES_COMMITTED_FIELD_NUMBER: _ClassVar[int]
+    MOVES_RELEASED_FIELD_NUMBER: _ClassVar[int]
     refused: RefusedResult
     channel_opened: ChannelOpenedResult
     channel_updated: ChannelUpdatedResult
@@ -540,7 +565,9 @@ class DirectoryResult(_message.Message):
     host_loads_noted: HostLoadsNotedResult
     move_committed: MoveCommittedResult
     queue_move_committed: QueueMoveCommittedResult
-    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ..., feature_level_raised: _Optional[_Union[FeatureLevelRaisedResult, _Mapping]] = ..., token_key_created: _Optional[_Union[TokenKeyCreatedResult, _Mapping]] = ..., access_rule_added: _Optional[_Union[AccessRuleAddedResult, _Mapping]] = ..., access_rule_removed: _Optional[_Union[AccessRuleRemovedResult, _Mapping]] = ..., credential_revoked: _Optional[_Union[CredentialRevokedResult, _Mapping]] = ..., quotas_set: _Optional[_Union[QuotasSetResult, _Mapping]] = ..., quotas_removed: _Optional[_Union[QuotasRemovedResult, _Mapping]] = ..., host_loads_noted: _Optional[_Union[HostLoadsNotedResult, _Mapping]] = ..., move_committed: _Optional[_Union[MoveCommittedResult, _Mapping]] = ..., queue_move_committed: _Optional[_Union[QueueMoveCommittedResult, _Mapping]] = ...) -> None: ...
+    moves_committed: MovesCommittedResult
+    moves_released: MovesReleasedResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ..., feature_level_raised: _Optional[_Union[FeatureLevelRaisedResult, _Mapping]] = ..., token_key_created: _Optional[_Union[TokenKeyCreatedResult, _Mapping]] = ..., access_rule_added: _Optional[_Union[AccessRuleAddedResult, _Mapping]] = ..., access_rule_removed: _Optional[_Union[AccessRuleRemovedResult, _Mapping]] = ..., credential_revoked: _Optional[_Union[CredentialRevokedResult, _Mapping]] = ..., quotas_set: _Optional[_Union[QuotasSetResult, _Mapping]] = ..., quotas_removed: _Optional[_Union[QuotasRemovedResult, _Mapping]] = ..., host_loads_noted: _Optional[_Union[HostLoadsNotedResult, _Mapping]] = ..., move_committed: _Optional[_Union[MoveCommittedResult, _Mapping]] = ..., queue_move_committed: _Optional[_Union[QueueMoveCommittedResult, _Mapping]] = ..., moves_committed: _Optional[_Union[MovesCommittedResult, _Mapping]] = ..., moves_released: _Optional[_Union[MovesReleasedResult, _Mapping]] = ...) -> None: ...
 
 class TokenKeyCreatedResult(_message.Message):
     __slots__ = ("version",)
@@ -722,6 +749,18 @@ class MoveCommittedResult(_message.Message):
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
     channel: _channel_pb2.ChannelRecord
     def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+
+class MovesCommittedResult(_message.Message):
+    __slots__ = ("channels",)
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
+    def __init__(self, channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ...) -> None: ...
+
+class MovesReleasedResult(_message.Message):
+    __slots__ = ("channel_ids",)
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class QueueMoveCommittedResult(_message.Message):
     __slots__ = ("queue",)

@@ -1,8 +1,10 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import move_pb2 as _move_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
+from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from collections.abc import Mapping as _Mapping
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
 from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
@@ -22,6 +24,54 @@ class CommitMoveRequest(_message.Message):
     to_boot_incarnation: int
     permit: bytes
     def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
+
+class CommitMovesRequest(_message.Message):
+    __slots__ = ("request_id", "to_host_id", "to_boot_incarnation", "moves")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    MOVES_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    to_host_id: bytes
+    to_boot_incarnation: int
+    moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToCommit]
+    def __init__(self, request_id: _Optional[bytes] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ...) -> None: ...
+
+class CommitMovesResponse(_message.Message):
+    __slots__ = ("channels",)
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
+    def __init__(self, channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ...) -> None: ...
+
+class ReleaseMovesRequest(_message.Message):
+    __slots__ = ("request_id", "host_id", "moves")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    MOVES_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    host_id: bytes
+    moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToRelease]
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToRelease, _Mapping]]] = ...) -> None: ...
+
+class ReleaseMovesResponse(_message.Message):
+    __slots__ = ("channel_ids",)
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class ListReleasedMovesRequest(_message.Message):
+    __slots__ = ("host_id", "channel_ids")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, host_id: _Optional[bytes] = ..., channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class ListReleasedMovesResponse(_message.Message):
+    __slots__ = ("channel_ids",)
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class CommitQueueMoveRequest(_message.Message):
     __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")

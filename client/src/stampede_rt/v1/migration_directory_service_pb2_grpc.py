@@ -40,6 +40,21 @@ class MigrationDirectoryServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
                 _registered_method=True)
+        self.CommitMoves = channel.unary_unary(
+                '/stampede_rt.v1.MigrationDirectoryService/CommitMoves',
+                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesResponse.FromString,
+                _registered_method=True)
+        self.ReleaseMoves = channel.unary_unary(
+                '/stampede_rt.v1.MigrationDirectoryService/ReleaseMoves',
+                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesResponse.FromString,
+                _registered_method=True)
+        self.ListReleasedMoves = channel.unary_unary(
+                '/stampede_rt.v1.MigrationDirectoryService/ListReleasedMoves',
+                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.FromString,
+                _registered_method=True)
         self.CommitQueueMove = channel.unary_unary(
                 '/stampede_rt.v1.MigrationDirectoryService/CommitQueueMove',
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveRequest.SerializeToString,
@@ -67,6 +82,32 @@ class MigrationDirectoryServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def CommitMoves(self, request, context):
+        """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
+        log. Each of the moves succeeds or fails by itself. CommitMove has the reason for a channel that is not in the answer.
+        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ReleaseMoves(self, request, context):
+        """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
+        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
+        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListReleasedMoves(self, request, context):
+        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
+        can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CommitQueueMove(self, request, context):
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
         the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
@@ -86,6 +127,21 @@ def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
                     servicer.CommitMove,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.SerializeToString,
+            ),
+            'CommitMoves': grpc.unary_unary_rpc_method_handler(
+                    servicer.CommitMoves,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesResponse.SerializeToString,
+            ),
+            'ReleaseMoves': grpc.unary_unary_rpc_method_handler(
+                    servicer.ReleaseMoves,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesResponse.SerializeToString,
+            ),
+            'ListReleasedMoves': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListReleasedMoves,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.SerializeToString,
             ),
             'CommitQueueMove': grpc.unary_unary_rpc_method_handler(
                     servicer.CommitQueueMove,
@@ -121,6 +177,87 @@ class MigrationDirectoryService(object):
             '/stampede_rt.v1.MigrationDirectoryService/CommitMove',
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMoveResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CommitMoves(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationDirectoryService/CommitMoves',
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitMovesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ReleaseMoves(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationDirectoryService/ReleaseMoves',
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ReleaseMovesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListReleasedMoves(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationDirectoryService/ListReleasedMoves',
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.FromString,
             options,
             channel_credentials,
             insecure,

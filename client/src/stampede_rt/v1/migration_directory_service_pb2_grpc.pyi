@@ -45,6 +45,20 @@ class MigrationDirectoryServiceStub:
     WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
     without the owner's permit).
     """
+    CommitMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]
+    """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
+    log. Each of the moves succeeds or fails by itself. CommitMove has the reason for a channel that is not in the answer.
+    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
+    """
+    ReleaseMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]
+    """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
+    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
+    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+    """
+    ListReleasedMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]
+    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
+    can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+    """
     CommitQueueMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
     the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
@@ -70,6 +84,20 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
     WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
     without the owner's permit).
+    """
+    CommitMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]  # type: ignore[assignment]
+    """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
+    log. Each of the moves succeeds or fails by itself. CommitMove has the reason for a channel that is not in the answer.
+    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
+    """
+    ReleaseMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]  # type: ignore[assignment]
+    """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
+    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
+    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+    """
+    ListReleasedMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]  # type: ignore[assignment]
+    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
+    can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
     """
     CommitQueueMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
@@ -99,6 +127,38 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
         WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
         without the owner's permit).
+        """
+
+    @_abc_1.abstractmethod
+    def CommitMoves(
+        self,
+        request: _migration_directory_service_pb2.CommitMovesRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_directory_service_pb2.CommitMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitMovesResponse]]:
+        """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
+        log. Each of the moves succeeds or fails by itself. CommitMove has the reason for a channel that is not in the answer.
+        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
+        """
+
+    @_abc_1.abstractmethod
+    def ReleaseMoves(
+        self,
+        request: _migration_directory_service_pb2.ReleaseMovesRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_directory_service_pb2.ReleaseMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ReleaseMovesResponse]]:
+        """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
+        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
+        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+        """
+
+    @_abc_1.abstractmethod
+    def ListReleasedMoves(
+        self,
+        request: _migration_directory_service_pb2.ListReleasedMovesRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_directory_service_pb2.ListReleasedMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ListReleasedMovesResponse]]:
+        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
+        can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod

@@ -86,8 +86,8 @@ class MigrationServiceServicer(object):
         (AllowMove). The host answers when it is the owner and acknowledges
         puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-        OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
-        ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
+        WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -48,8 +48,8 @@ class MigrationServiceStub:
     (AllowMove). The host answers when it is the owner and acknowledges
     puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
     Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-    OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
-    ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
+    WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
     """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
@@ -90,8 +90,8 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     (AllowMove). The host answers when it is the owner and acknowledges
     puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
     Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-    OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
-    ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
+    WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
     """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
@@ -141,8 +141,8 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         (AllowMove). The host answers when it is the owner and acknowledges
         puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-        OVERLOADED (8 moves to or from one host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has
-        ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
+        WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod

@@ -7,7 +7,7 @@ from typing import Any
 
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.copies.copy_feed import GRANT_BYTES, CopyFeed
+from stampede_rt_channel_host.copies.copy_feed import GRANTS, WINDOW_BYTES, CopyFeed
 from tests.support.clock import ManualClock
 
 MS = 10**6
@@ -52,5 +52,5 @@ def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer()
     second = rig.feed._request().sent_nanos
     assert second == first + 100 * MS
     rig.clock.boot_nanos += MS
-    assert rig.hears(charge_bytes=GRANT_BYTES)
+    assert rig.hears(charge_bytes=WINDOW_BYTES // GRANTS)
     assert rig.feed._request().sent_nanos == second + MS

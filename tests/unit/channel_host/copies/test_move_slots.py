@@ -8,9 +8,10 @@ import pytest
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.copies.move_slots import MOVES_MAX, MOVES_OF_ONE_MAX, MoveSlots
+from stampede_rt_channel_host.copies.move_slots import MOVES_MAX, OF_ONE_SHARE, QUEUE_MOVES_MAX, MoveSlots
 from stampede_rt_channel_host.core.records import RecordedChannel
 
+OF_ONE_MAX = int(OF_ONE_SHARE * MOVES_MAX)
 MADE = RecordedChannel(
     channel_id=b"c" * 16,
     name="c",
@@ -26,13 +27,13 @@ MADE = RecordedChannel(
 def test_one_maker_cannot_take_all_moves() -> None:
     slots = MoveSlots("to host h1")
     mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
-    for _ in range(MOVES_OF_ONE_MAX):
+    for _ in range(OF_ONE_MAX):
         slots.take(mine)
-    with pytest.raises(Overloaded, match="6 channels that cam has made move to host h1 already"):
+    with pytest.raises(Overloaded, match="24 channels that cam has made move to host h1 already"):
         slots.take(mine)
-    for _ in range(MOVES_MAX - MOVES_OF_ONE_MAX):
+    for _ in range(MOVES_MAX - OF_ONE_MAX):
         slots.take(others)
-    with pytest.raises(Overloaded, match="8 channels move to host h1 already"):
+    with pytest.raises(Overloaded, match="32 channels move to host h1 already"):
         slots.check(others)
     slots.give_back(mine)
     slots.take(mine)
@@ -43,5 +44,14 @@ def test_channels_whose_maker_has_no_name_of_its_own_may_use_all_moves(maker: st
     slots, one = MoveSlots("to host h1"), replace(MADE, created_by=maker)
     for _ in range(MOVES_MAX):
         slots.take(one)
-    with pytest.raises(Overloaded, match="8 channels move"):
+    with pytest.raises(Overloaded, match="32 channels move"):
         slots.take(one)
+
+
+def test_fewer_queues_than_channels_move_at_once() -> None:
+    slots = MoveSlots("to host h1", of_queues=True)
+    for _ in range(QUEUE_MOVES_MAX):
+        slots.take(MADE)
+    assert slots.under_way == QUEUE_MOVES_MAX
+    with pytest.raises(Overloaded, match="8 queues move to host h1 already"):
+        slots.check(MADE)

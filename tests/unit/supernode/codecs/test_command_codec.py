@@ -48,7 +48,18 @@ from stampede_rt_supernode.core.hosts.commands import (
     ReportedLoad,
 )
 from stampede_rt_supernode.core.kept_answers import Answer
-from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
+from stampede_rt_supernode.core.moves.commands import (
+    CommitMove,
+    CommitMoves,
+    CommitQueueMove,
+    MoveCommitted,
+    MovesCommitted,
+    MovesReleased,
+    MoveToCommit,
+    MoveToRelease,
+    QueueMoveCommitted,
+    ReleaseMoves,
+)
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
@@ -163,6 +174,15 @@ OPERATIONS: list[Operation] = [
     replace(set_in_sync(id_of(2), 3, epoch=4, boot=5), is_of_queue=True),
     CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
     CommitQueueMove(queue_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
+    CommitMoves(
+        to_host_id=id_of(3),
+        to_boot_incarnation=5,
+        moves=(
+            MoveToCommit(channel_id=id_of(2), epoch=4, permit=b"p"),
+            MoveToCommit(channel_id=id_of(4), epoch=2**64 - 1),
+        ),
+    ),
+    ReleaseMoves(host_id=id_of(3), moves=(MoveToRelease(channel_id=id_of(2), epoch=4),)),
     open_queue("jobs", host="rig", create=False, **EVERYTHING_OF_QUEUES),
     open_queue("jobs"),
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
@@ -280,6 +300,9 @@ RESULTS: list[Result] = [
     ReplicaInSyncSet(replica=REPLICA),
     MoveCommitted(channel=CHANNEL),
     QueueMoveCommitted(queue=QUEUE),
+    MovesCommitted(channels=(CHANNEL,)),
+    MovesCommitted(channels=()),
+    MovesReleased(channel_ids=(id_of(2), id_of(4))),
     QueueOpened(queue=QUEUE, host=HOST, created=True),
     QueueUpdated(queue=MAILBOX),
     QueueDeleted(queue=QUEUE),

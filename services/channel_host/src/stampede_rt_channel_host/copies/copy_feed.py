@@ -25,8 +25,8 @@ from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 
-WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy
-GRANT_BYTES = WINDOW_BYTES // 4  # the copy grants this many bytes at a time; each request costs the source a message
+WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy, unless the copy states less
+GRANTS = 4  # the copy grants this part of its window at a time; each request costs the source a message
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 BROKEN_AFTER_SECONDS = 3.0  # after this silence of its source, the copy opens the feed again
@@ -40,10 +40,11 @@ class CopyFeed:
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
-        bytes_per_second: int = 0, *, owner_facts: bool = False,
+        bytes_per_second: int = 0, *, owner_facts: bool = False, window_bytes: int = WINDOW_BYTES,
     ) -> None:  # fmt: skip
         """`bytes_per_second`: the most that the copy takes; 0: without a limit. `owner_facts`: the source also
         sends the facts that only the owner has, so that the copy can become the owner (`FedChannel.as_owner`).
+        `window_bytes`: how far the source may be ahead of the copy.
         """
         self._store = store
         self._record = record
@@ -53,7 +54,7 @@ class CopyFeed:
         self._bytes_per_second = bytes_per_second
         self._owner_facts = owner_facts
         self._period_s = REPLICA_REQUEST_SECONDS if owner_facts else REQUEST_SECONDS
-        self._granted = WINDOW_BYTES
+        self._granted, self._grant_bytes = window_bytes, window_bytes // GRANTS
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
@@ -109,7 +110,7 @@ class CopyFeed:
         return pb.FeedRequest(
             open=opening,
             credit_bytes=granted,
-            sent_nanos=self._clock_nanos(is_new=granted >= GRANT_BYTES),
+            sent_nanos=self._clock_nanos(is_new=granted >= self._grant_bytes),
             subscriptions=0 if held is None else len(held.subscriptions),
             ready=self._state.is_ready,
             held_next_seq=self._reported_seq,
@@ -232,7 +233,7 @@ class CopyFeed:
         if self._owner_facts and held is not None and held.channel.next_seq != self._reported_seq:
             self._owes_request = True  # puts wait until the replica reports this part
         self._granted += charge_bytes
-        self._owes_request |= self._granted >= GRANT_BYTES
+        self._owes_request |= self._granted >= self._grant_bytes
 
 
 def _core(held: HostedChannel) -> FedChannel:

@@ -22,6 +22,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.copies.drain_room import DrainRoom
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.core.placing import OtherHost, spread, together
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -30,7 +31,6 @@ from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
-MOVES_AT_ONCE = 6  # of the 8 that a host may have under way; the others are for callers
 NAMES_LOGGED_MAX = 20
 _AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host, or the same one later, may take it
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
@@ -51,6 +51,7 @@ class _Own(Protocol):
     name: str
     request: pb.MoveHereRequest
     needs_archive: bool
+    is_queue: bool
 
     @property
     def epoch(self) -> int:
@@ -70,7 +71,7 @@ class _OwnChannel:
         self._store, self._hosted = store, hosted
         self.id, self.name = hosted.record.channel_id, hosted.record.name
         self.request = pb.MoveHereRequest(channel_id=self.id)
-        self.needs_archive = hosted.record.policy.is_recorded
+        self.needs_archive, self.is_queue = hosted.record.policy.is_recorded, False
 
     @property
     def epoch(self) -> int:
@@ -90,7 +91,7 @@ class _OwnQueue:
         self._store, self._hosted = store, hosted
         self.id, self.name = hosted.record.queue_id, f"queue {display_name(hosted.record)}"
         self.request = pb.MoveHereRequest(queue_id=self.id)
-        self.needs_archive = False
+        self.needs_archive, self.is_queue = False, True
 
     @property
     def epoch(self) -> int:
@@ -165,11 +166,10 @@ class Draining:
             return
         places = spread(together({one: self._groups_of(one) for one in own}), hosts)
         others = _Others(hosts, self._dial, self._allow)
-        limit = asyncio.Semaphore(MOVES_AT_ONCE)
         try:
             async with asyncio.TaskGroup() as moves:
                 for each, place in ((one, places[one.id]) for one in own.values()):
-                    moves.create_task(_move(each, place, others, limit, left))
+                    moves.create_task(_move(each, place, others, left))
         finally:
             await others.aclose()
 
@@ -184,15 +184,25 @@ class _Others:
         self._hosts = [*hosts]
         self._allow = allow
         self._dial = dial
+        self._room = DrainRoom()
         self._silent: set[bytes] = set()  # the hosts that have not begun the latest move
         self._connections: dict[str, grpc.aio.Channel] = {}
 
-    async def move(self, own: _Own, host: OtherHost) -> None:
-        """Have a host take a channel or queue over.
+    async def move(self, own: _Own, host: OtherHost) -> OtherHost:
+        """Have a host take a channel or queue over, once there is room for the move.
 
-        Raises the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the
-        move after BEGIN_SECONDS_MAX.
+        Returns another host to try instead, if this one has turned out to be silent meanwhile; else `host`. Raises the
+        errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move after
+        BEGIN_SECONDS_MAX.
         """
+        async with self._room.taken(host.host_id, is_queue=own.is_queue):
+            other = self.after(own, host) if host.host_id in self._silent else host
+            if other is host or other is None:
+                await self._ask(own, host)
+                self._room.answered(host.host_id)
+        return other or host
+
+    async def _ask(self, own: _Own, host: OtherHost) -> None:
         if host.target not in self._connections:
             self._connections[host.target] = self._dial(host.target)
         stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
@@ -225,17 +235,13 @@ class _Others:
         later = [one for one in hosts if one.host_id > host.host_id]
         return min(later or hosts, key=lambda one: one.host_id, default=None)
 
-    def answering(self, own: _Own, host: OtherHost) -> OtherHost | None:
-        """The host, or another one if this one was silent."""
-        return self.after(own, host) if host.host_id in self._silent else host
-
     async def aclose(self) -> None:
         """Close the connections."""
         for connection in self._connections.values():
             await connection.close(None)
 
 
-async def _move(own: _Own, place: OtherHost, others: _Others, limit: asyncio.Semaphore, left: dict[str, str]) -> None:
+async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[str, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other while they have no room, have too many moves, or do not answer.
@@ -245,10 +251,10 @@ async def _move(own: _Own, place: OtherHost, others: _Others, limit: asyncio.Sem
         left[own.name] = "it is recorded (archive), and no other live host has an archive"
     while host is not None and own.is_here:  # paced by the sleep; `Draining.run` ends it
         try:
-            async with limit:
-                host = others.answering(own, host) or host
-                await others.move(own, host)
+            if (other := await others.move(own, host)) is host:
                 break
+            host = other
+            continue
         except (ChannelNotFound, QueueNotFound):  # deleted meanwhile
             break
         except StampedeError as error:

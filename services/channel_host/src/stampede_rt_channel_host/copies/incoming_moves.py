@@ -18,6 +18,7 @@ from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
@@ -32,6 +33,8 @@ RELEASED_SECONDS_MAX = 1.0
 ARCHIVED_SECONDS_MAX = 4.0  # puts wait meanwhile
 HANDOFF_SECONDS_MAX = 4.0  # shorter than the source holds puts
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
+WIDE_WINDOWS_MAX = 8  # of the moves under way. The others have NARROW_WINDOW_BYTES, so that all have 56 MiB at most
+NARROW_WINDOW_BYTES = WINDOW_BYTES // 4
 
 
 class Moved(NamedTuple):
@@ -59,23 +62,26 @@ class IncomingMoves:
         self._slots = MoveSlots(f"to host {identity.name}")
         self._is_closing = False
 
-    async def move_here(self, record: RecordedChannel) -> Moved:
-        """Make this host the owner of a channel. Joins a move of this channel that is under way.
+    async def move_here(self, record: RecordedChannel, source: FeedSource) -> Moved:
+        """Make this host the owner of a channel, which `source` owns. Joins a move of this channel that is under way.
 
         The move goes on if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
         if record.host_id == self._identity.host_id:
             return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
-        move = self._moves.get(record.channel_id)
-        if move is None:
-            if self._is_closing:
-                raise refusals.SHUTTING_DOWN
-            self._store.recordings.check_move(record)
-            self._slots.take(record)
-            move = asyncio.create_task(self._move(record), name=f"move of {record.name}")
-            self._moves[record.channel_id] = move
-            move.add_done_callback(lambda done: self._over(record, done))
-        return await asyncio.shield(move)
+        return await asyncio.shield(self._moves.get(record.channel_id) or self._begun(record, source))
+
+    def _begun(self, record: RecordedChannel, source: FeedSource) -> asyncio.Task[Moved]:
+        if self._is_closing:
+            raise refusals.SHUTTING_DOWN
+        if not source.target:
+            raise Unavailable(f"the host of channel {record.name} is lost, and so are its items; open the channel")
+        self._store.recordings.check_move(record)
+        self._slots.take(record)
+        move = asyncio.create_task(self._move(record, source), name=f"move of {record.name}")
+        self._moves[record.channel_id] = move
+        move.add_done_callback(lambda done: self._over(record, done))
+        return move
 
     def _over(self, record: RecordedChannel, move: asyncio.Task[Moved]) -> None:
         self._moves.pop(record.channel_id, None)
@@ -95,12 +101,12 @@ class IncomingMoves:
             move.cancel()
         await asyncio.gather(*moves, return_exceptions=True)
 
-    async def _move(self, record: RecordedChannel) -> Moved:
-        source = await self._directory.owner_of(record.channel_id)
-        if not source.target:
-            raise Unavailable(f"the host of channel {record.name} is lost, and so are its items; open the channel")
+    async def _move(self, record: RecordedChannel, source: FeedSource) -> Moved:
         state = self._keeper.pause(record.channel_id)
-        feed = MoveFeed(self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second)
+        feed = MoveFeed(
+            self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second,
+            WINDOW_BYTES if self._slots.under_way <= WIDE_WINDOWS_MAX else NARROW_WINDOW_BYTES,
+        )  # fmt: skip
         channel = self._dial(source.target)
         feeding = asyncio.create_task(feed.run(source, channel), name=f"feed of {record.name}")
         try:
@@ -128,7 +134,7 @@ class IncomingMoves:
         hosted = await self._store.recordings.adopt(committed, self._store.known(record.channel_id), self._store.adopt)
         feed.committed(hosted.epoch)
         await self._archived(hosted)
-        await self._remove_heir(hosted, source.host_id)
+        await self._remove_heir(hosted)
         blackout_nanos = time.monotonic_ns() - held_at
         hosted.end_move()
         feed.released()
@@ -161,7 +167,7 @@ class IncomingMoves:
                 extra = {"event": "move_not_archived", "channel": hosted.record.name, "why": why}
                 logger.warning("the archive has not all items of a channel that has moved here", extra=extra)
 
-    async def _remove_heir(self, hosted: HostedChannel, host_id: bytes) -> None:
+    async def _remove_heir(self, hosted: HostedChannel) -> None:
         """Remove the former owner as the heir. Tries again for as long as this host has the channel.
 
         If this host had a replica, the former owner has taken its place, and stays there. Raises Unavailable if this
@@ -170,19 +176,18 @@ class IncomingMoves:
         delay_s = RETRY_SECONDS_MIN
         while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
             try:
-                has_replicas = hosted.replication is not None
-                await self._directory.remove_heir(hosted.record.channel_id, host_id, may_be_replica=has_replicas)
+                return await self._directory.remove_heir(hosted.record.channel_id, hosted.record.epoch)
+            except StaleBinding:  # the store learns of the present owner when this host registers again
                 break
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": hosted.record.name, "why": str(error)}
                 logger.info("cannot tell the directory that a move is over; the host tries again", extra=extra)
             await asyncio.sleep(delay_s)
             delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
-        if self._store.known(hosted.record.channel_id) is not hosted:
-            raise Unavailable(
-                f"host {self._identity.name} has lost channel {hosted.record.name} at the end of its move; look where "
-                "the channel is (`stampede channels`), and move it again"
-            )
+        raise Unavailable(
+            f"host {self._identity.name} has lost channel {hosted.record.name} at the end of its move; look where the "
+            "channel is (`stampede channels`), and move it again"
+        )
 
 
 async def until_known(commit: Callable[[], Awaitable[Result]]) -> Result:

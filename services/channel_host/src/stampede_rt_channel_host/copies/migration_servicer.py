@@ -96,11 +96,11 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         if request.queue_id:
             return await self._move_queue_here(request.queue_id)
         _check_channel_id(request.channel_id)
-        record = await self._directory.resolve(request.channel_id)
+        record, source = await self._directory.owner_of(request.channel_id)
         check_known(AccessKind.CHANNEL, record.name, by_id=True)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
         current_account().change()
-        hosted, blackout_nanos = await self._moves.move_here(record)
+        hosted, blackout_nanos = await self._moves.move_here(record, source)
         counters = hosted.channel.latest_counters()
         return pb.MoveHereResponse(
             channel=channel_message(hosted.record),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
 from enum import Enum
 from typing import Any
 
 from stampede_rt.v1 import (
     directory_service_pb2,
     migration_directory_service_pb2_grpc,
+    move_pb2,
     replica_directory_service_pb2_grpc,
     replica_pb2,
     subject_pb2,
@@ -20,6 +22,7 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
@@ -39,7 +42,7 @@ class Kept(Enum):
     REPLICA = "replica"
 
 
-class MoveDirectory:
+class MoveDirectory(GatheredMoves):
     """Asks the directory about owners, and has it change them.
 
     Each method waits for CALL_SECONDS_MAX at most. It raises the error with which the directory answers, or
@@ -47,6 +50,7 @@ class MoveDirectory:
     """
 
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:
+        super().__init__()
         self._supernodes = supernodes
         self._queries = DirectoryQueries(supernodes)
         self._queues = QueueDirectory(supernodes)
@@ -56,12 +60,17 @@ class MoveDirectory:
         """The channel's present record. Raises ChannelNotFound."""
         return await self._queries.resolve(channel_id)
 
-    async def owner_of(self, channel_id: bytes) -> FeedSource:
-        """The owner, its gatekeeper and the epoch. `target` is empty if the owner is not alive."""
-        found = await self._list(channel_id)
-        owner = next((one for one in found.hosts if one.host_id == found.owner_host_id), None)
-        target = owner.gatekeepers[0].target if owner is not None and owner.alive and owner.gatekeepers else ""
-        return FeedSource(found.owner_host_id, target, found.epoch)
+    async def owner_of(self, channel_id: bytes) -> tuple[RecordedChannel, FeedSource]:
+        """The channel's present record, and its owner. The owner's `target` is empty if it is not alive. Raises
+        ChannelNotFound.
+        """
+        request = directory_service_pb2.ResolveChannelRequest(channel_id=channel_id)
+        found: directory_service_pb2.ResolveChannelResponse = await self._supernodes.call(
+            "ResolveChannel", request, CALL_SECONDS_MAX
+        )
+        record, owner = recorded_channel(found.channel), found.host
+        target = owner.gatekeepers[0].target if owner.alive and owner.gatekeepers else ""
+        return record, FeedSource(record.host_id, target, record.epoch)
 
     async def other_hosts(self) -> list[OtherHost]:
         """The live hosts other than this one."""
@@ -89,31 +98,53 @@ class MoveDirectory:
 
     async def kept_here(self, channel_id: bytes) -> Kept:
         """The part that the directory still has of a channel at this host, its former owner."""
-        return await self._kept_at(channel_id, self._identity.host_id)
-
-    async def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
-        found = await self._list(channel_id)
+        request = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
+        host_id = self._identity.host_id
+        stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
+        found: replicas_pb.ListReplicasResponse = await self._call("ListReplicas", request, stub)
         kinds = [one.kind for one in found.replicas if one.host_id == host_id]
         if replica_pb2.REPLICA_KIND_WARM in kinds:
             return Kept.REPLICA
         is_heir = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
         return Kept.HEIR if is_heir else Kept.NO
 
-    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
-        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
-
-        `permit` is that of the present owner; empty if this host is the owner.
-        """
+    async def commit_one(self, move: Commit) -> RecordedChannel:
+        """Commit one move."""
         request = pb.CommitMoveRequest(
-            request_id=request_id,
-            channel_id=channel_id,
-            epoch=epoch,
+            request_id=move.request_id,
+            channel_id=move.channel_id,
+            epoch=move.epoch,
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
-            permit=permit,
+            permit=move.permit,
         )
-        stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
-        return recorded_channel((await self._call("CommitMove", request, stub)).channel)
+        return recorded_channel((await self._call("CommitMove", request)).channel)
+
+    async def commit_all(self, moves: Sequence[Commit]) -> list[RecordedChannel]:
+        """Commit moves with one entry of the log."""
+        request = pb.CommitMovesRequest(
+            request_id=secrets.token_bytes(16),
+            to_host_id=self._identity.host_id,
+            to_boot_incarnation=self._identity.boot_incarnation,
+            moves=[
+                move_pb2.MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves
+            ],
+        )
+        return [recorded_channel(one) for one in (await self._call("CommitMoves", request)).channels]
+
+    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
+        """Remove heirs with one entry of the log."""
+        request = pb.ReleaseMovesRequest(
+            request_id=secrets.token_bytes(16),
+            host_id=self._identity.host_id,
+            moves=[move_pb2.MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves],
+        )
+        return {*(await self._call("ReleaseMoves", request)).channel_ids}
+
+    async def released_of(self, channel_ids: Sequence[bytes]) -> set[bytes]:
+        """Ask for several channels at once."""
+        request = pb.ListReleasedMovesRequest(host_id=self._identity.host_id, channel_ids=channel_ids)
+        return {*(await self._call("ListReleasedMoves", request)).channel_ids}
 
     async def queue(self, queue_id: bytes) -> tuple[RecordedQueue, str | None]:
         """The queue's present record, and its owner's gatekeeper; None if the owner is not alive. Raises
@@ -123,7 +154,7 @@ class MoveDirectory:
         return found.queue, found.target
 
     async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedQueue:
-        """As `commit`, for a queue."""
+        """As `commit`, for a queue. Each queue alone: its calls wait meanwhile."""
         request = pb.CommitQueueMoveRequest(
             request_id=request_id,
             queue_id=queue_id,
@@ -132,25 +163,12 @@ class MoveDirectory:
             to_boot_incarnation=self._identity.boot_incarnation,
             permit=permit,
         )
-        stub = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub
-        return recorded_queue((await self._call("CommitQueueMove", request, stub)).queue)
+        return recorded_queue((await self._call("CommitQueueMove", request)).queue)
 
-    async def remove_heir(self, channel_id: bytes, host_id: bytes, *, may_be_replica: bool = False) -> None:
-        """Remove the former owner as the heir. Idempotent. `may_be_replica`: do nothing if it is a replica."""
-        if may_be_replica and await self._kept_at(channel_id, host_id) is Kept.REPLICA:
-            return
-        request = replicas_pb.RemoveReplicaRequest(
-            request_id=secrets.token_bytes(16),
-            subject=subject_pb2.Subject(channel_id=channel_id),
-            host_id=host_id,
-        )
-        await self._call("RemoveReplica", request, replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub)
-
-    async def _list(self, channel_id: bytes) -> replicas_pb.ListReplicasResponse:
-        request = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
-        stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub
-        found: replicas_pb.ListReplicasResponse = await self._call("ListReplicas", request, stub)
-        return found
-
-    async def _call(self, method: str, request: object, stub: Any) -> Any:
+    async def _call(
+        self,
+        method: str,
+        request: object,
+        stub: Any = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub,
+    ) -> Any:
         return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)

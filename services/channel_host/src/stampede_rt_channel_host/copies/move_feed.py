@@ -10,7 +10,7 @@ from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
 from stampede_rt_channel_host.channels.store import ChannelStore
-from stampede_rt_channel_host.copies.copy_feed import CopyFeed
+from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES, CopyFeed
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -23,10 +23,12 @@ class MoveFeed(CopyFeed):
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
-        bytes_per_second: int = 0,
+        bytes_per_second: int = 0, window_bytes: int = WINDOW_BYTES,
     ) -> None:  # fmt: skip
         """See `CopyFeed`."""
-        super().__init__(store, record, state, host_id, target, bytes_per_second, owner_facts=True)
+        super().__init__(
+            store, record, state, host_id, target, bytes_per_second, owner_facts=True, window_bytes=window_bytes
+        )
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
         self.permit = b""
         self._step: dict[str, Any] = {}

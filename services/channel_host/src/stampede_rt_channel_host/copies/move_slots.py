@@ -7,25 +7,33 @@ from collections import Counter
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 
-MOVES_MAX = 8
-MOVES_OF_ONE_MAX = 6  # fewer than MOVES_MAX, so that one client leaves some moves for others
+MOVES_MAX = 32  # of channels
+QUEUE_MOVES_MAX = 8  # fewer, because the calls of a queue wait for its copy
+OF_ONE_SHARE = 0.75  # of the moves, so that one client leaves some for others
 
 
 class MoveSlots:
-    """Moves in one direction. `direction` describes it, such as "to host h1", and `what` the things that move."""
+    """Moves of channels or queues in one direction. `direction` describes it, such as "to host h1"."""
 
-    def __init__(self, direction: str, what: str = "channels") -> None:
-        self._what, self._direction = what, direction
+    def __init__(self, direction: str, *, of_queues: bool = False) -> None:
+        self._what, self._direction = "queues" if of_queues else "channels", direction
+        self._most = QUEUE_MOVES_MAX if of_queues else MOVES_MAX
+        self._most_of_one = round(OF_ONE_SHARE * self._most)
         self._makers: Counter[str] = Counter()
+
+    @property
+    def under_way(self) -> int:
+        """The number of moves under way."""
+        return self._makers.total()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
         """Raises Overloaded if too many channels move now, or too many channels that this maker has made."""
-        if self._makers.total() >= MOVES_MAX:
-            raise Overloaded(f"{MOVES_MAX} {self._what} move {self._direction} already; wait for one")
+        if self.under_way >= self._most:
+            raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait for one")
         maker = record.created_by
-        if _has_name(maker) and self._makers[maker] >= MOVES_OF_ONE_MAX:
+        if _has_name(maker) and self._makers[maker] >= self._most_of_one:
             raise Overloaded(
-                f"{MOVES_OF_ONE_MAX} {self._what} that {maker} has made move {self._direction} already; wait for one"
+                f"{self._most_of_one} {self._what} that {maker} has made move {self._direction} already; wait for one"
             )
 
     def take(self, record: RecordedChannel | RecordedQueue) -> None:

@@ -208,19 +208,28 @@ class OutgoingMove:
     async def _is_needed_no_more(self) -> bool:
         """Ask the directory, and do what it says. True: this host has dropped the items, or is a replica now."""
         channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
+        error: StampedeError = self._moving.elsewhere or refusals.moved(name, self._host_id)
         try:
-            present = await self._moves.directory.resolve(channel_id)
-            if present.host_id == self._moves.identity.host_id:
-                self._moves.store.adopt(present)
-                return False
-            error: StampedeError = self._moving.elsewhere or refusals.moved(name, present.host_id)
-            kept = await self._moves.directory.kept_here(channel_id)
-            if kept is Kept.REPLICA and self._is_under_way:
-                self._moves.keeper.demote(self._hosted, present)
+            directory = self._moves.directory
+            kept = Kept.NO if await directory.is_released(channel_id) else await directory.kept_here(channel_id)
             if kept is not Kept.NO:
-                return kept is Kept.REPLICA
+                return await self._has_demoted(kept)
         except ChannelNotFound:
             error = refusals.deleted(name)
         if self._is_under_way:
             self._moves.store.forget(channel_id, error)
         return True
+
+    async def _has_demoted(self, kept: Kept) -> bool:
+        """Serve the channel again if this host owns it again, or keep a replica of it. Returns whether it did the
+        latter.
+        """
+        present = await self._moves.directory.resolve(self._hosted.record.channel_id)
+        if not self._is_under_way:
+            return True
+        if present.host_id == self._moves.identity.host_id:
+            self._moves.store.adopt(present)
+            return False
+        if kept is Kept.REPLICA:
+            self._moves.keeper.demote(self._hosted, present)
+        return kept is Kept.REPLICA

@@ -55,7 +55,7 @@ class QueueArrivals:
         self._directory = directory
         self._dial = dial
         self._moves: dict[bytes, asyncio.Task[MovedQueue]] = {}  # by queue
-        self._slots = MoveSlots(f"to host {identity.name}", "queues")
+        self._slots = MoveSlots(f"to host {identity.name}", of_queues=True)
         self._is_closing = False
 
     async def move_here(self, record: RecordedQueue, target: str | None) -> MovedQueue:

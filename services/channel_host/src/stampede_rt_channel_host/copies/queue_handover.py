@@ -48,7 +48,7 @@ class QueueHandovers:
         self._directory = directory
         self._moves = moves
         self._callers = callers
-        self._slots = MoveSlots(f"away from host {identity.name}", "queues")
+        self._slots = MoveSlots(f"away from host {identity.name}", of_queues=True)
 
     async def serve(self, context: Context) -> None:
         """Hand one queue over. Raises the errors of MigrationService.HandOverQueue."""

@@ -8,9 +8,20 @@ from __future__ import annotations
 from stampede_rt.v1 import migration_directory_service_pb2 as pb
 from stampede_rt.v1 import migration_directory_service_pb2_grpc
 from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_supernode.codecs.move_kinds import moves_from, releases_from
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
-from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
+from stampede_rt_supernode.core.moves.commands import (
+    CommitMove,
+    CommitMoves,
+    CommitQueueMove,
+    MoveCommitted,
+    MovesCommitted,
+    MovesReleased,
+    QueueMoveCommitted,
+    ReleaseMoves,
+)
+from stampede_rt_supernode.core.moves.several import released
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
@@ -33,6 +44,37 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
         )
         committed = await self._calls.submit(context, operation, MoveCommitted, request.request_id)
         return pb.CommitMoveResponse(channel=channel_record(committed.channel))
+
+    @errors_as_status
+    async def CommitMoves(self, request: pb.CommitMovesRequest, context: Context) -> pb.CommitMovesResponse:
+        """In a cluster with certificates only the new owner may call this, and the present owners must permit it."""
+        self._calls.check_host(context, request.to_host_id)
+        operation = CommitMoves(
+            to_host_id=request.to_host_id,
+            to_boot_incarnation=request.to_boot_incarnation,
+            moves=moves_from(request.moves),
+        )
+        committed = await self._calls.submit(context, operation, MovesCommitted, request.request_id)
+        return pb.CommitMovesResponse(channels=map(channel_record, committed.channels))
+
+    @errors_as_status
+    async def ReleaseMoves(self, request: pb.ReleaseMovesRequest, context: Context) -> pb.ReleaseMovesResponse:
+        """In a cluster with certificates only the owner may call this."""
+        self._calls.check_host(context, request.host_id)
+        operation = ReleaseMoves(host_id=request.host_id, moves=releases_from(request.moves))
+        done = await self._calls.submit(context, operation, MovesReleased, request.request_id)
+        return pb.ReleaseMovesResponse(channel_ids=done.channel_ids)
+
+    @errors_as_status
+    async def ListReleasedMoves(
+        self, request: pb.ListReleasedMovesRequest, context: Context
+    ) -> pb.ListReleasedMovesResponse:
+        """In a cluster with certificates only the former owner may call this."""
+        self._calls.check_host(context, request.host_id)
+        ids = await self._calls.read(
+            context, lambda one: released(one.tables, request.host_id, list(request.channel_ids))
+        )
+        return pb.ListReleasedMovesResponse(channel_ids=ids)
 
     @errors_as_status
     async def CommitQueueMove(self, request: pb.CommitQueueMoveRequest, context: Context) -> pb.CommitQueueMoveResponse:

@@ -32,6 +32,54 @@ class MoveCommitted(Success):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class MoveToCommit:
+    """One of the moves of `CommitMoves`. See `CommitMove`."""
+
+    channel_id: bytes
+    epoch: int
+    permit: bytes = b""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CommitMoves(Operation):
+    """Make a host the owner of several channels. Each move succeeds or fails by itself. See `CommitMove`."""
+
+    to_host_id: bytes
+    to_boot_incarnation: int
+    moves: tuple[MoveToCommit, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MovesCommitted(Success):
+    """The channels of which the host is the owner now. The other moves have failed."""
+
+    channels: tuple[ChannelRecord, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MoveToRelease:
+    """One of the moves of `ReleaseMoves`. `epoch`: the channel's epoch since the move."""
+
+    channel_id: bytes
+    epoch: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReleaseMoves(Operation):
+    """Remove the heirs of channels, because the new owner `host_id` has all their items and needs no heirs."""
+
+    host_id: bytes
+    moves: tuple[MoveToRelease, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MovesReleased(Success):
+    """The channels without heirs. The others have another owner or epoch, or do not exist."""
+
+    channel_ids: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class CommitQueueMove(Operation):
     """Make a host the owner of a queue or mailbox, which keeps its incarnation. See `CommitMove`."""
 

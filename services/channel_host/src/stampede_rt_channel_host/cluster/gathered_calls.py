@@ -1,0 +1,70 @@
+"""Joins the calls that many callers make at the same time into few calls of the directory."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Generic, TypeVar
+
+from stampede_rt.errors import StampedeError
+
+Question = TypeVar("Question")
+Answer = TypeVar("Answer")
+
+logger = logging.getLogger(__name__)
+
+
+class GatheredCalls(Generic[Question, Answer]):
+    """Questions that come while a call is under way go together into the next call. So a lone question never waits.
+
+    `ask` makes a call for some questions, `most` at most. It returns an answer or an error for each, in their order.
+    """
+
+    def __init__(
+        self, ask: Callable[[Sequence[Question]], Awaitable[Sequence[Answer | StampedeError]]], most: int
+    ) -> None:
+        self._ask = ask
+        self._most = most
+        self._waiting: deque[tuple[Question, asyncio.Future[Answer]]] = deque()
+        self._calls: asyncio.Task[None] | None = None
+
+    async def ask(self, question: Question) -> Answer:
+        """The answer. Raises the error of this question, or of the call."""
+        answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        self._waiting.append((question, answer))
+        if self._calls is None:
+            self._calls = asyncio.create_task(self._call_each(), name="gathered calls")
+        return await answer
+
+    async def _call_each(self) -> None:
+        """Make calls while questions wait."""
+        try:
+            while self._waiting:
+                asked = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
+                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done one was cancelled
+                    _deal([answer for _, answer in asked], await self._answers([question for question, _ in asked]))
+        finally:
+            self._calls = None
+
+    async def _answers(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+        try:
+            return await self._ask(questions)
+        except StampedeError as error:
+            return [error] * len(questions)
+        except Exception as error:
+            logger.exception(
+                "a call for several moves failed", extra={"event": "task_defect", "task": "gathered calls"}
+            )
+            return [StampedeError(f"the host failed ({error!r}); please report it")] * len(questions)
+
+
+def _deal(waiting: Sequence[asyncio.Future[Answer]], answers: Sequence[Answer | StampedeError]) -> None:
+    for one, answer in zip(waiting, answers, strict=True):
+        if one.done():
+            continue
+        if isinstance(answer, StampedeError):
+            one.set_exception(answer)
+        else:
+            one.set_result(answer)

@@ -1,0 +1,40 @@
+"""The number of moves that one drain has under way.
+
+A move goes through several messages and two entries of the directory's log, so one move at a time leaves the hosts idle
+for most of the time. A destination that does not answer keeps only its own share of the moves from the others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, nullcontext
+
+MOVES_AT_ONCE = 24  # of the 32 that a host may have under way; the others are for callers
+MOVES_TO_ONE = 16  # to one destination
+MOVES_AT_FIRST = 2  # to a destination that has taken nothing yet: it may be frozen
+QUEUES_AT_ONCE = 6  # of the 8 that a host may have under way; the calls of a queue wait for its copy
+
+
+class DrainRoom:
+    """The room for moves. The move that has waited longest for one destination begins first."""
+
+    def __init__(self) -> None:
+        self._all = asyncio.Semaphore(MOVES_AT_ONCE)
+        self._queues = asyncio.Semaphore(QUEUES_AT_ONCE)
+        self._to: dict[bytes, asyncio.Semaphore] = {}  # by destination
+        self._answering: set[bytes] = set()
+
+    @asynccontextmanager
+    async def taken(self, host_id: bytes, *, is_queue: bool) -> AsyncIterator[None]:
+        """Wait for room for a move to that host, and keep it during the block."""
+        to = self._to.setdefault(host_id, asyncio.Semaphore(MOVES_AT_FIRST))
+        async with self._queues if is_queue else nullcontext(), to, self._all:
+            yield
+
+    def answered(self, host_id: bytes) -> None:
+        """Note that this host has taken something over: it may now have more moves under way."""
+        if host_id not in self._answering:
+            self._answering.add(host_id)
+            for _ in range(MOVES_TO_ONE - MOVES_AT_FIRST):
+                self._to[host_id].release()

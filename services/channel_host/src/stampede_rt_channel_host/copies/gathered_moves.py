@@ -1,0 +1,104 @@
+"""The calls about moves that one host makes at the same time, as few calls of the directory.
+
+A host that is drained moves up to 24 channels at once. One entry of the log then commits several moves, so that the
+disks of the supernodes write once for all of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+from stampede_rt.errors import StaleBinding, StampedeError
+from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
+from stampede_rt_channel_host.core.records import RecordedChannel
+
+MOVES_MAX = 32  # in one call
+
+
+class Commit(NamedTuple):
+    """The commit of one move, see `GatheredMoves.commit`."""
+
+    channel_id: bytes
+    epoch: int
+    request_id: bytes
+    permit: bytes
+
+
+class Release(NamedTuple):
+    """A channel whose new owner needs no heir. `epoch`: since the move."""
+
+    channel_id: bytes
+    epoch: int
+
+
+class GatheredMoves(ABC):
+    """Gathers the calls of one host. A subclass makes them: `..._one` and `..._all` raise the directory's errors."""
+
+    def __init__(self) -> None:
+        self._commits = GatheredCalls(self._commit_each, MOVES_MAX)
+        self._releases = GatheredCalls(self._release_each, MOVES_MAX)
+        self._drops = GatheredCalls(self._released_each, MOVES_MAX)
+
+    async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
+        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
+
+        `permit` is that of the present owner; empty if this host is the owner.
+        """
+        move = Commit(channel_id, epoch, request_id, permit)
+        return await (self._commits.ask(move) if permit else self.commit_one(move))
+
+    async def remove_heir(self, channel_id: bytes, epoch: int) -> None:
+        """Remove the former owner as the heir of this host, unless it is a replica. Idempotent. Raises StaleBinding."""
+        await self._releases.ask(Release(channel_id, epoch))
+
+    async def is_released(self, channel_id: bytes) -> bool:
+        """Whether the directory has nothing of a channel at this host, its former owner. False: ask `kept_here`."""
+        return await self._drops.ask(channel_id)
+
+    @abstractmethod
+    async def commit_one(self, move: Commit) -> RecordedChannel:
+        """Commit one move."""
+
+    @abstractmethod
+    async def commit_all(self, moves: Sequence[Commit]) -> Sequence[RecordedChannel]:
+        """Commit moves. Returns the channels of which this host is the owner now."""
+
+    @abstractmethod
+    async def release_all(self, moves: Sequence[Release]) -> Collection[bytes]:
+        """Remove the heirs of channels. Returns the channels that have none now."""
+
+    @abstractmethod
+    async def released_of(self, channel_ids: Sequence[bytes]) -> Collection[bytes]:
+        """The channels of which the directory has nothing at this host."""
+
+    async def _commit_each(self, moves: Sequence[Commit]) -> list[RecordedChannel | StampedeError]:
+        if len(moves) == 1:
+            return [await self.commit_one(moves[0])]
+        committed = {one.channel_id: one for one in await self.commit_all(moves)}
+        return [committed.get(one.channel_id) or await self._outcome(one) for one in moves]
+
+    async def _outcome(self, move: Commit) -> RecordedChannel | StampedeError:
+        """Learn why a move was not committed with others."""
+        try:
+            return await self.commit_one(move)
+        except StampedeError as error:
+            return error
+
+    async def _release_each(self, moves: Sequence[Release]) -> list[StampedeError | None]:
+        released = await self.release_all(moves)
+        return [None if one.channel_id in released else _lost(one) for one in moves]
+
+    async def _released_each(self, channel_ids: Sequence[bytes]) -> list[bool | StampedeError]:
+        released = await self.released_of(channel_ids)
+        return [one in released for one in channel_ids]
+
+
+def _lost(move: Release) -> StampedeError:
+    return StaleBinding(
+        f"channel {move.channel_id.hex()} has another owner or epoch than {move.epoch} since its move; resolve it "
+        "again",
+        reason="WRONG_EPOCH",
+        metadata={"channel_id": move.channel_id.hex()},
+    )

@@ -1,0 +1,129 @@
+"""Several channels move at the same time, and their moves share entries of the log, while something breaks.
+
+As in `test_crashes_at_each_step`, the protocol's real code runs over the real state machine of the directory. The step
+of a story is reached when the first channel reaches it, while the others are at the same step or at earlier ones.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.copies import outgoing_moves
+from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_supernode.core.records import ReplicaKind
+from tests.robustness.moves.test_crashes_at_each_step import Story, quick
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, SimulatedDirectory, World
+from tests.support.supernode.operations import id_of
+
+CHANNELS = 5
+
+__all__ = ["quick"]  # the fixture of short waits
+
+
+class Several:
+    """A story for each channel, in one world."""
+
+    def __init__(self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None) -> None:
+        self.world = World(crash_at, happens, channels=CHANNELS)
+        self.stories = [Story(world=self.world, channel_id=one) for one in self.world.channel_ids]
+
+    async def move(self) -> list[StampedeError | None]:
+        """Move all channels. Returns the errors of the moves that failed."""
+        return await asyncio.gather(*(story.move() for story in self.stories))
+
+    async def check(self) -> None:
+        """Nothing acknowledged is lost in any channel, and puts go on."""
+        for story in self.stories:
+            story.check(await story.settle())
+            story.put()
+            story.check(await story.settle())
+
+    def has_heir(self, story: Story) -> bool:
+        copies = self.world.log.directory.tables.replicas.of(story.channel_id)
+        return any(one.kind is ReplicaKind.MOVE for one in copies)
+
+
+async def test_moves_at_the_same_time_share_entries_and_lose_nothing() -> None:
+    several = Several()
+    assert await several.move() == [None] * CHANNELS
+    assert several.world.together > 1, "no entry has committed several moves"
+    await several.check()
+    for story in several.stories:
+        await story.until(lambda one=story: several.world.hosts[SOURCE].store.known(one.channel_id) is None)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_destination_dies(step: str) -> None:
+    several = Several(step, lambda world: world.kill(DESTINATION))
+    await several.move()
+    alone = [
+        story
+        for story in several.stories
+        if several.world.owner_of(story.channel_id) is story.destination and not several.has_heir(story)
+    ]
+    several.world.expire(DESTINATION)
+    several.stories = [story for story in several.stories if story not in alone]
+    assert all(several.world.owner_of(story.channel_id) is story.source for story in several.stories)
+    assert not alone or STEPS.index(step) >= STEPS.index("removed")
+    await several.check()
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_source_dies(step: str) -> None:
+    several = Several(step, lambda world: world.kill(SOURCE))
+    await several.move()
+    several.world.expire(SOURCE)
+    several.stories = [
+        story for story in several.stories if several.world.owner_of(story.channel_id) is story.destination
+    ]
+    assert several.stories or STEPS.index(step) < STEPS.index("committed")
+    await several.check()
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_link_between_the_hosts_breaks(step: str) -> None:
+    several = Several(step, lambda world: world.cut_links())
+    await several.move()
+    await several.check()
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Longer than changes wait, so that the source ends moves when it reaches the directory again."""
+    for module in (moving, outgoing_moves):
+        monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
+
+    def cut_off(world: World) -> None:
+        world.is_cut_off = True
+        asyncio.get_running_loop().call_later(0.15, setattr, world, "is_cut_off", False)
+
+    several = Several(step, cut_off)
+    await several.move()
+    await several.check()
+
+
+async def test_a_move_that_its_source_has_ended_fails_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The entry of several moves has one whose epoch has changed meanwhile."""
+    several = Several()
+    commit_all: Any = SimulatedDirectory.commit_all
+    ended: list[bytes] = []
+
+    async def commit_after_an_end(directory: SimulatedDirectory, moves: Any) -> list[RecordedChannel]:
+        if not ended and len(moves) > 1:
+            ended.append(moves[0].channel_id)
+            source = several.world.hosts[SOURCE].directory
+            await source.commit(moves[0].channel_id, moves[0].epoch, b"r" * 16)
+        return await commit_all(directory, moves)  # type: ignore[no-any-return]
+
+    monkeypatch.setattr(SimulatedDirectory, "commit_all", commit_after_an_end)
+    failures = await several.move()
+    assert [failure.reason for failure in failures if failure is not None] == ["WRONG_EPOCH"]
+    assert ended
+    assert several.world.record_of(ended[0]).host_id == id_of(SOURCE)
+    await several.check()

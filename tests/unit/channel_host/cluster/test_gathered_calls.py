@@ -1,0 +1,77 @@
+"""Many calls at the same time become few calls of the directory."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import pytest
+
+from stampede_rt.errors import StaleBinding, StampedeError, Unavailable
+from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
+
+
+class Directory:
+    """Answers each number with its square once `go` is set, and refuses negative ones. The first call `fails`."""
+
+    def __init__(self) -> None:
+        self.calls: list[list[int]] = []
+        self.go = asyncio.Event()
+        self.fails: Exception | None = None
+
+    async def ask(self, numbers: Sequence[int]) -> list[int | StampedeError]:
+        self.calls.append([*numbers])
+        await self.go.wait()
+        if (fails := self.fails) is not None:
+            self.fails = None
+            raise fails
+        return [StaleBinding(f"no {one}") if one < 0 else one * one for one in numbers]
+
+
+async def asked(calls: GatheredCalls[int, int], *numbers: int) -> list[asyncio.Task[int]]:
+    """Tasks that ask for these numbers, once all of them have begun."""
+    tasks = [asyncio.create_task(calls.ask(one)) for one in numbers]
+    for _ in range(3):
+        await asyncio.sleep(0)
+    return tasks
+
+
+async def test_questions_that_come_during_a_call_go_together_into_the_next_ones() -> None:
+    directory = Directory()
+    calls = GatheredCalls(directory.ask, 2)
+    tasks = await asked(calls, 1) + await asked(calls, 2, 3, 4)
+    directory.go.set()
+    assert await asyncio.gather(*tasks) == [1, 4, 9, 16]
+    assert directory.calls == [[1], [2, 3], [4]]
+    assert await calls.ask(5) == 25
+
+
+async def test_each_question_gets_its_own_answer_or_error() -> None:
+    directory = Directory()
+    tasks = await asked(GatheredCalls(directory.ask, 8), 0, 2, -3, 4)
+    directory.go.set()
+    done = await asyncio.gather(*tasks, return_exceptions=True)
+    assert [str(one) for one in done] == ["0", "4", "no -3", "16"]
+
+
+@pytest.mark.parametrize("fails", [Unavailable("no supernode"), RuntimeError("a defect")])
+async def test_a_call_that_fails_fails_its_questions_and_no_later_ones(fails: Exception) -> None:
+    directory = Directory()
+    calls = GatheredCalls(directory.ask, 8)
+    first, later = await asked(calls, 1), await asked(calls, 2, 3)
+    directory.fails = fails
+    directory.go.set()
+    with pytest.raises(StampedeError, match=str(fails)):
+        await first[0]
+    assert await asyncio.gather(*later) == [4, 9]
+
+
+async def test_a_caller_that_has_gone_is_not_asked_for_and_keeps_nobody_waiting() -> None:
+    directory = Directory()
+    calls = GatheredCalls(directory.ask, 8)
+    first, (gone, stays) = await asked(calls, 1), await asked(calls, 2, 3)
+    first[0].cancel()
+    gone.cancel()
+    directory.go.set()
+    assert await stays == 9
+    assert directory.calls == [[1], [3]]

@@ -1,0 +1,67 @@
+"""The moves of a drain at the same time: how many, and how many to each destination."""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt_channel_host.copies.drain_room import (
+    MOVES_AT_FIRST,
+    MOVES_AT_ONCE,
+    MOVES_TO_ONE,
+    QUEUES_AT_ONCE,
+    DrainRoom,
+)
+
+
+class Moves:
+    """Moves that last until `end` is set."""
+
+    def __init__(self) -> None:
+        self.room, self.end, self.under_way = DrainRoom(), asyncio.Event(), list[bytes]()
+
+    async def move(self, host_id: bytes, *, is_queue: bool = False) -> None:
+        async with self.room.taken(host_id, is_queue=is_queue):
+            self.under_way.append(host_id)
+            await self.end.wait()
+
+    async def begun(self, *host_ids: bytes, is_queue: bool = False) -> None:
+        """Begin moves to these hosts, as far as there is room."""
+        self.tasks = [asyncio.create_task(self.move(one, is_queue=is_queue)) for one in host_ids]
+        await self.turns()
+
+    async def turns(self) -> None:
+        for _ in range(2 * MOVES_AT_ONCE):
+            await asyncio.sleep(0)
+
+
+async def test_a_host_that_has_not_answered_yet_gets_few_moves_and_leaves_the_others_to_other_hosts() -> None:
+    moves = Moves()
+    await moves.begun(*[b"frozen"] * 50, *[b"runs"] * 50)
+    assert moves.under_way == [b"frozen"] * MOVES_AT_FIRST + [b"runs"] * MOVES_AT_FIRST
+    for _ in range(2):
+        moves.room.answered(b"runs")
+        await moves.turns()
+    assert moves.under_way.count(b"runs") == MOVES_TO_ONE
+    assert moves.under_way.count(b"frozen") == MOVES_AT_FIRST
+
+
+async def test_all_hosts_together_get_a_limited_number_and_all_moves_have_their_turn() -> None:
+    moves = Moves()
+    await moves.begun(*(bytes([one % 3]) for one in range(90)))
+    for host in range(3):
+        moves.room.answered(bytes([host]))
+    await moves.turns()
+    assert len(moves.under_way) == MOVES_AT_ONCE < 3 * MOVES_TO_ONE
+    moves.end.set()
+    await asyncio.gather(*moves.tasks)
+    assert len(moves.under_way) == 90
+
+
+async def test_queues_that_wait_for_their_turn_keep_no_room_from_channels() -> None:
+    moves = Moves()
+    await moves.begun(*[b"h"] * 50, is_queue=True)
+    moves.room.answered(b"h")
+    await moves.turns()
+    assert len(moves.under_way) == QUEUES_AT_ONCE
+    await moves.begun(*[b"h"] * 50)
+    assert len(moves.under_way) == MOVES_TO_ONE
