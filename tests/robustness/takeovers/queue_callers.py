@@ -15,7 +15,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.grpc_options import ENQUEUE_METHOD
 from stampede_rt.v1 import item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
-from tests.robustness.takeovers.queue_ledger import Delivery, Incarnation, Ledger, Message
+from tests.robustness.takeovers.queue_ledger import ROUNDING_SECONDS, Delivery, Incarnation, Ledger, Message
 from tests.robustness.takeovers.queue_world import TAKE, QueueCluster
 from tests.robustness.takeovers.streams import Call, Connection
 
@@ -174,7 +174,8 @@ class Taker:
             error = from_error_message(result.error)
             assert isinstance(error, LeaseExpired), error
             is_kept = known is self.ledger.incarnations.get(self.cluster.queue(self.queue_id).incarnation)
-            may_end = self.cluster.clock.now_s >= delivery.ends_s or (tries > 1 and "acknowledge" not in verdict)
+            is_over = self.cluster.clock.now_s >= delivery.ends_s - ROUNDING_SECONDS
+            may_end = is_over or (tries > 1 and "acknowledge" not in verdict)
             assert may_end or not is_kept, f"the lease of {delivery} has ended early: {error}"
             return error
 
