@@ -108,6 +108,22 @@ async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatc
     await several.check()
 
 
+async def test_no_put_is_acknowledged_while_former_owners_are_heirs() -> None:
+    """The directory is away when the heirs should be removed. Then the destination dies, and the heirs go on."""
+    several = Several("removal is asked for", lambda world: setattr(world, "is_cut_off", True))
+    moves = asyncio.create_task(several.move())
+    committed = [one for one in several.stories if several.world.owner_of(one.channel_id) is one.destination]
+    async with asyncio.timeout(30):
+        while not committed or not all(one.waiting and one.waiting[-1][2] is one.destination for one in committed):
+            await asyncio.sleep(0)
+            committed = [one for one in several.stories if several.world.owner_of(one.channel_id) is one.destination]
+    several.world.kill(DESTINATION)
+    await asyncio.gather(moves, return_exceptions=True)
+    several.world.expire(DESTINATION)
+    several.world.is_cut_off = False
+    await several.check()
+
+
 async def test_a_move_that_its_source_has_ended_fails_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The entry of several moves has one whose epoch has changed meanwhile."""
     several = Several()
