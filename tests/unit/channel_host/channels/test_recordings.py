@@ -1,11 +1,20 @@
-"""The refusal of recorded channels by a host without an archive."""
+"""The recorded channels of a host: a host without an archive, and a channel that moves here from another host."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.recordings import Recordings
+from stampede_rt_channel_host.core.channel import Offer
+from stampede_rt_channel_host.core.records import RecordedChannel
+from tests.support.channel_host.object_stores import FakeStore
+from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
 
 
 def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_advice() -> None:
@@ -13,3 +22,43 @@ def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_
     recordings.check("rig/imu", is_recorded=False)
     with pytest.raises(InvalidArgument, match=r"rig/imu is to be recorded .* start the host with --archive FOLDER"):
         recordings.check("rig/imu", is_recorded=True)
+
+
+def moved_record(epoch: int) -> RecordedChannel:
+    return replace(record(epoch), incarnation=1)
+
+
+async def take_over(new: Host, next_seq: int) -> HostedChannel:
+    """Do what a move does: open the archive before the directory commits the move, and record the channel after it."""
+    recordings = Recordings()
+    recordings.archive = new.archive
+    await recordings.prepare_move(moved_record(1), next_seq)
+    hosted = HostedChannel(moved_record(2), MemoryBudget(2**30), lambda: new.clock)
+    hosted.core.restore((), after=None, next_seq=next_seq, loss=(None, None))
+    hosted.begin_move()
+    hosted = await recordings.adopt(moved_record(2), None, lambda _: hosted)
+    assert hosted.recording is not None
+    new.recorder = hosted.recording.recorder
+    return hosted
+
+
+@pytest.mark.asyncio
+async def test_the_new_owner_numbers_its_files_by_its_own_epoch_and_reads_the_last_file_of_the_former_one(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write()
+        await former.mover.move_all()
+        await former.write()  # this file is on the disk of the former owner when the channel moves
+        hosted = await take_over(new, 3)
+        hosted.core.put(Offer(times=[3], durations=None, lengths=[7]), 1, lambda first_seq, kept, stamped: b"3")
+        hosted.changed(1)
+        await new.archive.write_all()
+        former.archive.forget(former.recorder)
+        del former.recorder
+        assert not await former.mover.move_all()
+        new.mover._former.hurry()
+        assert not await new.mover.move_all()
+        assert new.read() == [1, 2, 3]

@@ -168,7 +168,7 @@ class HostedChannel:
     def record_with(self, recording: Recording) -> None:
         """From now on record the items that the channel accepts."""
         self.recording, self.puts.check_room = recording, recording.recorder.check_room
-        recording.set_policy(self.record.policy)
+        recording.set_policy(self.record.policy, self.record.epoch)
         self._touched()
 
     def archived(self) -> None:
