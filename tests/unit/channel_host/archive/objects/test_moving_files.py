@@ -265,3 +265,23 @@ async def test_objects_that_leave_the_archive_together_take_one_write_of_the_lis
     known = files.known(1, 0)
     assert known is not None
     assert [*known] == [one.number for one in files.segments]
+
+
+@pytest.mark.asyncio
+async def test_a_store_that_fails_while_a_host_takes_over_the_last_files_costs_no_item(tmp_path: Path) -> None:
+    store = FakeStore()
+    former = host(tmp_path, "a", store, 1)
+    write_closed(former, 1)
+    await move(former, store)
+    write_closed(former, 5)
+    await move(former, store, steps=0)
+    new = host(tmp_path, "b", store, 2)
+    write(new, 7, 2)  # the new owner has a part of the former owner's last file, too
+    await move(former, store)
+    found = new.stored.find(2)
+    store.failure = "the network is down"
+    with pytest.raises(StoreError, match="network is down"):
+        new.find_again(found, 11)
+    store.failure = ""
+    assert seqs(new, new.find_again(new.stored.find(2), 11)) == [*range(1, 11)]
+    assert not new.lacks_items(11)

@@ -34,6 +34,7 @@ class MovingFiles(SegmentFiles):
         self.stored, self.cut = place, cut
         self.is_shared = True
         self.is_left = self.is_given_up = False
+        self._unplaced: list[Segment] = []  # of the former owner, from a look that the store has interrupted
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
 
@@ -99,7 +100,8 @@ class MovingFiles(SegmentFiles):
         kept = {one.number: one for one in self._segments}
         latest = max(*kept, first_number(self._epoch)) if kept else 2**63
         self.is_listed = True
-        new = self.stored.adopt({number: one for number, one in found.items() if number not in kept})
+        self._unplaced += self.stored.adopt({number: one for number, one in found.items() if number not in kept})
+        new = [one for one in self._unplaced if self.stored.is_stored(one.number)]
         self.stored.note_more(new)
         for one in new:
             if one.number < latest and one.first_seq < archived_to:  # else this owner does not have its items
@@ -112,6 +114,7 @@ class MovingFiles(SegmentFiles):
                 ordered.append(segment)
                 following = segment.first_seq
         self._segments = tuple(reversed(ordered))
+        self._unplaced.clear()
         return self._segments
 
     @property
