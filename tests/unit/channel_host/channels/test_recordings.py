@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.core.channel import Offer
+from stampede_rt_channel_host.core.channel import Offer, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import FakeStore
 from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
@@ -28,18 +29,32 @@ def moved_record(epoch: int) -> RecordedChannel:
     return replace(record(epoch), incarnation=1)
 
 
-async def take_over(new: Host, next_seq: int) -> HostedChannel:
-    """Do what a move does: open the archive before the directory commits the move, and record the channel after it."""
+async def take_over(new: Host, next_seq: int, held: Sequence[int] = ()) -> HostedChannel:
+    """Do what a move does: open the archive before the directory commits the move, and record the channel after it.
+
+    `held`: the seqs in memory. Each item has its seq as its time.
+    """
+    runs = [make_run(seq, [seq], None, [7], b"%d" % seq) for seq in held]
     recordings = Recordings()
     recordings.archive = new.archive
     await recordings.prepare_move(moved_record(1), next_seq)
     hosted = HostedChannel(moved_record(2), MemoryBudget(2**30), lambda: new.clock)
-    hosted.core.restore((), after=None, next_seq=next_seq, loss=(None, None))
+    hosted.core.restore(runs, after=None, next_seq=next_seq, loss=(None, None))
     hosted.begin_move()
     hosted = await recordings.adopt(moved_record(2), None, lambda _: hosted)
     assert hosted.recording is not None
     new.recorder = hosted.recording.recorder
     return hosted
+
+
+async def finish(former: Host, new: Host) -> None:
+    """The new owner writes its items, and then the former one moves its last file."""
+    await new.archive.write_all()
+    former.archive.forget(former.recorder)
+    del former.recorder
+    assert not await former.mover.move_all()
+    new.mover._former.hurry()
+    assert not await new.mover.move_all()
 
 
 @pytest.mark.asyncio
@@ -55,10 +70,23 @@ async def test_the_new_owner_numbers_its_files_by_its_own_epoch_and_reads_the_la
         hosted = await take_over(new, 3)
         hosted.core.put(Offer(times=[3], durations=None, lengths=[7]), 1, lambda first_seq, kept, stamped: b"3")
         hosted.changed(1)
-        await new.archive.write_all()
-        former.archive.forget(former.recorder)
-        del former.recorder
-        assert not await former.mover.move_all()
-        new.mover._former.hurry()
-        assert not await new.mover.move_all()
+        await finish(former, new)
         assert new.read() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("held", [[2, 4], [2, 3]])
+@pytest.mark.asyncio
+async def test_an_item_that_memory_lost_before_earlier_accepted_ones_stays_in_the_archive_after_a_move(
+    tmp_path: Path, held: list[int]
+) -> None:
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write()
+        await former.mover.move_all()
+        await former.write(3)
+        hosted = await take_over(new, 5, held)
+        hosted.core.put(Offer(times=[5], durations=None, lengths=[7]), 1, lambda first_seq, kept, stamped: b"5")
+        hosted.changed(1)
+        await finish(former, new)
+        assert new.read() == [1, 2, 3, 4, 5]

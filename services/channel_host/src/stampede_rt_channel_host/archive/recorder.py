@@ -12,7 +12,7 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
-from stampede_rt_channel_host.core.channel import ChannelCore, Run
+from stampede_rt_channel_host.core.channel import ChannelCore, Run, Slice
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
@@ -272,13 +272,27 @@ class ChannelRecorder:
 def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...], *, is_shared: bool) -> int:
     """The first seq that an archive lacks: the seq after its last item, or the seq of the first held item.
 
-    In a shared archive it is the later of the two, because the former owner adds the items before it.
+    In a shared archive it is the later of the two, because the former owner adds the items before it. There the held
+    items before a hole are the former owner's, too: memory has lost the items of the hole, so that archive had them.
     """
     archived = max((one.end_seq for one in segments), default=0)
     if archived and not is_shared:
         return archived
-    held = next(iter(channel.accepted_from(0)), None)
-    return max(archived, channel.next_seq if held is None else held.first_seq)
+    held = [*islice(channel.accepted_from(0), SLICES_PER_NOTE)]
+    first = held[0].first_seq if held else channel.next_seq
+    return max(archived, _after_holes(channel, held) or first) if is_shared else first
+
+
+def _after_holes(channel: ChannelCore, held: list[Slice]) -> int:
+    """The seq after the last seqs that are missing between the runs of `held` or behind them; 0: none are missing.
+
+    `held`: the first slices of the channel.
+    """
+    begins = [one.run.first_seq for one in held[1:]]
+    if len(held) < SLICES_PER_NOTE:
+        begins.append(channel.next_seq)
+    ends = [one.run.first_seq + len(one.run) for one in held]
+    return max((begin for end, begin in zip(ends, begins, strict=False) if end < begin), default=0)
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
