@@ -21,6 +21,7 @@ from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.working import GRPC_COSTS, SOCKET_COSTS
 from stampede_rt_runtime.sockets import server, stream_socket
+from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
 from stampede_rt_runtime.sockets.openings import unread_by_peer
 from tests.support.raw_stream import RawStream, raw_stream
 from tests.support.socket_port import (
@@ -68,6 +69,22 @@ async def test_a_stream_reads_and_writes_and_ends(port: Open) -> None:
         await stream.send(FrameKind.END)
         assert (await stream.status()).code == 0
         await stream.has_ended()
+
+
+async def test_the_memory_of_a_long_frame_serves_the_next_ones(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    rooms, original = list[bytearray](), FrameBuffers.room
+
+    def room(self: FrameBuffers, frame_bytes: int) -> bytearray:
+        rooms.append(original(self, frame_bytes))
+        return rooms[-1]
+
+    monkeypatch.setattr(FrameBuffers, "room", room)
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(ECHO)
+        for _ in range(3):
+            await stream.send(FrameKind.MESSAGE, bytes(200_000))
+            await stream.message()
+    assert (len(rooms), rooms[1] is rooms[0], rooms[2] is rooms[0]) == (3, True, True)
 
 
 async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open) -> None:

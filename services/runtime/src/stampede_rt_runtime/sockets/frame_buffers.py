@@ -62,14 +62,15 @@ class FrameBuffers:
     def room(self, frame_bytes: int) -> bytearray:
         """Memory for a long frame. It may be longer than the frame."""
         for at, one in enumerate(self._rooms):
-            if len(one) >= frame_bytes:
+            if len(one) >= frame_bytes and not has_views(one):
                 return self._rooms.pop(at)
         return bytearray(frame_bytes)
 
     def give_back(self, room: bytearray) -> None:
-        """Keep the memory of a frame for later ones, unless somebody still has a view of it."""
-        if has_views(room):
-            return
+        """Keep the memory of a frame for later ones. `room` leaves it out while somebody has a view of it.
+
+        asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
+        """
         self._rooms.append(room)
         if len(self._rooms) > ROOMS_KEPT:
             self._rooms.remove(min(self._rooms, key=len))
