@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from stampede_rt.errors import StaleBinding, StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding, StampedeError, Unavailable
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
@@ -24,6 +24,7 @@ class Puts:
     def __init__(self) -> None:
         self.runs: list[Any] = []
         self.announced = 0
+        self.refused: dict[int, StampedeError] = {}  # by the number of items of a run
 
     def announced_together(self) -> Puts:
         return self
@@ -35,6 +36,8 @@ class Puts:
         self.announced += 1
 
     def put(self, run: Any, now: int) -> pb.PutAck:
+        if run.items in self.refused:
+            raise self.refused[run.items]
         self.runs.append(run)
         return pb.PutAck(first_number=run.first_number, items=run.items)
 
@@ -124,6 +127,35 @@ async def test_a_channel_that_is_not_here_any_more_refuses_all_runs_so_that_the_
     await stream.steps()
     assert [from_error_message(ack.error).reason for ack in stream.acks] == [(error or Unavailable("")).reason] * 2
     assert not stream.store.puts.runs
+
+
+async def test_no_later_run_overtakes_a_run_that_the_producer_sends_again() -> None:
+    stream = Stream()
+    stream.store.puts.refused[2] = Overloaded("no memory for so much")
+    stream.puts.send(runs_of([b"w"], [b"x", b"y"], [b"z"]))
+    await stream.steps()
+    assert [run.first_number for run in stream.store.puts.runs] == [1]
+    assert [(ack.first_number, ack.HasField("error")) for ack in stream.acks] == [(1, False), (2, True), (4, True)]
+
+
+async def test_no_later_run_overtakes_the_runs_that_came_while_puts_had_to_wait() -> None:
+    stream, (first, second) = Stream(), runs_of([b"x"], [b"y"])
+    stream.store.puts.may_wait = True
+    stream.puts.send([first])
+    await stream.steps()
+    stream.store.puts.may_wait = False
+    stream.puts.send([second])
+    await stream.steps()
+    assert not stream.store.puts.runs
+    assert [ack.HasField("error") for ack in stream.acks] == [True, True]
+
+
+async def test_a_run_that_no_repetition_helps_is_refused_alone() -> None:
+    stream = Stream()
+    stream.store.puts.refused[2] = InvalidArgument("not like this")
+    stream.puts.send(runs_of([b"x", b"y"], [b"z"]))
+    await stream.steps()
+    assert [ack.HasField("error") for ack in stream.acks] == [True, False]
 
 
 async def test_a_defect_ends_the_stream_once_and_puts_nothing_more() -> None:

@@ -59,6 +59,7 @@ class PutsHere:
         self._on_acks, self._on_end = on_acks, on_end
         self._sent: deque[RunToPut] = deque()  # the producer bounds the unacknowledged bytes
         self._is_called = False  # whether the loop is to look at the sent runs
+        self._refusal: StampedeError | None = None  # of a run that the producer sends again
         self.is_over = False
         self.on_over: Callable[[], None] | None = None
         """Called once, when the stream has ended."""
@@ -106,7 +107,7 @@ class PutsHere:
         try:
             puts = _puts_of(self._store, *self._channel)
         except StampedeError as error:
-            return [refused(run.first_number, run.items, error, self._store.now()) for run in self._taken()]
+            return [self._refused(run, error) for run in self._taken()]
         with puts.announced_together():
             while self._sent and not self.is_over and (not acks or time.monotonic() < until_s):
                 acks.append(self._put(puts, self._sent.popleft()))
@@ -117,13 +118,20 @@ class PutsHere:
             yield self._sent.popleft()
 
     def _put(self, puts: ChannelPuts, run: RunToPut) -> pb.PutAck:
-        now = self._store.now()
+        if self._refusal is not None:
+            return self._refused(run, self._refusal)
         try:
-            ack = puts.put(self._incoming(run), now)
+            ack = puts.put(self._incoming(run), self._store.now())
         except StampedeError as error:
-            return refused(run.first_number, run.items, error, now)
+            return self._refused(run, error)
         assert ack is not None, "the channel lets no put wait"
         return ack
+
+    def _refused(self, run: RunToPut, error: StampedeError) -> pb.PutAck:
+        """The ack of a refused run. If the producer sends the run again, the stream accepts no later run before it."""
+        if error.retryable:
+            self._refusal = error
+        return refused(run.first_number, run.items, error, self._store.now())
 
     def _incoming(self, run: RunToPut) -> IncomingRun:
         head, *payloads = run.encoded
