@@ -12,7 +12,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding, Stampe
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
-from stampede_rt_channel_host.channels.puts_here import PutsHere
+from stampede_rt_channel_host.channels.puts_here import STEP_BYTES_MAX, PutsHere
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
 
@@ -127,6 +127,14 @@ async def test_a_channel_that_is_not_here_any_more_refuses_all_runs_so_that_the_
     await stream.steps()
     assert [from_error_message(ack.error).reason for ack in stream.acks] == [(error or Unavailable("")).reason] * 2
     assert not stream.store.puts.runs
+
+
+async def test_a_step_takes_few_bytes_because_the_ring_copies_them_all_at_its_end() -> None:
+    stream = Stream()
+    stream.puts.send(runs_of(*[[bytes(STEP_BYTES_MAX // 2)]] * 6))
+    await stream.steps()
+    assert [ack.first_number for ack in stream.acks] == [1, 2, 3, 4, 5, 6]
+    assert stream.store.puts.announced >= 3
 
 
 async def test_no_later_run_overtakes_a_run_that_the_producer_sends_again() -> None:

@@ -21,6 +21,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
 STEP_SECONDS_MAX = 0.001  # the longest step of the event loop with the runs of one producer
+STEP_BYTES_MAX = 2**20  # the runs of one step, because the ring copies all of them at its end
 
 Tell = Callable[[Any], None]
 
@@ -89,7 +90,7 @@ class PutsHere:
             self._on_end(error)
 
     def _put_sent(self) -> None:
-        """Put the runs that have come, for at most STEP_SECONDS_MAX, and tell their acks together."""
+        """Put the runs that have come, up to the bounds of a step, and tell their acks together."""
         try:
             acks = self._put_all()
         except Exception as defect:  # noqa: BLE001  # the producer must get the error
@@ -103,14 +104,16 @@ class PutsHere:
             self._on_acks(pb.PutResponse(acks=acks))
 
     def _put_all(self) -> list[pb.PutAck]:
-        until_s, acks = time.monotonic() + STEP_SECONDS_MAX, list[pb.PutAck]()
+        until_s, left_bytes, acks = time.monotonic() + STEP_SECONDS_MAX, STEP_BYTES_MAX, list[pb.PutAck]()
         try:
             puts = _puts_of(self._store, *self._channel)
         except StampedeError as error:
             return [self._refused(run, error) for run in self._taken()]
         with puts.announced_together():
-            while self._sent and not self.is_over and (not acks or time.monotonic() < until_s):
-                acks.append(self._put(puts, self._sent.popleft()))
+            while self._sent and not self.is_over and (not acks or (left_bytes > 0 and time.monotonic() < until_s)):
+                run = self._sent.popleft()
+                left_bytes -= sum(map(len, run.encoded))
+                acks.append(self._put(puts, run))
         return acks
 
     def _taken(self) -> Iterator[RunToPut]:
