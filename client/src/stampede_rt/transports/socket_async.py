@@ -209,6 +209,7 @@ class OpeningCall:
         """`opening` returns the call. It may raise StampedeError, which `async for` then raises."""
         self._opening = asyncio.ensure_future(opening)
         self._call: Any = None
+        self._is_cancelled = False
         self._opening.add_done_callback(self._opened)
         self._done: list[Callable[[Any], object]] = []
 
@@ -220,6 +221,8 @@ class OpeningCall:
         self._call = opening.result()
         for callback in self._done:
             self._call.add_done_callback(callback)
+        if self._is_cancelled:  # in the turn of the event loop in which it opened
+            self._call.cancel()
 
     async def write(self, request: Any) -> None:
         """Send a whole request, over gRPC in pieces if it is large."""
@@ -234,6 +237,7 @@ class OpeningCall:
 
     def cancel(self) -> None:
         """End the stream."""
+        self._is_cancelled = True
         if self._call is not None:
             self._call.cancel()
         else:

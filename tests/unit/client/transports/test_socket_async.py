@@ -82,6 +82,18 @@ async def test_a_large_request_over_grpc_goes_in_pieces_below_the_limit_of_grpc(
     assert (len(call.written), max(map(len, call.written)) <= 2**18) == (3, True)
 
 
+async def test_a_stream_that_is_cancelled_in_the_turn_in_which_it_opens_leaves_no_socket() -> None:
+    async with opened() as (call, _):
+
+        async def open_it() -> SocketCall:
+            return call
+
+        opening = OpeningCall(open_it())
+        asyncio.get_running_loop().call_soon(opening.cancel)
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(anext(call), 20)
+
+
 async def test_an_error_of_the_service_arrives_with_its_details() -> None:
     async with opened() as (call, far):
         status = encode_status(InvalidArgument("not so", metadata={"field": "x"}))
