@@ -57,6 +57,21 @@ def test_no_part_is_longer_than_a_host_takes() -> None:
         assert max(lengths) <= MESSAGE_BYTES_MAX - 2**14, "there is room for the record of the queue"
 
 
+def test_the_refusals_of_a_producer_fit_in_parts_that_a_host_takes() -> None:
+    """When a full queue gets room, it takes many runs of one producer in one step, and may refuse most messages."""
+    core = Core(max_item_bytes=100)
+    journal = core.queue.journal()
+    for number in range(64):
+        core.put(1, *([101] * 255), producer_id=7, first_number=1 + 256 * number)
+    assert journal.note(core.now)
+    (step,) = journal.steps_from(1, 10**9) or ()
+    parts = sent([*step_parts(step, core.now)])
+    assert max(pb.FeedQueueRequest(parts=[part]).ByteSize() for part in parts) <= MESSAGE_BYTES_MAX - 2**14
+    [arrived] = ArrivingParts().add(parts)
+    assert not isinstance(arrived, WholeQueue)
+    assert [one.first_number for one in arrived[0].changes.producers] == [1 + 256 * number for number in range(64)]
+
+
 def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:
     core = Core()
     journal = core.queue.journal(5)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
-from itertools import chain, groupby, islice
+from itertools import chain, groupby
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -28,7 +28,6 @@ from stampede_rt_channel_host.core.queue import (
 )
 
 PART_BYTES = 2**17  # half of the longest message that a host takes over gRPC
-RUNS_PER_PRODUCER = 64  # a producer with more runs has several entries
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
@@ -49,7 +48,7 @@ def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> It
     acknowledged = map(_acknowledgement_to, state.acknowledged)
     yield from (pb.HandOverQueueResponse(acknowledged=some) for some in _some(acknowledged))
     by_producer = (runs for _, runs in groupby(state.producers, lambda run: run.producer_id))
-    producers = (_producer_to(runs) for one in by_producer for runs in _of_one_entry(one))
+    producers = (entry for runs in by_producer for entry in _producer_to([*runs]))
     yield from (pb.HandOverQueueResponse(producers=some) for some in _some(producers))
     yield from (pb.HandOverQueueResponse(message_ids=some) for some in _some(map(_id_to, state.message_ids)))
     yield pb.HandOverQueueResponse(ends=True, permit=permit)
@@ -162,12 +161,6 @@ def _some(entries: Iterable[Any]) -> Iterator[list[Any]]:
         yield some
 
 
-def _of_one_entry(runs: Iterable[KeptRun]) -> Iterator[list[KeptRun]]:
-    unread = iter(runs)
-    while some := [*islice(unread, RUNS_PER_PRODUCER)]:
-        yield some
-
-
 def _range_to(held: SeqRange) -> subject_pb2.SeqRange:
     first, last = held
     return subject_pb2.SeqRange(first_seq=first, items=last - first + 1)
@@ -223,14 +216,14 @@ def _failure_of(last: pb.HandedFailure) -> FailedDelivery:
     return FailedDelivery(last.number, last.taker_id, last.taker_name, last.ended, last.reason)
 
 
-def _producer_to(runs: Sequence[KeptRun]) -> replica_service_pb2.FedProducer:
-    """The runs of one producer. In a `QueueHandoff` the time of an outcome is its age."""
-    aged = [(one.first_number, one.outcome._replace(time=-one.outcome.time)) for one in runs]
-    return replica_service_pb2.FedProducer(
-        producer_id=runs[0].producer_id,
-        owner=runs[0].owner,
-        runs=[run_to(number, outcome, 0) for number, outcome in aged],
-    )
+def _producer_to(runs: Sequence[KeptRun]) -> Iterator[replica_service_pb2.FedProducer]:
+    """The runs of one producer, in several entries if they are long: a run has an error for each refused message.
+
+    In a `QueueHandoff` the time of an outcome is its age.
+    """
+    aged = ((one.first_number, one.outcome._replace(time=-one.outcome.time)) for one in runs)
+    for some in _some(run_to(number, outcome, 0) for number, outcome in aged):
+        yield replica_service_pb2.FedProducer(producer_id=runs[0].producer_id, owner=runs[0].owner, runs=some)
 
 
 def _runs_of(producer: replica_service_pb2.FedProducer) -> Iterator[KeptRun]:
