@@ -92,9 +92,11 @@ class _Feed:
 
     async def take(self, request: pb.FeedQueueRequest) -> None:
         """Apply a request."""
-        if request.HasField("queue"):
-            self._record = recorded_queue(request.queue)
         queue_id = self._record.queue_id
+        if request.HasField("queue"):
+            if request.queue.queue_id != queue_id:  # the caller has shown that it owns this queue, and no other one
+                raise InvalidArgument("the feed of a queue names another queue; open a feed for each queue")
+            self._record = recorded_queue(request.queue)
         if request.begins_anew:
             self._copies.drop(queue_id)
             self._parts.begin_anew()
