@@ -5,6 +5,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.copies.copy_feed import GRANTS, WINDOW_BYTES, CopyFeed
@@ -20,7 +24,7 @@ class Rig:
         self.clock = ManualClock()
         self.held: Any = SimpleNamespace(channel=SimpleNamespace(next_seq=5), subscriptions=[])
         store: Any = SimpleNamespace(copies=SimpleNamespace(of=lambda channel_id: self.held), now=lambda: 0)
-        record: Any = SimpleNamespace(channel_id=b"c" * 16)
+        record: Any = SimpleNamespace(channel_id=b"c" * 16, name="c")
         state = CopyState(steady_nanos=lambda: self.clock.boot_nanos)
         self.feed = CopyFeed(store, record, state, b"h" * 16, "localhost:1", owner_facts=True)
         self.feed._is_opened = True
@@ -54,3 +58,13 @@ def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer()
     rig.clock.boot_nanos += MS
     assert rig.hears(charge_bytes=WINDOW_BYTES // GRANTS)
     assert rig.feed._request().sent_nanos == second + MS
+
+
+@pytest.mark.parametrize("opened", [None, pb.FeedOpened(begins_anew=True)], ids=["a newer record", "a new copy"])
+async def test_a_source_changes_no_other_channel_of_the_copys_host(opened: pb.FeedOpened | None) -> None:
+    """The copy would take the place of that channel, even if this host owns it."""
+    rig = Rig()
+    other = pb.FeedResponse(opened=opened, state=pb.FeedState())
+    other.state.channel.channel_id = b"x" * 16
+    with pytest.raises(InvalidArgument, match="sent the record of another channel"):
+        await rig.feed._take(raw_run_pb2.RawFeedResponse.FromString(other.SerializeToString()))

@@ -9,7 +9,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -173,18 +173,27 @@ class CopyFeed:
             self._begin(state, begins_anew=opened.begins_anew, losses=losses_of(opened))
             self._is_opened = True
         elif state.HasField("channel"):
-            self._update(recorded_channel(state.channel))
+            self._update(self._record_of(state))
         await self._apply(state, [one.run for one in response.runs])
 
     def _begin(self, state: pb.FeedState, *, begins_anew: bool, losses: Losses) -> None:
         """Take over the channel as the source knows it. Begin an empty copy if the present one cannot continue."""
-        record, held = recorded_channel(state.channel), self._held()
+        record, held = self._record_of(state), self._held()
         is_other = held is None or begins_anew or held.record.incarnation != record.incarnation
         if held is None or is_other or (self._owner_facts and _core(held).owner_facts is None):
             self._state.caught_up = False
             self._store.copies.begin(record, NewCopy(self._state, losses, self._owner_facts))
         else:
             self._update(record)
+
+    def _record_of(self, state: pb.FeedState) -> RecordedChannel:
+        """The record that the source has sent. A source must not change other channels of this host.
+
+        Raises InvalidArgument if it is that of another channel.
+        """
+        if state.channel.channel_id != self._record.channel_id:
+            raise InvalidArgument(f"the source of channel {self._record.name} sent the record of another channel")
+        return recorded_channel(state.channel)
 
     def _update(self, record: RecordedChannel) -> None:
         held = self._held()
