@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.copies import copy_feed
 from stampede_rt_channel_host.copies.copy_feed import GRANTS, WINDOW_BYTES, CopyFeed
 from tests.support.clock import ManualClock
 
@@ -18,11 +20,12 @@ MS = 10**6
 
 
 class Rig:
-    """The feed of a replica that holds all items before `held.channel.next_seq`."""
+    """The feed of a replica that holds all items before `held.channel.next_seq`, or has no copy yet."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, holds_items: bool = True) -> None:
         self.clock = ManualClock()
-        self.held: Any = SimpleNamespace(channel=SimpleNamespace(next_seq=5), subscriptions=[])
+        held = SimpleNamespace(channel=SimpleNamespace(next_seq=5), subscriptions=[])
+        self.held: Any = held if holds_items else None
         store: Any = SimpleNamespace(copies=SimpleNamespace(of=lambda channel_id: self.held), now=lambda: 0)
         record: Any = SimpleNamespace(channel_id=b"c" * 16, name="c")
         state = CopyState(steady_nanos=lambda: self.clock.boot_nanos)
@@ -68,3 +71,36 @@ async def test_a_source_changes_no_other_channel_of_the_copys_host(opened: pb.Fe
     other.state.channel.channel_id = b"x" * 16
     with pytest.raises(InvalidArgument, match="sent the record of another channel"):
         await rig.feed._take(raw_run_pb2.RawFeedResponse.FromString(other.SerializeToString()))
+
+
+class SlowSource:
+    """A source to which the connection takes `connect_s`. Its first answer takes `answer_s`, and then it ends."""
+
+    def __init__(self, connect_s: float, answer_s: float) -> None:
+        self._connect_s, self._answer_s = connect_s, answer_s
+
+    def stream_stream(self, method: str, **named: Any) -> Any:
+        return lambda: self
+
+    async def write(self, request: pb.FeedRequest) -> None:
+        await asyncio.sleep(self._connect_s)
+        self._connect_s = 0.0
+
+    async def read(self) -> object:
+        await asyncio.sleep(self._answer_s)
+        return object()
+
+    def cancel(self) -> None:
+        pass
+
+
+async def test_a_source_has_the_whole_time_for_its_answer_after_a_slow_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(copy_feed, "BROKEN_AFTER_SECONDS", 0.5)
+    monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.02)
+    source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
+    rig = Rig(holds_items=False)
+    channel: Any = SlowSource(0.4, 0.3)
+    with pytest.raises(Unavailable, match="has ended the feed"):
+        await rig.feed.run(source, channel)

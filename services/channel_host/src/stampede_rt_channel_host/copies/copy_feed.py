@@ -72,10 +72,10 @@ class CopyFeed:
             response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
         )()
         self._state.source_host_id = source.host_id
-        self._heard_s = asyncio.get_running_loop().time()
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 await call.write(self._request(self._opening(source)))
+            self._heard_s = asyncio.get_running_loop().time()  # not earlier: the connection may have taken seconds
             async with asyncio.TaskGroup() as sides:
                 writing = sides.create_task(self._write_all(call.write))
                 await self._read_all(call, source)
