@@ -235,7 +235,7 @@ async def test_a_producer_whose_stream_breaks_repeatedly_has_no_gap_and_no_dupli
             for number in range(20_000):
                 await producer.put(b"%d" % number)
                 if number % 3_000 == 2_999 and producer._stream is not None:
-                    producer._stream._call.cancel()
+                    producer._stream._duplex._call.cancel()
             await producer.flush()
         assert producer.accepted == 20_000
         assert (await channel.stats()).accepted == 20_000

@@ -93,7 +93,7 @@ ENDS = [
 def of_the_service() -> Counter[str]:
     """The objects that a service makes for its streams."""
     kinds = map(type, gc.get_objects())
-    return Counter(kind.__qualname__ for kind in kinds if kind.__module__.startswith(PACKAGE))
+    return Counter(kind.__qualname__ for kind in kinds if str(kind.__module__).startswith(PACKAGE))
 
 
 @pytest.mark.parametrize("end", ENDS)
