@@ -1,10 +1,13 @@
-"""A call of the directory ends at once with an error for which its caller does not want to wait."""
+"""The calls of a host to the directory: errors that pass or do not, and connections that close."""
 
 from __future__ import annotations
 
+import asyncio
+from typing import Any
+
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import ChannelNotFound, Unavailable
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.dial import dial
@@ -30,3 +33,28 @@ async def test_a_call_waits_until_an_error_passes_unless_the_caller_names_its_re
         finally:
             await supernodes.aclose()
     assert min(directory.calls["ResolveChannel"], 2) == asked
+
+
+class Stopped(FakeDirectory):
+    """A supernode that takes questions, and never answers one."""
+
+    async def ResolveChannel(self, request: Any, context: Any) -> Any:  # noqa: N802
+        await self._begin("ResolveChannel", context)
+        await asyncio.Event().wait()
+
+
+async def test_a_call_asks_another_supernode_if_the_cluster_removes_the_stopped_one_meanwhile() -> None:
+    stopped, directory = Stopped(), FakeDirectory()
+    directory.refuse["ResolveChannel"] = ChannelNotFound("no such channel")
+    async with serving(stopped.register) as gone, serving(directory.register) as stays:
+        directory.target = gone.address
+        supernodes = Supernodes((stays.address,), lambda target: dial(target, secret=None), peer_name="h1")
+        try:
+            asking = asyncio.create_task(supernodes.call("ResolveChannel", pb.ResolveChannelRequest(), 10.0))
+            await stopped.called("ResolveChannel", times=1)
+            directory.target = stays.address
+            await supernodes.bind(asyncio.get_running_loop().time() + 3.0)
+            with pytest.raises(ChannelNotFound):
+                await asking
+        finally:
+            await supernodes.aclose()

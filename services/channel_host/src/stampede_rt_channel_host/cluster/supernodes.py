@@ -24,6 +24,7 @@ from stampede_rt.cluster.request_age import age_clock_s, age_metadata
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_rpc_error
+from stampede_rt.transports.streams_async import closed, is_cancelled
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
@@ -121,6 +122,10 @@ class Supernodes:
         try:
             async for response in call:
                 yield response
+        except asyncio.CancelledError:
+            if is_cancelled():
+                raise
+            raise closed(target) from None
         except grpc.RpcError as error:
             self._prefer(target)  # so that the next call goes to another one
             raise from_rpc_error(error, target) from error
@@ -239,5 +244,9 @@ async def _call(
 ) -> Any:
     try:
         return await method(request, timeout=timeout_s, metadata=metadata)
+    except asyncio.CancelledError:
+        if is_cancelled():
+            raise
+        raise closed(target) from None  # another call has closed this connection, see `_learn`
     except grpc.RpcError as error:
         raise from_rpc_error(error, target) from error
