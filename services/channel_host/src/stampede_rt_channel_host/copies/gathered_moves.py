@@ -6,6 +6,7 @@ disks of the supernodes write once for all of them.
 
 from __future__ import annotations
 
+import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
@@ -77,10 +78,12 @@ class GatheredMoves(ABC):
         if len(moves) == 1:
             return [await self.commit_one(moves[0])]
         committed = {one.channel_id: one for one in await self.commit_all(moves)}
-        return [committed.get(one.channel_id) or await self._outcome(one) for one in moves]
+        others = [one for one in moves if one.channel_id not in committed]
+        why = dict(zip(others, await asyncio.gather(*map(self._outcome, others)), strict=True))
+        return [committed.get(one.channel_id) or why[one] for one in moves]
 
     async def _outcome(self, move: Commit) -> RecordedChannel | StampedeError:
-        """Learn why a move was not committed with others."""
+        """Learn why a move was not committed with others. At the same time as for the others: all moves wait for it."""
         try:
             return await self.commit_one(move)
         except StampedeError as error:

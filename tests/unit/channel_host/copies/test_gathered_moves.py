@@ -1,0 +1,46 @@
+"""The moves of one call of the directory: each gets its own outcome, and none waits for the others in turn."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import StaleBinding
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
+
+
+class Directory(GatheredMoves):
+    """Commits no move with others, and refuses each one once all of them have asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.all_begun = 0, asyncio.Event()
+
+    async def commit_one(self, move: Commit) -> Any:
+        self.begun += 1
+        if self.begun == 4:
+            self.all_begun.set()
+        if self.begun > 1:
+            await self.all_begun.wait()
+        raise StaleBinding(f"no {move.channel_id.decode()}", reason="WRONG_EPOCH")
+
+    async def commit_all(self, moves: Sequence[Commit]) -> Sequence[Any]:
+        return []
+
+    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
+        raise NotImplementedError
+
+    async def released_of(self, channel_ids: Sequence[bytes]) -> set[bytes]:
+        raise NotImplementedError
+
+
+async def test_the_reasons_of_several_refused_moves_are_asked_for_at_the_same_time() -> None:
+    directory = Directory()
+    moves = [asyncio.create_task(directory.commit(name, 1, b"", b"permit")) for name in (b"a", b"b", b"c", b"d")]
+    async with asyncio.timeout(10):
+        for name, move in zip("abcd", moves, strict=True):
+            with pytest.raises(StaleBinding, match=f"no {name}"):
+                await move
