@@ -183,7 +183,7 @@ class Player(BackgroundStart, BoundToProcess):
             self._channels[topic.name] = await PlayedChannel.open(self._session, name, policy)
         for topic in topics:
             first = await in_thread(partial(self._first_time, topic))
-            await self._channels[topic.name].check(first, topic.end, schedule)
+            await self._channels[topic.name].check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
 
     def _first_time(self, topic: SourceTopic) -> int:
         request = self._request

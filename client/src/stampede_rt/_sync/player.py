@@ -184,7 +184,7 @@ class Player(BackgroundStart, BoundToProcess):
             self._channels[topic.name] = PlayedChannel.open(self._session, name, policy)
         for topic in topics:
             first = in_thread(partial(self._first_time, topic))
-            self._channels[topic.name].check(first, topic.end, schedule)
+            self._channels[topic.name].check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
 
     def _first_time(self, topic: SourceTopic) -> int:
         request = self._request
