@@ -8,6 +8,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli.main import main
+from stampede_rt.values.timeline import format_instant
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
@@ -42,3 +43,19 @@ def test_a_replay_ignores_later_items_when_it_checks_what_the_channel_takes(run:
     words = ("--from", str(began), "--to", str(began + 2 * 10**9), "--as", "cut/", "--speed", "max", "--shift", "now")
     status, out, told = run("replay", "until/cam", *words)
     assert (status, out.splitlines()[1:2]) == (0, ["cut/until/cam      2"]), told
+
+
+def test_a_replay_of_channels_without_items_names_them_and_the_instants(run: Command, rt: st.Connection) -> None:
+    channel, began = rt.channel("none/cam", max_items=2), st.now() - 60 * 10**9
+    for number in range(5):
+        channel.put(b"%d" % number, time=began + number * 10**9)
+    channel.advance(began + 20 * 10**9)
+    late, end = began + 40 * 10**9, began + 50 * 10**9
+    text = f"stampede: channel 'none/cam' has no items from {format_instant(late)} on and before "
+    status, _, told = run("replay", "none/cam", "--from", str(late), "--to", str(end), "--shift", "now")
+    assert (status, told) == (2, f"{text}{format_instant(end)}\n")
+    status, _, told = run("replay", "none/cam", "--from", str(began), "--to", str(began + 1), "--shift", "now")
+    assert (status, "channel 'none/cam' has no items from" in told, "COLLECTED" in told) == (2, True, True)
+    rt.channel("none/too")
+    status, _, told = run("replay", "none/too", "--shift", "now")
+    assert (status, told) == (2, "stampede: channel 'none/too' has no items\n")

@@ -48,7 +48,8 @@ def run_export(arguments: argparse.Namespace) -> int:
     if form not in FORMATS:
         raise InvalidArgument(f"{arguments.file} does not tell the format; give --format {', '.join(FORMATS)}")
     folder = Path(arguments.file).absolute().parent
-    with file_of(arguments, arguments.sources, folder if folder.is_dir() else None) as (path, status):
+    made_in = folder if folder.is_dir() else None
+    with file_of(arguments, arguments.sources, made_in, needs_items=form != "mcap") as (path, status):
         began_s = time.monotonic()
         with shown_progress(lambda: (None, f"writing {escaped(arguments.file)}, {time.monotonic() - began_s:.0f} s")):
             exported = _export_file(path, arguments, form)
