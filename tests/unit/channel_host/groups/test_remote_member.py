@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
 
+import grpc
 import pytest
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.v1 import item_pb2
+from stampede_rt.v1 import channel_service_pb2_grpc, item_pb2
 from stampede_rt_channel_host.groups import remote_member
 from stampede_rt_channel_host.groups.remote_member import AHEAD_ITEMS, RemoteMember
+from tests.support.waiting import until
 
 OPENED = pb.SubscribeResponse(opened=pb.SubscriptionOpened(incarnation=1))
 PROGRESS = pb.SubscribeResponse(progress=pb.SubscriptionProgress(host_time_unix_nano=1))
@@ -66,3 +69,41 @@ async def test_a_match_does_not_wait_long_for_an_idle_member_whose_host_does_not
 ) -> None:
     monkeypatch.setattr(remote_member, "UNANSWERED_SECONDS_MAX", 0.0)
     assert passed(RemoteMember(b"m" * 16, 0), 5)
+
+
+class EndingOnce(channel_service_pb2_grpc.ChannelServiceServicer):
+    """A host that ends the first subscription at once. It keeps the requests of each one."""
+
+    def __init__(self) -> None:
+        self.calls: list[list[pb.SubscribeRequest]] = []
+
+    async def Subscribe(  # noqa: N802
+        self, request_iterator: AsyncIterator[pb.SubscribeRequest], context: object
+    ) -> AsyncIterator[pb.SubscribeResponse]:
+        requests: list[pb.SubscribeRequest] = []
+        self.calls.append(requests)
+        requests.append(await anext(request_iterator))
+        yield OPENED
+        if len(self.calls) > 1:
+            async for request in request_iterator:
+                requests.append(request)
+
+
+async def test_a_member_whose_stream_ended_gets_its_credit_on_the_next_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The requests of the ended stream went on waiting, and took the credit of the next one."""
+    monkeypatch.setattr(remote_member, "PAUSE_SECONDS", 0.0)
+    server, host = grpc.aio.server(), EndingOnce()
+    channel_service_pb2_grpc.add_ChannelServiceServicer_to_server(host, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    member = RemoteMember(b"m" * 16, 0)
+    member.target = f"127.0.0.1:{port}"
+    following = asyncio.create_task(member.keep(grpc.aio.insecure_channel, lambda: None))
+    try:
+        await until(lambda: len(host.calls) > 1 and host.calls[1])
+        member._credit = 0
+        member._wants_more.set()
+        await until(lambda: len(host.calls[1]) > 1)
+    finally:
+        following.cancel()
+        await server.stop(None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable
+from typing import Any
 
 import grpc
 
@@ -95,15 +96,23 @@ class RemoteMember:
     async def _listen(self, dial: Dial, on_news: Callable[[], None]) -> None:
         target = self.target
         channel = dial(target)
+        call: Any = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe()
+        asking = asyncio.create_task(self._ask(call), name="requests to a member")
         try:
-            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(self._requests())
             async for response in call:
                 self._take(response)
                 on_news()
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
         finally:
+            asking.cancel()  # gRPC leaves the task of an iterator of requests behind if the other side ends the call
+            await asyncio.gather(asking, return_exceptions=True)
             await channel.close(None)
+
+    async def _ask(self, call: Any) -> None:
+        """Send the requests. If a write fails, the call is over, and its reader gets the reason."""
+        async for request in self._requests():
+            await call.write(request)
 
     async def _requests(self) -> AsyncIterator[channel_service_pb2.SubscribeRequest]:
         """The request that opens the subscription: from `since` on, or after the items that came already. Then credit.
@@ -117,7 +126,7 @@ class RemoteMember:
             opening.cursor.CopyFrom(self._cursor)
         self._credit = self._ahead_bytes
         yield channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=self._credit)
-        while True:  # the call ends it
+        while True:  # `_listen` ends it
             await self._wants_more.wait()
             self._wants_more.clear()
             granted = self._ahead_bytes - self._credit
