@@ -21,7 +21,8 @@ from stampede_rt_channel_host.core.channel import Losses, run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
 from stampede_rt_supernode.core.moves.commands import CommitMove
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, Host, Link, World
+from tests.robustness.moves.links import Link
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, Host, World
 from tests.support.supernode.operations import id_of
 
 ITEMS = 20

@@ -25,8 +25,9 @@ from stampede_rt_channel_host.copies import (
     replica_keeper,
 )
 from stampede_rt_supernode.core.records import ReplicaKind
+from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Story
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, Link, World
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World
 from tests.support.supernode.operations import id_of
 
 PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id="to a stranger")]

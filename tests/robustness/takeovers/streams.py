@@ -12,7 +12,8 @@ from grpc.aio import EOF
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import abort
-from tests.robustness.moves.two_hosts import Host, arrived
+from tests.robustness.moves.links import arrived
+from tests.robustness.moves.two_hosts import Host
 from tests.robustness.takeovers.world import Cluster
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
-from tests.robustness.moves.two_hosts import Link
+from tests.robustness.moves.links import Link
 from tests.robustness.takeovers import simulate, simulate_queues
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
