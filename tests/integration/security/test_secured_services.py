@@ -11,7 +11,7 @@ import socket
 import ssl
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -167,10 +167,7 @@ def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_name
         first = migration_pb.FeedQueueRequest(owner_host_id=h1.host_id, queue=record)
 
         async def feed(channel: grpc.aio.Channel) -> None:
-            async def requests() -> AsyncIterator[migration_pb.FeedQueueRequest]:
-                yield first  # unlike a write, this raises nothing if the host has refused the call already
-
-            call: Any = migration_service_pb2_grpc.MigrationServiceStub(channel).FeedQueue(requests(), timeout=5)
+            call: Any = migration_service_pb2_grpc.MigrationServiceStub(channel).FeedQueue(iter([first]), timeout=5)
             await call.read()
             raise AssertionError(f"the feed was not refused: {await call.code()}")
 
