@@ -47,9 +47,10 @@ def add_verb(
     return parser
 
 
-def add_summary(parser: argparse.ArgumentParser) -> None:
-    """Add the option --output to a verb whose option -o names a file. `--summary` is its former name."""
-    parser.add_argument("--output", "--summary", choices=FORMS, default="table", help="how to print; default table")
+def add_summary(parser: argparse.ArgumentParser, *flags: str) -> None:
+    """Add the option --output, also as `flags`. `--summary` is its former name. In some verbs -o names a file."""
+    names = (*flags, "--output", "--summary")
+    parser.add_argument(*names, choices=FORMS, default="table", help="how to print; default table")
     _add_local(parser)
 
 

@@ -49,7 +49,7 @@ def add_verbs(subparsers: Any) -> None:
         verb.add_argument(
             "--shift", metavar="SHIFT", help='"now", or a duration such as -1h, for all times; default: as recorded'
         )
-        add_summary(verb)
+        add_summary(verb, "-o")
 
 
 def _speed(text: str) -> float:

@@ -924,7 +924,7 @@ _shtab_stampede_import_options=(
   "--to[the end, exclusive]:TIME:"
   "*--channel[a name, or a glob such as \'rig\/\*\'\; may be repeated]:GLOB:"
   "--shift[\"now\", or a duration such as -1h, for all times\; default\: as recorded]:SHIFT:"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":MCAP, rosbag2 (its folder, or a file in it), or XDF:_files"
 )
@@ -1324,7 +1324,7 @@ _shtab_stampede_replay_options=(
   "--to[the end, exclusive]:TIME:"
   "*--channel[a name, or a glob such as \'rig\/\*\'\; may be repeated]:GLOB:"
   "--shift[\"now\", or a duration such as -1h, for all times\; default\: as recorded]:SHIFT:"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "(*):one MCAP file, or channels or globs such as \'rig\/\*\':"
 )
