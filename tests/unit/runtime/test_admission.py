@@ -110,7 +110,9 @@ async def first(running: Any) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["unary_unary", "unary_stream", "stream_unary", "stream_stream"])
-async def test_every_kind_of_call_is_for_its_roles_only(kind: str, made: ClusterCertificates, own: ServiceTls) -> None:
+async def test_every_kind_of_call_is_allowed_only_to_its_roles(
+    kind: str, made: ClusterCertificates, own: ServiceTls
+) -> None:
     handlers = Handlers(kind)
     async with serving(lambda server: server.add_generic_rpc_handlers((handlers,)), tls=own) as server:
         host = TlsReader(made.issue(Role.HOST, "h1"))
@@ -128,7 +130,7 @@ async def test_every_kind_of_call_is_for_its_roles_only(kind: str, made: Cluster
     assert handlers.called == 1
 
 
-async def test_a_certificate_of_another_cluster_is_let_in_nowhere(
+async def test_every_port_refuses_a_certificate_of_another_cluster(
     made: ClusterCertificates, own: ServiceTls, tmp_path: Path
 ) -> None:
     other = ClusterCertificates(tmp_path / "other", cluster="other")
@@ -146,7 +148,7 @@ async def test_a_certificate_of_another_cluster_is_let_in_nowhere(
 
 
 @pytest.mark.parametrize(("secret", "what"), [(None, "brought no secret"), (WRONG, "a secret that differs")])
-async def test_secret_and_certificates_together_ask_for_both(
+async def test_a_port_with_a_secret_and_certificates_requires_both(
     secret: Secret | None, what: str, made: ClusterCertificates, own: ServiceTls
 ) -> None:
     client = TlsReader(made.issue(Role.CLIENT, "cam"))
@@ -162,7 +164,7 @@ async def test_secret_and_certificates_together_ask_for_both(
     assert what in str(told)
 
 
-async def test_new_connections_get_the_new_certificate_and_open_ones_go_on(
+async def test_new_connections_get_the_new_certificate_and_open_ones_continue(
     made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
@@ -223,7 +225,9 @@ async def refusal(target: str, files: TlsFiles | None) -> str:
     return found.message
 
 
-async def test_a_client_reads_the_fault_of_the_services_certificate(made: ClusterCertificates, tmp_path: Path) -> None:
+async def test_the_error_of_a_client_names_the_fault_of_the_services_certificate(
+    made: ClusterCertificates, tmp_path: Path
+) -> None:
     client = made.issue(Role.CLIENT, "cam")
     late = made.issue(Role.HOST, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
     early = made.issue(Role.HOST, "early", begins=datetime.now(UTC) + DAY, lifetime=DAY)

@@ -31,7 +31,7 @@ def _no_secret_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
-def test_a_made_secret_is_long_and_for_its_owner_only(tmp_path: Path) -> None:
+def test_a_new_secret_is_long_and_only_its_owner_can_read_it(tmp_path: Path) -> None:
     made = make_secret_file(tmp_path / "new" / "secret")
     assert len(made.text) >= 40
     assert stat.S_IMODE(made.path.stat().st_mode) == 0o600
@@ -39,11 +39,11 @@ def test_a_made_secret_is_long_and_for_its_owner_only(tmp_path: Path) -> None:
     assert [one.name for one in made.path.parent.iterdir()] == ["secret"]
 
 
-def test_a_secret_that_is_there_is_kept(tmp_path: Path) -> None:
+def test_an_existing_secret_is_kept(tmp_path: Path) -> None:
     assert make_secret_file(tmp_path / "secret") == make_secret_file(tmp_path / "secret")
 
 
-def test_of_many_makers_at_once_all_get_the_same_secret(tmp_path: Path) -> None:
+def test_processes_that_make_the_secret_at_the_same_time_all_get_the_same_one(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda _: make_secret_file(tmp_path / "secret").text, range(32)))
     assert len(set(made)) == 1
@@ -61,7 +61,7 @@ def test_an_empty_secret_is_refused(tmp_path: Path) -> None:
         load_secret(tmp_path / "secret")
 
 
-def test_a_named_secret_must_be_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_named_secret_file_must_exist(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(PermissionDenied, match="there is no secret file"):
         load_secret(tmp_path / "secret")
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "secret"))
@@ -76,11 +76,11 @@ def test_the_users_own_secret_may_be_absent(tmp_path: Path) -> None:
     assert load_secret(None) == made
 
 
-def test_a_secret_does_not_show_when_printed() -> None:
+def test_the_printed_form_of_a_secret_does_not_contain_it() -> None:
     assert "right" not in repr(RIGHT)
 
 
-def test_a_file_may_hold_two_secrets_while_one_takes_the_place_of_the_other(tmp_path: Path) -> None:
+def test_during_a_replacement_a_file_holds_the_old_and_the_new_secret(tmp_path: Path) -> None:
     place = make_secret_file(tmp_path / "secret").path
     place.write_text("new\n\nold\n")
     assert load_secret(place) == Secret(text="new", path=place, other="old")
@@ -110,7 +110,7 @@ async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> N
             await first_of_watch(server.address, WRONG)
 
 
-async def test_a_caller_with_the_secret_of_clients_may_call_the_methods_of_clients_alone(
+async def test_a_caller_with_the_secret_of_clients_may_call_only_the_methods_for_clients(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)  # the service never hears of rules
@@ -208,7 +208,7 @@ def register_kinds(server: grpc.aio.Server) -> None:
 
 
 @pytest.mark.parametrize("kind", ["unary_unary", "unary_stream", "stream_unary", "stream_stream"])
-async def test_all_kinds_of_calls_bring_the_secret(kind: str) -> None:
+async def test_a_client_sends_the_secret_with_all_kinds_of_calls(kind: str) -> None:
     """Each kind has its own maker on a channel."""
     async with serving(register_kinds, secret=RIGHT) as server, dial(server.address, secret=RIGHT) as channel:
         call = getattr(channel, kind)(f"/test.Kinds/{kind}")

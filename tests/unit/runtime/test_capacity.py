@@ -50,7 +50,7 @@ async def opened(channel: grpc.aio.Channel, method: str) -> Any:
     return call
 
 
-async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_calls_are_answered() -> None:
+async def test_a_port_full_of_watches_still_serves_members_lease_renewals_and_single_calls() -> None:
     async with serving(register, limits=LIMITS) as server, dial(server.address, secret=None) as channel:
         watches = [await opened(channel, WATCH) for _ in range(LIMITS.streams_max)]
         with pytest.raises(grpc.aio.AioRpcError) as caught:
@@ -95,7 +95,7 @@ async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_tu
     assert max(turns) <= 2 * STREAMS_PER_TURN, turns
 
 
-async def test_a_stream_that_ends_makes_room_for_another_one() -> None:
+async def test_an_ended_stream_makes_room_for_another() -> None:
     async with serving(register, limits=LIMITS) as server, dial(server.address, secret=None) as channel:
         watches = [await opened(channel, WATCH) for _ in range(LIMITS.streams_max)]
         watches[0].cancel()
@@ -110,7 +110,7 @@ async def test_a_stream_that_ends_makes_room_for_another_one() -> None:
             call.cancel()
 
 
-def test_a_call_without_a_free_reserved_slot_takes_one_of_those_for_all() -> None:
+def test_a_call_without_a_free_reserved_slot_takes_a_common_slot() -> None:
     slots = Slots(LIMITS)
     given = [slots.take(is_stream=True, for_members=True) for _ in range(3)]
     assert (slots.reserved, slots.streams, slots.singles) == (2, 1, 0)
@@ -119,7 +119,7 @@ def test_a_call_without_a_free_reserved_slot_takes_one_of_those_for_all() -> Non
     assert (slots.reserved, slots.streams, slots.singles) == (0, 0, 0)
 
 
-def test_single_calls_leave_streams_no_more_room_than_there_is() -> None:
+def test_single_calls_that_fill_all_slots_leave_none_for_a_stream() -> None:
     slots = Slots(LIMITS)
     for _ in range(LIMITS.concurrent_rpcs_max):
         slots.take(is_stream=False, for_members=False)

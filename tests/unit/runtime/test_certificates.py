@@ -120,7 +120,7 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
         (["show", "ca.key"], 1, "holds no certificate"),
     ],
 )
-def test_a_wrong_command_gets_one_sentence(
+def test_a_wrong_command_prints_one_sentence(
     words: list[str],
     status: int,
     complaint: str,
@@ -188,7 +188,7 @@ def test_no_certificate_is_renewed_if_one_of_the_files_cannot_be_used(
     ("lifetime", "left", "soon"),
     [(365 * DAY, 15 * DAY, False), (365 * DAY, 13 * DAY, True), (DAY, DAY / 2, False), (DAY, DAY / 4, True)],
 )
-def test_a_certificate_is_to_be_renewed_two_weeks_before_its_end_or_with_a_third_of_it_left(
+def test_a_certificate_is_due_for_renewal_two_weeks_before_its_end_or_when_a_third_of_its_lifetime_is_left(
     lifetime: timedelta, left: timedelta, soon: bool
 ) -> None:
     authority = make_authority("lab", now=NOW, lifetime=999 * DAY)
@@ -208,7 +208,7 @@ def test_a_service_does_not_start_with_an_invalid_certificate(made: ClusterCerti
         load_tls(TlsFiles(ca=foreign.ca, certificate=good.certificate, key=good.key), Role.HOST)
 
 
-def test_files_that_cannot_be_used_are_named(made: ClusterCertificates, tmp_path: Path) -> None:
+def test_the_error_names_each_unusable_file(made: ClusterCertificates, tmp_path: Path) -> None:
     one, two = made.issue(Role.CLIENT, "one"), made.issue(Role.CLIENT, "two")
     with pytest.raises(PermissionDenied, match=r"client-one\.pem and the private key .*client-two\.key cannot be used"):
         TlsReader(TlsFiles(ca=one.ca, certificate=one.certificate, key=two.key))
@@ -245,7 +245,7 @@ def test_a_reader_returns_new_files_and_waits_until_broken_ones_are_whole(
     assert third.key == second.key
 
 
-def test_a_reader_takes_files_whose_replacement_ends_while_it_refuses_half_of_it(
+def test_a_reader_retries_if_a_replacement_of_the_files_ends_while_it_reads(
     made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fixed fault: the reader noted the second file as refused, too, and never read the whole pair."""
@@ -289,7 +289,9 @@ def test_the_error_names_the_missing_flag(tmp_path: Path) -> None:
         ServiceSettings(tls_ca=tmp_path / "ca.pem").load_tls(Role.HOST)
 
 
-def test_certificates_suffice_without_the_secret_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_certificates_the_secret_of_the_user_is_not_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     place = tmp_path / "config" / "stampede" / "secret"
     place.parent.mkdir(parents=True)
     place.write_text("s3cret")

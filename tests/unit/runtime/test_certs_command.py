@@ -12,7 +12,7 @@ from stampede_rt_runtime.certs_command import main, serial_of
 
 
 @pytest.mark.parametrize("name", ["client-anna.pem", "client-anna.key"])
-def test_a_pipe_in_the_place_of_a_file_is_not_replaced(
+def test_a_pipe_at_the_path_of_a_file_is_not_replaced(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     authority, out = tmp_path / "certs", tmp_path / "out"
@@ -27,7 +27,7 @@ def test_a_pipe_in_the_place_of_a_file_is_not_replaced(
 
 
 @pytest.mark.parametrize("text", ["0786C71636B2", "07:86:C7:16:36:B2", "786c71636b2"])
-def test_a_serial_number_is_known_as_other_programs_print_it(text: str) -> None:
+def test_a_serial_number_can_be_given_in_the_forms_that_other_programs_print(text: str) -> None:
     assert serial_of(text) == "786c71636b2"
 
 

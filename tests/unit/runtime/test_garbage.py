@@ -23,7 +23,7 @@ class Item:
         self.held = held
 
 
-async def test_objects_that_replace_others_do_not_gather_for_one_large_collection() -> None:
+async def test_objects_that_replace_others_are_collected_in_small_portions() -> None:
     thresholds = gc.get_threshold()
     held = deque((Item(at) for at in range(20_000)), maxlen=20_000)
     async with GarbageCollection() as collection:
@@ -35,7 +35,7 @@ async def test_objects_that_replace_others_do_not_gather_for_one_large_collectio
     assert gc.get_threshold() == thresholds
 
 
-async def test_the_event_loop_collects_circles() -> None:
+async def test_the_event_loop_collects_reference_cycles() -> None:
     gone = asyncio.Event()
     loop = asyncio.get_running_loop()
 
@@ -50,7 +50,7 @@ async def test_the_event_loop_collects_circles() -> None:
         await gone.wait()
 
 
-def test_a_long_collection_is_started_earlier_the_next_time_and_a_short_one_later() -> None:
+def test_after_a_long_collection_the_next_one_starts_earlier_and_after_a_short_one_later() -> None:
     pace = CollectionPace(0.0)
     assert pace.interval_s == INTERVAL_SECONDS_MAX
     intervals = []
@@ -82,7 +82,7 @@ def test_objects_of_a_burst_after_an_idle_time_are_collected_in_small_portions()
     assert largest <= 6 * LONG_SECONDS
 
 
-def test_older_objects_are_collected_when_enough_has_come_to_them() -> None:
+def test_generation_1_is_collected_after_enough_work_on_generation_0() -> None:
     pace = CollectionPace(0.0)
     collected = []
     for _ in range(9):
@@ -92,7 +92,7 @@ def test_older_objects_are_collected_when_enough_has_come_to_them() -> None:
     assert collected == [0, 0, 1] * 3
 
 
-def test_all_objects_are_collected_seldom_and_only_if_many_may_be_new() -> None:
+def test_all_objects_are_collected_rarely_and_only_if_many_may_be_new() -> None:
     pace = CollectionPace(0.0)
     assert pace.next_generation(10 * FULL_INTERVAL_SECONDS) == 0
     pace.took(1, LONG_SECONDS, 0.0)

@@ -39,7 +39,7 @@ async def _answer(call: Any) -> bytes:
     return bytes(await call)
 
 
-async def test_a_service_that_cannot_serve_lives_and_is_not_ready(server: ServiceServer) -> None:
+async def test_a_service_that_cannot_serve_is_live_but_not_ready(server: ServiceServer) -> None:
     assert [await status(server, name) for name in (LIVENESS, READINESS, "")] == [SERVING, NOT_SERVING, NOT_SERVING]
     await server.set_serving(True)
     assert [await status(server, name) for name in (LIVENESS, READINESS, "")] == [SERVING, SERVING, SERVING]
@@ -58,7 +58,7 @@ async def test_a_watch_reports_the_health_of_the_named_service(server: ServiceSe
         assert (await ready.read()).status == SERVING
 
 
-async def test_callers_that_send_no_request_make_way_for_one_that_does(
+async def test_a_caller_with_a_request_displaces_callers_that_send_none(
     server: ServiceServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(health, "READ_SECONDS_MAX", 3600.0)
@@ -74,7 +74,7 @@ async def test_callers_that_send_no_request_make_way_for_one_that_does(
         await asyncio.gather(*answers, return_exceptions=True)
 
 
-async def test_a_request_that_is_no_request_is_answered_for_readiness(server: ServiceServer) -> None:
+async def test_a_malformed_health_request_gets_the_readiness(server: ServiceServer) -> None:
     async with grpc.aio.insecure_channel(server.address) as channel:
         raw = await asyncio.wait_for(channel.unary_unary(CHECK)(b"\xff\xff"), 45)
         assert health_pb2.HealthCheckResponse.FromString(raw).status == NOT_SERVING

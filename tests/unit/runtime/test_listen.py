@@ -20,12 +20,12 @@ def test_loopback_is_always_allowed(listen: str) -> None:
 
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:0", "[::]:0", "192.0.2.1:0"])
-def test_beyond_loopback_is_refused_with_the_flag_that_allows_it(listen: str) -> None:
+def test_an_address_beyond_loopback_is_refused_and_the_error_names_the_flag(listen: str) -> None:
     with pytest.raises(NotAllowed, match="add --allow-insecure-anywhere"):
         check_listen(listen, allow_insecure_anywhere=False)
 
 
-def test_beyond_loopback_is_possible_when_allowed() -> None:
+def test_the_flag_allows_an_address_beyond_loopback() -> None:
     assert check_listen("0.0.0.0:0", allow_insecure_anywhere=True).host == "0.0.0.0"
 
 

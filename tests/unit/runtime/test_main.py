@@ -95,7 +95,7 @@ def test_a_service_ends_with_a_code_and_at_most_one_line(
         assert said == complaint
 
 
-def test_a_defect_is_not_hidden() -> None:
+def test_a_service_raises_an_unexpected_error() -> None:
     with pytest.raises(OSError, match="not about a file"):
         run_service(Settings, "sample", ["--what", "defect"], serve)
 
@@ -105,12 +105,12 @@ def test_listening_beyond_loopback_needs_its_flag(capsys: pytest.CaptureFixture[
     assert "--allow-insecure-anywhere" in capsys.readouterr().err
 
 
-def test_an_address_that_cannot_be_listened_at_is_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_service_that_cannot_listen_at_its_address_ends_with_code_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_service(Settings, "sample", ["--what", "listen", "--allow-insecure-anywhere"], serve) == 1
     assert "is not an address of this machine" in capsys.readouterr().err
 
 
-def test_help_is_printed_to_standard_output_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_goes_to_standard_output_and_ends_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_service(Settings, "sample", ["--help"], serve) == 0
     said = capsys.readouterr()
     assert "usage: stampede sample" in said.out

@@ -42,7 +42,7 @@ class LoopTurns:
         self._counting.cancel()
 
 
-async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -> None:
+async def test_a_few_callers_continue_in_each_turn_in_the_order_of_arrival() -> None:
     gate, turns, order = TurnGate(), LoopTurns(), list[int]()
 
     async def pass_through(number: int) -> None:
@@ -81,7 +81,7 @@ async def test_a_single_caller_does_not_wait() -> None:
         await asyncio.sleep(0)
 
 
-async def test_a_caller_that_leaves_the_line_uses_up_no_turn() -> None:
+async def test_a_cancelled_caller_uses_up_no_turn() -> None:
     gate = TurnGate()
 
     async def enter() -> None:
@@ -125,7 +125,7 @@ async def test_a_long_message_that_was_read_counts_for_its_caller(monkeypatch: p
 
 
 @pytest.mark.parametrize("operation", ["read", "write"])
-async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_turn(operation: str) -> None:
+async def test_streams_whose_messages_need_no_wait_continue_a_few_in_each_turn(operation: str) -> None:
     turns, reads, writes, done = LoopTurns(), TurnGate(), TurnGate(), list[Any]()
 
     async def serve() -> None:
@@ -205,7 +205,7 @@ async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monk
     await asyncio.wait({call})
 
 
-async def test_streams_that_are_cancelled_again_while_they_wait_for_their_turn_to_end_also_end() -> None:
+async def test_a_stream_that_is_cancelled_again_while_it_waits_to_end_also_ends() -> None:
     """A fixed fault: if a caller left at the moment of its revocation, the stream went on without a caller and without
     a quota.
     """
@@ -230,7 +230,7 @@ async def test_streams_that_are_cancelled_again_while_they_wait_for_their_turn_t
     assert ended == STREAMS
 
 
-async def test_streams_whose_callers_go_together_end_a_few_in_each_turn() -> None:
+async def test_streams_whose_callers_disconnect_together_end_a_few_in_each_turn() -> None:
     ended = 0
 
     async def behavior(_requests: Any, _context: Any) -> None:
@@ -263,7 +263,7 @@ async def test_an_error_of_a_stream_reaches_its_caller() -> None:
         await handler(None, Stream())
 
 
-async def test_streams_that_yield_their_responses_go_on_and_end_a_few_in_each_turn() -> None:
+async def test_streams_that_yield_their_responses_continue_and_end_a_few_in_each_turn() -> None:
     ended = 0
 
     async def behavior(_requests: Any, _context: Any) -> AsyncIterator[bytes]:
@@ -319,7 +319,7 @@ async def test_a_loop_with_pauses_answers_every_message_at_once() -> None:
         now += pacing.AT_ONCE_NANOS // 2  # the pause
 
 
-async def test_a_caller_that_must_wait_for_its_turn_is_not_answered_at_once_and_pays_for_answers(
+async def test_a_caller_beyond_its_share_is_not_answered_at_once_and_answers_count_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Socket:

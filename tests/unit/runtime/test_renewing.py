@@ -98,7 +98,7 @@ async def test_an_idle_connection_is_closed_at_the_renewal() -> None:
         await renewals.made[0].closed.wait()
 
 
-async def test_nothing_connects_any_more_once_it_is_closed() -> None:
+async def test_after_the_close_no_call_opens_a_connection() -> None:
     renewals = Renewals()
     channel = renewals.channel()
     call = channel.unary_unary("/test.Probe/Echo")

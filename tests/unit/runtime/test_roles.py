@@ -56,13 +56,13 @@ _SHOWN = {
 }  # fmt: skip
 
 
-def test_only_supernodes_speak_raft() -> None:
+def test_only_supernodes_may_send_raft_messages() -> None:
     assert roles_for(RAFT) == {Role.SUPERNODE}
     assert why_refused(RAFT, caller(Role.SUPERNODE)) == ""
 
 
 @pytest.mark.parametrize("method", ["RegisterHost", "RenewHostLease", "DeregisterHost"])
-def test_only_hosts_hold_leases(method: str) -> None:
+def test_only_hosts_may_renew_leases_of_hosts(method: str) -> None:
     assert roles_for(f"/stampede_rt.v1.DirectoryService/{method}") == {Role.HOST}
 
 
@@ -87,13 +87,13 @@ def test_a_refusal_names_the_caller_the_call_and_the_role() -> None:
 
 
 @pytest.mark.parametrize("rpc", [RAFT, "/stampede_rt.v1.DirectoryService/RenewHostLease", REMOVE])
-def test_the_clients_secret_is_no_members(rpc: str) -> None:
+def test_the_secret_of_clients_proves_no_member(rpc: str) -> None:
     assert "a holder of the clients' secret may not call" in why_refused(rpc, by_secret(of_cluster=False))
     assert why_refused(rpc, by_secret(of_cluster=True)) == ""
 
 
 @pytest.mark.parametrize("role", list(Role))
-def test_an_identity_survives_its_uri(role: Role) -> None:
+def test_an_identity_read_from_its_uri_is_the_same(role: Role) -> None:
     one = Identity("lab.1", role, "cam/left")
     assert parse_identity(one.uri) == one
 
@@ -102,13 +102,13 @@ def test_an_identity_survives_its_uri(role: Role) -> None:
     "uri",
     ["", "stampede://", "stampede://c/king/n", "stampede://c/client/", "https://c/client/n", "stampede://C/client/n"],
 )
-def test_a_broken_identity_is_none(uri: str) -> None:
+def test_a_malformed_uri_gives_no_identity(uri: str) -> None:
     with pytest.raises(ValueError):
         parse_identity(uri)
     assert identity_among([uri]) is None
 
 
-def test_two_identities_in_one_certificate_are_none() -> None:
+def test_a_certificate_with_two_identities_gives_none() -> None:
     uris = [CLIENT.uri, Identity("c", Role.SUPERNODE, "n").uri]
     assert identity_among(uris) is None
     assert identity_among(["https://elsewhere", uris[0]]) == CLIENT

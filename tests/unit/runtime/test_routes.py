@@ -9,7 +9,7 @@ from stampede_rt_runtime.routes import address_towards, is_of_another_machine
 
 
 @pytest.mark.parametrize("target", ["localhost:7580", "127.0.0.1:1", "[::1]:1"])
-def test_only_loopback_leads_to_this_machine(target: str) -> None:
+def test_only_loopback_addresses_count_as_this_machine(target: str) -> None:
     assert address_towards([target]) == "localhost"
 
 

@@ -50,7 +50,7 @@ async def all_of(servicer: Servicer, request: Exception | str, call: Any) -> lis
     return [one async for one in servicer.stream(request, call)]
 
 
-async def test_answers_and_streams_pass_as_they_are() -> None:
+async def test_responses_and_streams_pass_unchanged() -> None:
     call: Any = Call()
     assert await Servicer().answer("hello", call) == "hello"
     assert await all_of(Servicer(), "hello", call) == ["first", "hello"]
@@ -66,14 +66,14 @@ async def test_an_error_of_the_product_ends_the_call_with_its_status(method: Any
 
 
 @pytest.mark.parametrize("method", [Servicer.answer, all_of])
-async def test_a_defect_is_reported_as_a_defect(method: Any) -> None:
+async def test_an_unexpected_error_passes_unchanged(method: Any) -> None:
     call: Any = Call()
     with pytest.raises(KeyError):
         await method(Servicer(), KeyError("a defect"), call)
     assert call.status is None
 
 
-async def test_the_stream_of_a_vanished_caller_is_closed_at_once() -> None:
+async def test_the_stream_of_a_disconnected_caller_is_closed_at_once() -> None:
     servicer, call = Servicer(), Call()
     stream: Any = servicer.stream("hello", call)  # type: ignore[arg-type]
     assert await anext(stream) == "first"

@@ -113,7 +113,7 @@ async def test_a_stopping_server_reports_not_serving_and_lets_streams_finish() -
     assert seen == [NOT_SERVING]
 
 
-async def test_a_stream_that_does_not_end_is_cut_after_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stop_cancels_a_stream_that_does_not_end_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_runtime.server.DRAIN_SECONDS", 0.05)
     probe = Probe()
     async with serving(probe.register) as server, dial(server.address, secret=None) as channel:
@@ -126,7 +126,7 @@ async def test_a_stream_that_does_not_end_is_cut_after_the_bound(monkeypatch: py
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-async def test_a_stop_signal_ends_run(number: signal.Signals) -> None:
+async def test_a_stop_signal_ends_the_run_of_a_server(number: signal.Signals) -> None:
     server = ServiceServer(secret=None)
     server.bind("localhost:0")
     await server.start()
@@ -136,7 +136,7 @@ async def test_a_stop_signal_ends_run(number: signal.Signals) -> None:
     assert server.stopping.is_set()
 
 
-async def test_a_second_signal_cuts_the_drain() -> None:
+async def test_a_second_signal_ends_a_stopping_server_at_once() -> None:
     probe = Probe()
     server = ServiceServer(secret=None)
     probe.register(server.grpc)
@@ -159,7 +159,7 @@ async def test_a_second_signal_cuts_the_drain() -> None:
         assert asyncio.get_running_loop().time() - began < DRAIN_SECONDS / 2
 
 
-async def test_a_message_beyond_the_limit_is_refused_on_the_way_in() -> None:
+async def test_a_request_beyond_the_size_limit_is_refused() -> None:
     small, large = Limits(message_bytes_max=1000), Limits()
     async with (
         serving(Probe().register, limits=small) as server,
@@ -179,7 +179,7 @@ async def test_a_message_of_19_mib_passes_both_ways_if_the_server_accepts_large_
         assert await channel.unary_unary("/test.Probe/Echo")(payload, timeout=20) == payload
 
 
-async def test_calls_beyond_the_limit_are_refused_and_the_others_go_on() -> None:
+async def test_calls_beyond_the_limit_are_refused_and_the_others_continue() -> None:
     probe = Probe()
     async with (
         serving(probe.register, limits=Limits(concurrent_rpcs_max=1)) as server,

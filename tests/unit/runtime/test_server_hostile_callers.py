@@ -116,7 +116,7 @@ async def port(
 
 
 @pytest.mark.parametrize("method", [LIST, WATCH])
-async def test_a_call_without_its_request_ends_and_gives_its_slot_back(
+async def test_a_call_whose_request_does_not_arrive_ends_and_frees_its_slot(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.requests.REQUEST_SECONDS_MAX", 0.05)
@@ -250,14 +250,14 @@ async def test_a_message_above_the_limit_is_refused_before_it_has_arrived() -> N
         await raw.aclose()
 
 
-async def test_servers_of_the_directory_take_no_message_of_an_items_size() -> None:
+async def test_servers_of_the_directory_refuse_messages_as_large_as_an_item() -> None:
     async with port(limits=CONTROL_LIMITS) as one:
         code, _ = await one.sent(LIST, bytes(5 * 2**20))
         assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
         assert await one.list("a") == "a"
 
 
-def test_a_server_accepts_no_more_connections_than_leave_it_files_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_limits_its_connections_and_keeps_file_descriptors_free(monkeypatch: pytest.MonkeyPatch) -> None:
     def allow(files: int) -> int:
         monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
         return open_files.connections_max()

@@ -47,7 +47,7 @@ def refusal(*argv: str, **environ: str) -> str:
     return str(caught.value)
 
 
-def test_nothing_given_gives_the_defaults() -> None:
+def test_without_any_input_all_settings_have_their_defaults() -> None:
     assert load() == Sample()
 
 
@@ -205,7 +205,7 @@ def sample_of(cls: type) -> str:
     return str(caught.value)
 
 
-def test_the_sample_of_a_settings_file_loads_and_changes_nothing(tmp_path: Path) -> None:
+def test_the_sample_of_a_settings_file_loads_and_equals_the_defaults(tmp_path: Path) -> None:
     (tmp_path / "sample.toml").write_text(sample_of(Sample))
     assert load("--config", str(tmp_path / "sample.toml")) == Sample()
 
@@ -224,7 +224,7 @@ def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> Non
     assert load_settings(Demanding, service="sample", argv=argv, environ={}).name == "rig1"
 
 
-def test_help_is_distinguished_from_a_run_a_wrong_flag_and_a_verb() -> None:
+def test_arguments_that_ask_for_help_are_distinguished_from_a_run_a_wrong_flag_and_a_verb() -> None:
     def told(*words: str) -> str | None:
         return help_of(Sample, service="host", argv=words)
 

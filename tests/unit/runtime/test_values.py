@@ -38,7 +38,7 @@ def test_an_address_is_a_host_and_a_port(text: str, address: Address) -> None:
     ["", ":", "localhost", "localhost:", ":80", "::1:80", "[]:80", "a b:80", "a:65536", "a:-1", "a:8O", "http://a:80",
      "a:²", "[::1:80", "::1]:80"],
 )  # fmt: skip
-def test_anything_else_is_no_address(text: str) -> None:
+def test_other_texts_are_not_addresses(text: str) -> None:
     with pytest.raises(ValueError, match="HOST:PORT"):
         parse_address(text)
 
@@ -78,11 +78,11 @@ def test_a_size_needs_a_known_unit(text: str) -> None:
 
 
 @pytest.mark.parametrize(("text", "value"), [("1", True), ("Yes", True), ("on", True), ("0", False), ("FALSE", False)])
-def test_a_boolean_has_the_usual_words(text: str, value: bool) -> None:
+def test_a_boolean_may_be_written_in_the_usual_words(text: str, value: bool) -> None:
     assert parse_bool(text) is value
 
 
-def test_a_list_may_have_spaces_and_empty_places() -> None:
+def test_a_list_may_have_spaces_and_empty_entries() -> None:
     assert parse_list(parse_target)(" a:1, b:2,, ") == ("a:1", "b:2")
     assert parse_list(parse_target)("") == ()
 
@@ -93,7 +93,7 @@ def test_the_url_of_an_object_store_is_not_made_a_path(text: str) -> None:
     assert parse_archive(f" {text}/ ") == text
 
 
-def test_everything_else_is_a_folder() -> None:
+def test_a_text_that_is_no_url_is_a_folder() -> None:
     assert parse_archive("/data/archive") == Path("/data/archive")
     assert parse_archive("archive") == Path("archive")
 
@@ -101,7 +101,7 @@ def test_everything_else_is_a_folder() -> None:
 @pytest.mark.parametrize(
     "text", ["s3://key:secret@bucket/p", "s3://b/p?versionId=1", "s3://b/p#x", "az://c/p?sig=abc", "s3://user@b/p"]
 )
-def test_a_url_with_credentials_or_options_is_refused_and_not_repeated(text: str) -> None:
+def test_a_url_with_credentials_or_options_is_refused_and_the_error_does_not_repeat_it(text: str) -> None:
     with pytest.raises(ValueError, match="without credentials") as caught:
         parse_archive(text)
     assert text not in str(caught.value)
@@ -115,7 +115,7 @@ def test_an_unknown_or_incomplete_url_is_refused(text: str) -> None:
         parse_archive(text)
 
 
-def test_the_folder_of_an_object_store_is_the_named_one_or_in_the_data_folder_or_in_the_state_of_the_user(
+def test_the_folder_beside_an_object_store_defaults_to_the_data_folder_or_the_users_state(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert folder_of(None, None, Path("d")) is None

@@ -17,7 +17,7 @@ def no_room(_descriptor: int) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_an_error_without_a_file_name_gets_one() -> None:
+def test_the_name_of_the_folder_is_added_to_an_error_without_a_file_name() -> None:
     with pytest.raises(OSError, match="No space left") as raised, naming("/a/file"):
         no_room(0)
     assert raised.value.filename == "/a/file"

@@ -1,4 +1,4 @@
-"""The feed of a queue's replica at the replica's host: what its caller may change there."""
+"""The host of a queue's replica lets the caller of a feed change only the replica of that queue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt_channel_host.copies.queue_feed_servicer import _Feed
 
 
 async def test_an_owner_that_feeds_one_queue_cannot_replace_the_copy_of_another() -> None:
-    """The host checks the owner of the first request's queue only."""
+    """The host has checked the ownership only for the queue of the first request. A later request names another one."""
     dropped: list[bytes] = []
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
     copies = SimpleNamespace(drop=dropped.append, of=lambda queue_id: None)

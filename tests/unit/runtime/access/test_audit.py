@@ -34,7 +34,7 @@ def test_an_audit_line_names_the_caller_the_action_and_the_address(caplog: pytes
     }
 
 
-def test_a_caller_that_is_denied_again_and_again_gets_one_line_a_second_and_each_denial_counts(
+def test_repeated_denials_of_one_caller_make_one_line_a_second_with_their_number(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     clock = Clock()

@@ -97,7 +97,7 @@ async def ended(call: Any) -> Exception:
     raise AssertionError(f"it did not end with an error: {await call.code()}")
 
 
-async def test_a_port_that_has_not_heard_of_the_rules_serves_no_caller_that_they_judge(
+async def test_a_port_without_the_rules_serves_no_caller_that_needs_a_rule(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.01)
@@ -125,7 +125,7 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
     return event
 
 
-async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_does_not(waits: asyncio.Event) -> None:
+async def test_a_port_that_still_lacks_the_rules_lets_a_client_wait_but_not_a_member(waits: asyncio.Event) -> None:
     """A fixed fault: a client that connected just after the start of a front-end was told that the front-end cannot
     serve.
     """
@@ -139,7 +139,9 @@ async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_d
         assert await early.read() == b"1"
 
 
-async def test_a_caller_with_a_token_waits_for_the_keys_of_tokens_too_and_others_do_not(waits: asyncio.Event) -> None:
+async def test_a_port_that_still_lacks_the_keys_of_tokens_lets_only_a_caller_with_a_token_wait(
+    waits: asyncio.Event,
+) -> None:
     """A front-end may hear of a new cluster before the cluster has made its key."""
     key = b"k" * 32
     ends = time.time_ns() + 3600 * 10**9
@@ -156,7 +158,7 @@ async def test_a_caller_with_a_token_waits_for_the_keys_of_tokens_too_and_others
         assert await early.read() == b"1"
 
 
-async def test_a_stream_ends_when_its_right_is_taken_away_and_others_go_on() -> None:
+async def test_a_stream_ends_when_its_caller_loses_the_right_and_other_streams_continue() -> None:
     async with port() as (server, begin):
         server.access.set_state(state(1, ALLOW))
         client, other, member = begin(CLIENTS), begin(CLIENTS), begin(CLUSTER)
@@ -173,7 +175,7 @@ async def test_a_stream_ends_when_its_right_is_taken_away_and_others_go_on() -> 
         assert await said(other, "open") == b"0"
 
 
-async def test_a_caller_that_may_do_nothing_with_a_thing_is_told_so() -> None:
+async def test_the_error_says_that_a_caller_may_do_nothing_with_a_channel() -> None:
     async with port() as (server, begin):
         server.access.set_state(state(1, ALLOW))
         call = begin(CLIENTS)
@@ -181,7 +183,7 @@ async def test_a_caller_that_may_do_nothing_with_a_thing_is_told_so() -> None:
         assert "may do nothing with channel closed" in str(await ended(call))
 
 
-async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
+async def test_a_stream_ends_when_its_credential_is_revoked_or_has_expired() -> None:
     key, now = b"1" * 32, time.time_ns()
     claims = TokenClaims(cluster_id="c", name="cam", roles=(Role.CLIENT,), serial="a1", ends_unix_nano=now + 10**15)
     brief = replace(claims, serial="b2", ends_unix_nano=now + 2 * 10**9)
@@ -251,7 +253,7 @@ async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
     assert max(after - before for before, after in pairwise(in_turns)) == most
 
 
-async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
+async def test_the_calls_of_an_expired_token_end_a_few_at_a_time() -> None:
     """A fixed fault: 4096 calls ended together within two turns of the event loop, which took 40 ms."""
     now = 1
     control = AccessControl(time_unix_nano=lambda: now)
@@ -267,7 +269,7 @@ async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
     assert max(before - after for before, after in pairwise(left)) == CALLS_ENDED_PER_TURN
 
 
-async def test_open_calls_are_looked_at_for_their_end_a_few_in_each_turn_and_then_again() -> None:
+async def test_each_turn_checks_the_credentials_of_a_few_open_calls_and_the_rounds_repeat() -> None:
     """A fixed fault: each second, one turn looked at all open calls. 3000 calls took 1.8 ms."""
     control, turns = AccessControl(time_unix_nano=lambda: 2), 1
     control.set_state(state(1))
@@ -309,7 +311,7 @@ async def test_the_requests_of_a_stream_end_one_by_one_and_a_few_at_a_time() -> 
         assert not rights._of_request
 
 
-async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_judged_again() -> None:
+async def test_a_lost_right_cannot_be_used_even_before_the_call_is_judged_again() -> None:
     control = AccessControl()
     control.set_state(state(1, ALLOW))
     client = Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset(), name="@clients")
@@ -345,7 +347,7 @@ async def test_a_call_with_a_token_ends_with_the_token_and_with_the_certificate_
         control.check_valid(caller)
 
 
-def test_callers_with_a_shared_name_have_no_share(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_that_callers_share_counts_as_no_name_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     names = {}
     for name in ("alice", "@clients", ""):
         monkeypatch.setattr(control, "owner_name", lambda name=name: name)

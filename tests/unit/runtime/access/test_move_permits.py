@@ -9,7 +9,7 @@ from stampede_rt_runtime.access.move_permits import KEY_BYTES, is_permit, move_p
 KEY, CHANNEL, HOST = b"k" * KEY_BYTES, b"c" * 16, b"h" * 16
 
 
-def test_the_permit_of_the_owner_holds() -> None:
+def test_a_permit_that_the_owner_signed_is_valid() -> None:
     assert is_permit(move_permit(KEY, CHANNEL, 3, HOST), KEY, CHANNEL, 3, HOST)
 
 
@@ -22,6 +22,6 @@ def test_the_permit_of_the_owner_holds() -> None:
         (KEY, CHANNEL, 3, b"i" * 16),
     ],
 )
-def test_a_permit_holds_for_nothing_else(key: bytes, channel: bytes, epoch: int, host: bytes) -> None:
+def test_a_permit_is_valid_for_no_other_move(key: bytes, channel: bytes, epoch: int, host: bytes) -> None:
     assert not is_permit(move_permit(key, channel, epoch, host), KEY, CHANNEL, 3, HOST)
     assert not is_permit(b"", KEY, CHANNEL, 3, HOST)

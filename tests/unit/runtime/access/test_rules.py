@@ -29,27 +29,27 @@ def test_without_rules_everything_is_allowed() -> None:
     assert AccessRules().judge(client("cam"), PUT, CHANNEL, "video").allowed
 
 
-def test_with_the_first_rule_all_that_none_allows_is_denied() -> None:
+def test_once_there_is_a_rule_everything_without_an_allowing_rule_is_denied() -> None:
     rules = AccessRules([allow("cam-*", (PUT,), "video/*")])
     assert rules.judge(client("cam-1"), PUT, CHANNEL, "video/1").allowed
     for who, verb, name in (("cam-1", READ, "video/1"), ("cam-1", PUT, "audio/1"), ("dash", PUT, "video/1")):
         assert not rules.judge(client(who), verb, CHANNEL, name).allowed
 
 
-def test_a_rule_that_denies_beats_all_that_allow_in_any_order() -> None:
+def test_a_denying_rule_wins_over_all_allowing_rules_in_any_order() -> None:
     rules = [allow("*", (), "*"), deny("cam-1", (PUT,), "video/*"), allow("cam-1", (PUT,), "video/1")]
     for ordered in (rules, rules[::-1]):
         judged = AccessRules(ordered).judge(client("cam-1"), PUT, CHANNEL, "video/1")
         assert (judged.allowed, judged.rule) == (False, rules[1])
 
 
-def test_a_rule_of_one_kind_says_nothing_of_others() -> None:
+def test_a_rule_for_one_kind_of_thing_has_no_effect_on_other_kinds() -> None:
     rules = AccessRules([allow("*", (LIST,), "*", QUEUE)])
     assert rules.judge(client("a"), LIST, QUEUE, "q").allowed
     assert not rules.judge(client("a"), LIST, CHANNEL, "q").allowed
 
 
-def test_members_and_operators_are_not_judged() -> None:
+def test_rules_do_not_judge_members_and_operators() -> None:
     rules = AccessRules([deny("*", (), "*"), deny("@*", (), "*")])
     operator = Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({Role.OPERATOR}), name="op")
     for caller in (ANYONE, by_secret(of_cluster=True), operator):
@@ -57,13 +57,13 @@ def test_members_and_operators_are_not_judged() -> None:
     assert not rules.judge(by_secret(of_cluster=False), READ, CHANNEL, "x").allowed
 
 
-def test_holders_of_the_clients_secret_have_a_name_in_rules() -> None:
+def test_rules_can_name_the_holders_of_the_clients_secret() -> None:
     rules = AccessRules([allow("@clients", (READ,), "public/*")])
     assert rules.judge(by_secret(of_cluster=False), READ, CHANNEL, "public/1").allowed
     assert not rules.judge(client("clients"), READ, CHANNEL, "public/1").allowed
 
 
-def test_a_caller_that_may_do_anything_with_a_thing_may_know_of_it() -> None:
+def test_a_caller_with_any_right_to_a_thing_may_know_that_it_exists() -> None:
     rules = AccessRules([allow("cam", (PUT,), "v"), allow("send", (SEND,), "p", PEER)])
     assert rules.knows_of(client("cam"), CHANNEL, "v")
     assert not rules.knows_of(client("cam"), QUEUE, "v")
@@ -83,7 +83,7 @@ def test_a_caller_that_may_do_anything_with_a_thing_may_know_of_it() -> None:
         (allow("a", (PUT, PUT), "x"), "ascending, each once"),
     ],
 )
-def test_a_rule_that_can_match_nothing_is_refused(rule: AccessRule, told: str) -> None:
+def test_a_rule_whose_pattern_can_match_no_name_is_refused(rule: AccessRule, told: str) -> None:
     with pytest.raises(InvalidArgument, match=told):
         check_rule(rule)
 

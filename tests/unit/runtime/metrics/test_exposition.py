@@ -27,7 +27,7 @@ def test_a_histogram_is_printed_with_its_sum_and_count() -> None:
     ]
 
 
-def test_a_label_with_control_characters_stays_on_one_line_and_harmless() -> None:
+def test_control_characters_in_a_label_are_escaped_and_make_no_new_line() -> None:
     page = printed(gauge("stampede_a", "A.", "name").of(1, 'x"\n\x1b[31m\\')).decode()
     assert len(page.splitlines()) == 3
     assert "\x1b" not in page

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_runtime.metrics.families import Durations, counter, histogram
 
 
-def test_durations_count_in_each_bucket_that_is_long_enough() -> None:
+def test_a_duration_counts_in_each_bucket_whose_bound_is_not_below_it() -> None:
     durations = Durations((0.1, 1.0))
     for seconds in (0.05, 0.1, 0.5, 7.0):
         durations.add(seconds)

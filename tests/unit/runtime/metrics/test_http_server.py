@@ -55,7 +55,9 @@ async def test_a_head_request_gets_no_body(port: int) -> None:
         (b"GET /" + b"a" * (2 * HEAD_BYTES_MAX), b"431 Request Header Fields Too Large"),
     ],
 )
-async def test_another_request_gets_a_plain_answer(port: int, request_line: bytes, status: bytes) -> None:
+async def test_another_request_than_for_the_page_gets_an_error_status(
+    port: int, request_line: bytes, status: bytes
+) -> None:
     answer = await ask(port, request_line + b"\r\n\r\n")
     assert answer.startswith(b"HTTP/1.1 " + status)
 

@@ -38,7 +38,7 @@ async def test_callers_at_the_same_time_share_one_page() -> None:
     assert await page.make() is pages[0]  # it is fresh enough
 
 
-async def test_other_work_goes_on_between_two_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_other_tasks_run_between_two_steps_of_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metrics_serving, "STEP_SECONDS", 0.0)  # each family is a step
     turns = 0
 
@@ -54,7 +54,7 @@ async def test_other_work_goes_on_between_two_steps(monkeypatch: pytest.MonkeyPa
     assert turns >= len(METRICS)
 
 
-async def test_a_caller_that_leaves_does_not_end_the_page_of_the_others() -> None:
+async def test_a_caller_that_disconnects_does_not_end_the_page_for_other_callers() -> None:
     page = MetricsPage(Source().collect)
     leaving, staying = asyncio.create_task(page.make()), asyncio.create_task(page.make())
     await asyncio.sleep(0)
@@ -63,7 +63,7 @@ async def test_a_caller_that_leaves_does_not_end_the_page_of_the_others() -> Non
     await page.aclose()
 
 
-async def test_a_server_tells_its_calls_its_refusals_and_its_process() -> None:
+async def test_a_page_shows_the_calls_the_refusals_and_the_process_of_a_server() -> None:
     server = ServiceServer(secret=None)
     async with serving_metrics(parse_address("localhost:0"), "host", server) as address:
         reader, writer = await asyncio.open_connection(*address.rsplit(":", 1))

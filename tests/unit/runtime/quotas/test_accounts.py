@@ -17,7 +17,7 @@ def used(one: Account) -> dict[Quota, int]:
     return {use.quota: use.used for use in one.uses() if use.used}
 
 
-def test_a_caller_uses_as_much_as_its_limit_and_no_more() -> None:
+def test_a_caller_can_use_exactly_its_limit() -> None:
     one = account(streams=2)
     for _ in range(2):
         one.check(Quota.STREAMS)
@@ -28,7 +28,7 @@ def test_a_caller_uses_as_much_as_its_limit_and_no_more() -> None:
     one.check(Quota.STREAMS)
 
 
-def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
+def test_a_refusal_names_the_quota_the_use_the_limit_and_a_remedy() -> None:
     one = account(bytes_in_flight=10)
     one.charge_for(Quota.BYTES_IN_FLIGHT).set(7)
     with pytest.raises(Overloaded) as caught:
@@ -40,7 +40,7 @@ def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
     assert caught.value.metadata == {"quota": "bytes-in-flight", "subject": "cam-1", "used": "7", "limit": "10"}
 
 
-def test_held_amounts_add_up_and_an_amount_of_zero_is_forgotten() -> None:
+def test_held_amounts_are_summed_and_a_sum_of_zero_is_deleted() -> None:
     one = account(bytes_in_flight=10)
     first, second = one.charge_for(Quota.BYTES_IN_FLIGHT), one.charge_for(Quota.BYTES_IN_FLIGHT)
     first.set(4)
@@ -53,7 +53,7 @@ def test_held_amounts_add_up_and_an_amount_of_zero_is_forgotten() -> None:
     assert used(one) == {}
 
 
-def test_a_call_that_may_not_wait_leaves_nothing_behind() -> None:
+def test_a_refused_waiting_call_uses_up_nothing() -> None:
     one = account(waiting_calls=1, bytes_in_flight=5)
     with pytest.raises(Overloaded), one.waiting(6):
         raise AssertionError("it must not wait")
@@ -63,7 +63,7 @@ def test_a_call_that_may_not_wait_leaves_nothing_behind() -> None:
     assert used(one) == {}
 
 
-def test_a_change_of_the_settings_binds_present_callers() -> None:
+def test_a_changed_setting_applies_to_present_callers() -> None:
     accounts = Accounts()
     one = accounts.of("cam-1")
     one.take([Quota.STREAMS])
@@ -82,13 +82,13 @@ def test_a_default_of_this_process_stays_when_settings_change() -> None:
     assert not accounts.of("cam").has_room(Quota.STREAMS)
 
 
-def test_members_are_bound_by_no_quota() -> None:
+def test_quotas_do_not_apply_to_members() -> None:
     accounts = Accounts()
     accounts.set_table(QuotaTable([QuotaSetting("*", quota, 0) for quota in Quota]))
     accounts.of(None).check(Quota.STREAMS)
 
 
-def test_callers_that_use_nothing_are_forgotten_once_many_others_came_and_those_that_use_something_are_not() -> None:
+def test_of_very_many_callers_only_the_accounts_of_idle_ones_are_deleted() -> None:
     accounts = Accounts()
     busy = accounts.of("busy")
     held = accounts.of("holding").charge_for(Quota.BYTES_HELD)
@@ -100,7 +100,7 @@ def test_callers_that_use_nothing_are_forgotten_once_many_others_came_and_those_
     assert used(accounts.of("holding")) == {Quota.BYTES_HELD: 1}
 
 
-def test_changes_are_counted_by_the_second_on_the_average_of_ten() -> None:
+def test_the_limit_of_changes_per_second_applies_to_the_average_of_ten_seconds() -> None:
     now_s = 100.0
     accounts = Accounts({**DEFAULTS, Quota.CHANGES_PER_SECOND: 2}, lambda: now_s)
     one = accounts.of("cam")
@@ -129,7 +129,7 @@ def test_callers_without_a_name_have_no_limit_unless_one_is_set() -> None:
     assert accounts.of("@clients").limit(Quota.BYTES_HELD) == 7
 
 
-def test_all_refusals_of_a_port_are_counted_and_when_the_last_one_was() -> None:
+def test_a_port_counts_its_refusals_and_keeps_the_time_of_the_last_one() -> None:
     now_s = 5.0
     accounts = Accounts({**DEFAULTS, Quota.STREAMS: 0}, lambda: now_s)
     assert (accounts.refusals, accounts.refused_ago_nanos()) == (0, None)
@@ -150,7 +150,7 @@ def test_accounts_report_the_usage_and_the_refusals_of_each_caller() -> None:
     assert found == [("cam", Quota.STREAMS, 1, 0), ("cam", Quota.WAITING_CALLS, 0, 1)]
 
 
-def test_accounts_report_the_counts_of_the_directory_beside_their_own() -> None:
+def test_the_report_of_an_account_includes_the_counts_of_the_directory() -> None:
     accounts, made = Accounts(), [("cam", Quota.CHANNELS, 7), ("other", Quota.QUEUES, 2)]
     accounts.draw_from(lambda: made)
     accounts.of("cam").take([Quota.STREAMS])

@@ -24,7 +24,7 @@ def test_without_a_setting_the_defaults_hold() -> None:
     assert QuotaTable().limits_of("cam-1") == dict(DEFAULTS)
 
 
-def test_of_the_settings_that_match_the_one_that_says_most_of_the_name_holds() -> None:
+def test_of_several_matching_settings_the_one_with_the_longest_pattern_holds() -> None:
     settings = table(("*", 1), ("cam-*", 2), ("cam-1*", 3), ("cam-1", 4))
     limits = {who: settings.limits_of(who)[Quota.STREAMS] for who in ("x", "cam-2", "cam-12", "cam-1")}
     assert limits == {"x": 1, "cam-2": 2, "cam-12": 3, "cam-1": 4}
@@ -34,7 +34,7 @@ def test_of_the_settings_that_match_the_one_that_says_most_of_the_name_holds() -
         assert found.limit == limit
 
 
-def test_a_whole_name_holds_before_a_longer_pattern() -> None:
+def test_a_setting_for_a_whole_name_holds_before_one_with_a_longer_pattern() -> None:
     settings = table(("cam-1", 1), ("c?m-1*", 2), ("cam-1?*", 3))
     assert settings.limits_of("cam-1")[Quota.STREAMS] == 1
 
@@ -51,7 +51,7 @@ def test_a_setting_leaves_the_other_quotas_as_they_are() -> None:
 
 
 @pytest.mark.parametrize("who", ["cam-*", "@10.0.0.*", "@fe80:1:2:3::/64", "@clients", "*"])
-def test_names_and_addresses_and_patterns_of_them_can_be_set(who: str) -> None:
+def test_a_setting_may_be_for_a_name_an_address_or_a_pattern_of_either(who: str) -> None:
     check_setting(QuotaSetting(who, Quota.STREAMS, 0))
 
 
@@ -61,7 +61,7 @@ def test_impossible_subjects_and_limits_are_refused(who: str, limit: int) -> Non
         check_setting(QuotaSetting(who, Quota.STREAMS, limit))
 
 
-def test_more_than_a_whole_event_loop_is_refused_because_it_would_have_no_effect() -> None:
+def test_a_limit_above_a_whole_event_loop_is_refused_because_it_has_no_effect() -> None:
     for limit in (0, 1, 100, LIMIT_MAX):
         check_effective(QuotaSetting("cam", Quota.CPU_PERCENT, limit))
     check_effective(QuotaSetting("cam", Quota.STREAMS, 300))

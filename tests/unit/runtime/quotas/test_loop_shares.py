@@ -48,7 +48,7 @@ class Loop:
         return not self._timers
 
 
-def test_a_caller_alone_never_waits_and_nothing_is_scheduled_for_it() -> None:
+def test_a_single_caller_never_waits_and_schedules_nothing() -> None:
     loop = Loop()
     alone = loop.caller()
     for _ in range(100):
@@ -57,7 +57,7 @@ def test_a_caller_alone_never_waits_and_nothing_is_scheduled_for_it() -> None:
     assert loop.is_quiet
 
 
-def test_beside_another_one_a_caller_waits_once_it_is_ahead_of_its_share_and_the_other_does_not() -> None:
+def test_of_two_callers_only_the_one_that_has_used_more_than_its_share_waits() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(heavy, MS)
@@ -91,7 +91,7 @@ def test_a_caller_beyond_its_share_gets_its_percentage_of_the_time_in_order() ->
     assert 190 <= len(served) <= 260  # 25 % of a second, in steps of 1 ms
 
 
-def test_once_the_other_one_has_gone_the_line_goes_on_without_waiting() -> None:
+def test_once_other_callers_are_idle_the_waiting_caller_continues_at_once() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)
@@ -107,7 +107,7 @@ def test_once_the_other_one_has_gone_the_line_goes_on_without_waiting() -> None:
     assert loop.is_quiet
 
 
-def test_after_a_long_halt_a_line_goes_on_with_one_step_in_each_turn_of_the_loop() -> None:
+def test_after_a_long_pause_a_line_of_callers_takes_one_step_in_each_turn_of_the_loop() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS // 10)
@@ -126,7 +126,7 @@ def test_after_a_long_halt_a_line_goes_on_with_one_step_in_each_turn_of_the_loop
     assert len(served) <= ticks
 
 
-def test_the_long_wait_of_one_caller_is_not_the_wait_of_another_one() -> None:
+def test_a_long_wait_of_one_caller_does_not_delay_another() -> None:
     loop = Loop()
     heavy, light, third = loop.caller(percent=1), loop.caller(), loop.caller()
     loop.works(light, MS)
@@ -141,7 +141,7 @@ def test_the_long_wait_of_one_caller_is_not_the_wait_of_another_one() -> None:
     assert [at - began <= 15 * MS for at in served] == [True]
 
 
-def test_a_long_debt_ends_soon_after_the_others_have_gone() -> None:
+def test_a_caller_with_a_long_debt_waits_little_after_other_callers_are_idle() -> None:
     loop = Loop()
     heavy, light = loop.caller(percent=1), loop.caller()
     loop.works(light, MS)
@@ -163,7 +163,7 @@ def test_a_caller_behind_a_line_waits_even_if_there_is_time() -> None:
     assert heavy.must_wait
 
 
-def test_a_few_messages_at_once_are_no_reason_to_wait() -> None:
+def test_a_caller_does_not_wait_for_a_few_messages_at_once() -> None:
     loop = Loop()
     one, other = loop.caller(), loop.caller()
     loop.works(other, MS)
@@ -198,7 +198,7 @@ def test_the_debt_of_a_step_counts_at_the_end_of_the_step() -> None:
     assert not busy.must_wait, "it was counted twice"
 
 
-def test_a_share_without_limit_never_waits() -> None:
+def test_a_caller_with_an_unlimited_share_never_waits() -> None:
     loop = Loop()
     one, other = loop.caller(percent=2**62), loop.caller()
     for _ in range(10):
@@ -207,7 +207,7 @@ def test_a_share_without_limit_never_waits() -> None:
         assert not one.must_wait
 
 
-def test_it_tells_how_much_of_the_last_second_a_caller_had() -> None:
+def test_a_share_reports_the_cpu_time_of_its_caller_in_the_last_second() -> None:
     loop = Loop()
     one = loop.caller()
     loop.works(one, 300 * MS)

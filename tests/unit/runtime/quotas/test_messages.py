@@ -19,12 +19,12 @@ from stampede_rt_runtime.quotas.messages import (
 
 
 @pytest.mark.parametrize("quota", Quota)
-def test_each_quota_has_a_number_and_a_setting_of_it_comes_back_as_it_was(quota: Quota) -> None:
+def test_each_quota_has_a_number_and_its_setting_is_the_same_after_encoding_and_decoding(quota: Quota) -> None:
     setting = QuotaSetting("cam-*", quota, LIMIT_MAX)
     assert setting_from(pb.QuotaSetting.FromString(setting_message(setting).SerializeToString())) == setting
 
 
-def test_each_number_of_the_contract_is_a_quota() -> None:
+def test_each_quota_number_of_the_contract_has_a_quota() -> None:
     assert set(KINDS.values()) == set(pb.QuotaKind.values()) - {0}
 
 

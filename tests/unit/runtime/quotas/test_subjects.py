@@ -30,7 +30,7 @@ def test_a_caller_without_a_name_counts_under_its_address(caller: Caller) -> Non
     assert subject_of(caller, PEER) == "@10.0.0.3"
 
 
-def test_the_things_that_a_caller_made_count_under_its_name_in_the_directory() -> None:
+def test_the_directory_counts_the_things_of_a_caller_under_its_name() -> None:
     assert creator_of(named(CallerKind.TOKEN, Role.CLIENT)) == "one"
     assert creator_of(named(CallerKind.TOKEN, Role.OPERATOR)) is None
     assert creator_of(by_secret(of_cluster=False)) == "@clients"
@@ -52,5 +52,5 @@ def test_the_things_that_a_caller_made_count_under_its_name_in_the_directory() -
         ("", "@unknown"),
     ],
 )
-def test_a_machine_that_commands_many_addresses_is_one(peer: str, subject: str) -> None:
+def test_all_addresses_that_one_machine_can_use_count_as_one_caller(peer: str, subject: str) -> None:
     assert subject_of(by_secret(of_cluster=False), peer) == subject

@@ -32,7 +32,7 @@ from stampede_rt_runtime.quotas.working import (
 MS = 1_000_000
 
 
-async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> None:
+async def test_a_caller_with_much_work_does_not_block_another_caller() -> None:
     accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 1}, loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     order: list[str] = []
@@ -95,7 +95,7 @@ async def test_a_caller_without_a_limit_never_waits() -> None:
     assert not work.must_wait
 
 
-async def test_a_change_of_the_share_is_heeded_at_once() -> None:
+async def test_a_changed_share_takes_effect_at_once() -> None:
     accounts = Accounts(loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     accounts.set_table(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))
@@ -137,7 +137,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return one
 
 
-async def test_every_step_of_a_charged_call_counts_for_its_caller_and_no_wait_does(clock: Clock) -> None:
+async def test_the_steps_of_a_charged_call_count_for_its_caller_but_its_waits_do_not(clock: Clock) -> None:
     async def work() -> str:
         for _ in range(3):
             clock.works(100 * MS)
@@ -152,7 +152,7 @@ async def test_every_step_of_a_charged_call_counts_for_its_caller_and_no_wait_do
     assert clock.used_ms() == 300
 
 
-async def test_a_charged_call_gets_its_cancellation_and_its_clean_up_counts(clock: Clock) -> None:
+async def test_a_cancelled_charged_call_cleans_up_and_this_work_counts(clock: Clock) -> None:
     async def work() -> None:
         try:
             await asyncio.Event().wait()
@@ -178,7 +178,7 @@ async def test_the_coroutine_of_a_charged_task_that_is_cancelled_before_it_begin
     assert inspect.getcoroutinestate(inner) == inspect.CORO_CLOSED
 
 
-async def test_a_charged_call_raises_its_error_and_may_go_on_after_one(clock: Clock) -> None:
+async def test_a_charged_call_may_continue_after_an_error_and_raises_its_last_one(clock: Clock) -> None:
     async def work() -> None:
         try:
             async with asyncio.timeout(0):
@@ -201,7 +201,7 @@ async def test_the_work_of_a_caller_without_quotas_is_not_measured() -> None:
     assert await charged(unlimited(), work()) == 1
 
 
-def test_time_in_which_a_thread_waits_for_a_processor_is_no_usable_time() -> None:
+def test_usable_time_excludes_the_time_for_which_a_thread_waits_for_a_processor() -> None:
     passed, waited = 0, 0
     usable = usable_time(lambda: passed, lambda: waited)
     passed = 50 * MS
@@ -222,7 +222,7 @@ def test_usable_time_never_goes_back() -> None:
     assert seen[-1] - seen[0] <= 110 * MS
 
 
-def test_a_failed_look_at_the_statistics_does_not_stop_the_usable_time_for_long() -> None:
+def test_usable_time_continues_soon_after_a_failed_read_of_the_statistics() -> None:
     passed, waited = 100_000 * MS, 60_000 * MS
     usable = usable_time(lambda: passed, lambda: waited)
     assert usable() == 40_000 * MS

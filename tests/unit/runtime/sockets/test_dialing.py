@@ -108,7 +108,7 @@ async def test_a_stream_uses_the_socket_that_the_host_offers(rig: Opened) -> Non
         await until(lambda: opened.sockets == 0)
 
 
-async def test_a_stream_uses_grpc_if_nobody_listens_at_the_socket(rig: Opened, tmp_path: Path) -> None:
+async def test_a_stream_uses_grpc_if_no_server_listens_at_the_socket(rig: Opened, tmp_path: Path) -> None:
     async with rig(offers=f"unix:{tmp_path}/0123456789abcdef.sock") as opened:
         call = opened.begin(ECHO)
         await echo(call)

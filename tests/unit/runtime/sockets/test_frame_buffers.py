@@ -8,7 +8,7 @@ from stampede_rt_runtime.quotas.loop_shares import LoopShares
 from stampede_rt_runtime.sockets.frame_buffers import PLACE_BYTES, PLACES, ROOMS_KEPT, FrameBuffers
 
 
-async def test_a_caller_with_many_long_frames_takes_no_place_of_another() -> None:
+async def test_a_caller_with_many_long_frames_does_not_take_buffers_of_another_caller() -> None:
     buffers, accounts = FrameBuffers(), Accounts()
     busy, good = accounts.of("busy"), accounts.of("good")
     assert all(buffers.place(busy).take_now(PLACE_BYTES) for _ in range(PLACES))
@@ -44,7 +44,7 @@ async def test_a_stream_that_is_cancelled_when_it_gets_a_buffer_passes_it_to_the
     assert first.cancelled()
 
 
-async def test_a_longer_frame_takes_more_places_and_the_frames_after_it_wait() -> None:
+async def test_a_longer_frame_takes_more_buffers_and_later_frames_wait() -> None:
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     half, other, whole, small = (buffers.place(busy) for _ in range(4))
     assert half.take_now(PLACES * PLACE_BYTES // 2)
@@ -75,7 +75,7 @@ async def test_the_next_frame_is_read_when_a_long_frame_stops_waiting() -> None:
     await waits[1]
 
 
-async def test_members_of_the_cluster_never_wait_for_a_place() -> None:
+async def test_members_of_the_cluster_never_wait_for_a_buffer() -> None:
     place = FrameBuffers().place(unlimited())
     for _ in range(PLACES + 1):
         assert place.take_now(PLACE_BYTES)
@@ -94,7 +94,7 @@ async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> No
     assert 1 <= begun <= 2 * PLACES
 
 
-def test_the_room_of_a_frame_serves_later_ones_unless_somebody_has_a_view_of_it() -> None:
+def test_later_frames_reuse_a_buffer_unless_a_view_of_it_still_exists() -> None:
     buffers = FrameBuffers()
     room = buffers.room(1000)
     assert len(room) == 1000
@@ -109,7 +109,7 @@ def test_the_room_of_a_frame_serves_later_ones_unless_somebody_has_a_view_of_it(
     assert buffers.room(1000) is room
 
 
-def test_few_rooms_are_kept_the_longest_ones() -> None:
+def test_only_a_few_of_the_longest_free_buffers_are_kept() -> None:
     buffers = FrameBuffers()
     rooms = [buffers.room(100 * (at % 7 + 1)) for at in range(7)]
     for room in rooms:

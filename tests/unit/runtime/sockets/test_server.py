@@ -71,7 +71,7 @@ async def test_a_stream_reads_and_writes_and_ends(port: Open) -> None:
         await stream.has_ended()
 
 
-async def test_the_memory_of_a_long_frame_serves_the_next_ones(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_later_frames_reuse_the_memory_of_a_long_frame(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     rooms, original = list[bytearray](), FrameBuffers.room
 
     def room(self: FrameBuffers, frame_bytes: int) -> bytearray:
@@ -97,7 +97,7 @@ async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open)
         assert (error.message, error.metadata) == ("not like this", {"field": "x"})
 
 
-async def test_a_method_may_answer_messages_as_they_arrive_and_gets_the_others(port: Open) -> None:
+async def test_a_method_may_answer_messages_as_they_arrive_and_reads_the_unanswered_ones(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(AT_ONCE)
         for message in (b"short", b"longer", b"x", bytes(100_000)):
@@ -111,7 +111,7 @@ async def test_a_method_may_answer_messages_as_they_arrive_and_gets_the_others(p
         assert (await stream.status()).code == 0
 
 
-async def test_a_defect_in_an_answer_at_once_ends_the_stream_as_unknown_and_is_logged(
+async def test_a_defect_while_a_message_is_answered_on_arrival_ends_the_stream_with_unknown_and_is_logged(
     port: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with port() as one, raw_stream(one.target) as stream:
@@ -131,7 +131,9 @@ async def test_the_status_reaches_a_caller_that_is_still_sending(port: Open) -> 
         assert (await stream.status()).message == "not like this"
 
 
-async def test_a_defect_ends_the_stream_as_unknown_and_is_logged(port: Open, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_defect_ends_the_stream_with_unknown_and_is_logged(
+    port: Open, caplog: pytest.LogCaptureFixture
+) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(FAIL)
         assert (await stream.status()).code == grpc.StatusCode.UNKNOWN.value[0]
@@ -184,7 +186,7 @@ async def test_streams_over_sockets_and_over_grpc_count_towards_the_same_limits(
         over_grpc.cancel()
 
 
-async def test_a_stream_that_is_closing_takes_no_more_messages(port: Open) -> None:
+async def test_a_closing_stream_accepts_no_further_messages(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(HOLD)
         await one.streams.held.acquire()
@@ -204,7 +206,7 @@ async def test_a_close_cancels_the_method(port: Open) -> None:
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
-async def test_a_close_cancels_a_method_at_once_that_takes_no_more_messages(port: Open) -> None:
+async def test_a_close_cancels_at_once_a_method_that_reads_no_further_messages(port: Open) -> None:
     async with port() as one:
         async with raw_stream(one.target) as stream:
             await stream.begin(READ_LATER)
@@ -242,7 +244,7 @@ async def test_a_caller_that_reads_nothing_is_disconnected_after_a_while(
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
-async def test_an_idle_stream_gets_signs_of_life_and_no_second_one_before_it_has_read_the_first(
+async def test_an_idle_stream_gets_the_next_sign_of_life_only_after_its_caller_has_read_the_last_one(
     local: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "ALIVE_SECONDS", 0.01)
@@ -271,7 +273,9 @@ async def test_a_stop_waits_for_streams_and_then_ends_them(port: Open) -> None:
                 pass
 
 
-async def test_a_stream_counts_with_the_costs_of_its_transport(plain: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stream_over_a_socket_counts_with_the_costs_of_sockets(
+    plain: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A fixed fault: streams over sockets counted with the costs of gRPC, 250 us for a message, and got too small a
     share.
     """

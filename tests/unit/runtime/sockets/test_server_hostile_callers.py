@@ -38,7 +38,9 @@ OVERLOADED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
         (b"\xff" * 100, "which may not come here"),
     ],
 )
-async def test_bytes_that_are_no_opening_are_refused_at_once(port: Open, sent: bytes, why: str) -> None:
+async def test_a_connection_that_begins_with_other_bytes_than_an_opening_is_refused_at_once(
+    port: Open, sent: bytes, why: str
+) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.send_bytes(sent)
         status = await stream.status()
@@ -110,7 +112,7 @@ async def test_a_frame_that_arrives_byte_by_byte_ends_its_stream_after_a_while(
         assert (await status).code == OVERDUE
 
 
-async def test_only_so_many_sockets_without_an_opening_are_kept(plain: Open) -> None:
+async def test_the_number_of_sockets_without_an_opening_is_limited(plain: Open) -> None:
     async with (
         plain(limits=Limits(refusals_max=2)) as one,
         raw_stream(one.target) as a,
@@ -128,7 +130,7 @@ async def test_only_so_many_sockets_without_an_opening_are_kept(plain: Open) -> 
             await asyncio.wait_for(one.streams.held.acquire(), 20)
 
 
-async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
+async def test_a_server_leaves_some_file_descriptors_free_for_its_process(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "connections_max", lambda: 2)
@@ -138,7 +140,7 @@ async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
         assert (await second.status()).code == OVERLOADED
 
 
-async def test_the_port_reads_only_the_opening_of_a_caller_that_is_not_admitted_yet(
+async def test_before_a_caller_is_admitted_the_port_reads_only_its_opening(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "OPENED_PER_TURN", 0)
@@ -175,7 +177,7 @@ async def test_many_streams_that_open_together_begin_a_few_in_each_turn_of_the_l
         assert max(begun) <= server.OPENED_PER_TURN
 
 
-async def test_a_caller_with_many_openings_delays_those_of_another_by_one_opening_only(
+async def test_many_openings_of_one_caller_delay_another_caller_by_one_opening(
     local: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[str] = []
@@ -253,7 +255,7 @@ async def test_a_server_without_a_free_file_accepts_again_later(local: Open, mon
 
 
 @pytest.mark.parametrize("is_waited_for", [False, True], ids=["with the opening", "while the method reads"])
-async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
+async def test_many_unfinished_frames_of_one_caller_take_bounded_memory(
     plain: Open, monkeypatch: pytest.MonkeyPatch, *, is_waited_for: bool
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 2)
@@ -276,7 +278,7 @@ async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
             assert await stream.message() == frame[5:]
 
 
-async def test_the_buffer_of_a_frame_that_never_ends_is_given_to_another_one(
+async def test_the_buffer_of_a_frame_that_never_ends_is_passed_to_another_stream(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
@@ -294,7 +296,7 @@ async def test_the_buffer_of_a_frame_that_never_ends_is_given_to_another_one(
         assert begun._frames.unfinished_bytes == 0, "the bytes stay although the stream has ended"
 
 
-async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
+async def test_a_stream_that_is_cancelled_while_it_waits_for_a_buffer_takes_none(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
@@ -311,7 +313,7 @@ async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
         assert [await first.message() for _ in range(2)] == [frame[5:]] * 2
 
 
-async def test_a_stream_reads_nothing_while_its_long_frame_waits_for_a_place(
+async def test_a_stream_reads_nothing_while_its_long_frame_waits_for_a_buffer(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_buffers, "PLACES", 1)
@@ -340,7 +342,7 @@ async def test_a_socket_of_another_user_is_refused(local: Open, monkeypatch: pyt
         assert "another user" in status.message
 
 
-async def test_unread_empty_messages_count_with_the_memory_that_they_take(port: Open) -> None:
+async def test_unread_empty_messages_count_as_the_memory_that_they_take(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(READ_LATER)
         await one.streams.held.acquire()

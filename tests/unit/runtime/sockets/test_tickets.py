@@ -48,7 +48,9 @@ def test_a_ticket_of_another_process_proves_nothing() -> None:
     assert Issuer().tickets.proof_of(ticket) == {}
 
 
-def test_above_the_limit_new_certificates_get_none_until_others_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_above_the_limit_new_certificates_get_no_ticket_until_old_tickets_have_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(tickets, "TICKETS_MAX", 3)
     one = Issuer()
     first, second, _ = (one.tickets.issue(shown(number)) for number in (1, 2, 9))

@@ -66,7 +66,7 @@ async def test_the_client_on_asyncio_exchanges_messages_of_all_lengths(port: Ope
         call.cancel()
 
 
-async def test_a_host_whose_certificate_names_another_address_gets_nothing(port: Open) -> None:
+async def test_a_client_sends_nothing_to_a_host_whose_certificate_names_another_address(port: Open) -> None:
     async with port() as one:
         route, number = route_to(one, host="rig.example")
         with pytest.raises(ssl.SSLCertVerificationError, match=r"rig\.example"):
@@ -92,7 +92,7 @@ def of_an_old_version() -> ssl.SSLContext:
 
 
 @pytest.mark.parametrize("fault", ["no certificate", "another authority", "TLS 1.2"])
-async def test_a_caller_without_a_certificate_of_the_cluster_is_not_greeted(
+async def test_the_port_sends_no_greeting_to_a_caller_without_a_certificate_of_the_cluster(
     port: Open, tmp_path: Path, fault: str
 ) -> None:
     contexts = {
@@ -109,7 +109,7 @@ async def test_a_caller_without_a_certificate_of_the_cluster_is_not_greeted(
 
 
 @pytest.mark.parametrize("sent", [b"", b"\x16", b"GET / HTTP/1.1\r\n\r\n", b"\x00" * 1000])
-async def test_a_caller_that_does_not_finish_the_handshake_is_let_go(port: Open, sent: bytes) -> None:
+async def test_a_caller_that_does_not_finish_the_handshake_is_disconnected(port: Open, sent: bytes) -> None:
     async with port(limits=Limits(handshake_millis_max=100)) as one:
         reader, writer = await asyncio.open_connection("localhost", int(one.target.rpartition(":")[2]))
         writer.write(sent)
@@ -190,7 +190,7 @@ async def test_the_loop_takes_a_few_steps_of_handshakes_and_then_pauses(monkeypa
     assert taken == list(range(tls_stream.STEPS_AT_ONCE))
 
 
-async def test_a_machine_with_many_handshakes_delays_that_of_another_by_one_step_only() -> None:
+async def test_many_handshakes_of_one_machine_delay_the_handshake_of_another_by_one_step() -> None:
     steps, taken = tls_stream.HandshakeSteps(), list[str]()
     for number in range(10):
         steps.add("10.0.0.3", lambda number=number: taken.append(f"flood {number}"))  # type: ignore[misc]

@@ -39,6 +39,6 @@ def test_the_paths_of_dead_processes_are_removed_and_those_of_live_ones_are_kept
             caller.connect(str(alive))
 
 
-def test_a_path_that_is_too_long_is_refused_with_the_way_out(tmp_path: Path) -> None:
+def test_the_error_for_a_too_long_path_names_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(CannotListen, match="set a shorter"):
         listen_at_new_path(tmp_path / ("x" * 100))

@@ -9,7 +9,7 @@ from stampede_rt_runtime.supervision.systemd import READY, tell_systemd, without
 
 
 @pytest.mark.parametrize("abstract", [False, True])
-def test_the_supervisor_gets_the_state_at_a_path_or_an_abstract_name(
+def test_a_service_reports_its_state_to_the_supervisor_at_a_path_or_an_abstract_name(
     abstract: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = f"@stampede{tmp_path}" if abstract else str(tmp_path / "notify")
@@ -36,6 +36,6 @@ def test_without_a_supervisor_nothing_is_reported(
     assert caplog.records == []
 
 
-def test_a_child_process_learns_nothing_of_the_supervisor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_child_process_does_not_inherit_the_supervisors_variables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", "/run/notify")
     assert "NOTIFY_SOCKET" not in without_supervisor()

@@ -41,7 +41,7 @@ def local(tmp_path: Path, name: str) -> list[str]:
 
 @pytest.mark.parametrize("steps", range(4))
 @pytest.mark.asyncio
-async def test_a_host_that_is_killed_between_any_steps_of_a_move_loses_and_doubles_nothing(
+async def test_a_host_killed_between_any_two_steps_of_a_move_neither_loses_nor_repeats_items(
     tmp_path: Path, steps: int
 ) -> None:
     store = FakeStore()
@@ -61,7 +61,7 @@ async def test_a_host_that_is_killed_between_any_steps_of_a_move_loses_and_doubl
 
 
 @pytest.mark.asyncio
-async def test_the_next_owner_reads_what_had_moved_and_the_former_one_cannot_disturb_it(tmp_path: Path) -> None:
+async def test_the_next_owner_reads_the_moved_files_and_the_former_owner_cannot_change_them(tmp_path: Path) -> None:
     store = FakeStore()
     former = host(tmp_path, "a", store, 1)
     write_closed(former, 1)
@@ -81,14 +81,15 @@ async def test_the_next_owner_reads_what_had_moved_and_the_former_one_cannot_dis
 
 
 @pytest.mark.asyncio
-async def test_the_new_host_of_a_moved_channel_takes_over_the_last_files_of_the_former_one(tmp_path: Path) -> None:
+async def test_the_new_host_of_a_moved_channel_takes_over_the_last_files_of_the_former_host(tmp_path: Path) -> None:
     store = FakeStore()
     former = host(tmp_path, "a", store, 1)
     write_closed(former, 1)
     await move(former, store)
     write(former, 5, 3)
     new = host(tmp_path, "b", store, 2)
-    new.write([[ArchivedRun(9, decode(cut(b"7", 1, 2)))]], ArchiveLimits(None, None))  # memory began amid a run
+    # the archive of the new host begins in the middle of a run
+    new.write([[ArchivedRun(9, decode(cut(b"7", 1, 2)))]], ArchiveLimits(None, None))
     assert found_by(new) == [1, 2, 3, 4, 8, 9]
     assert new.lacks_items(10)
     window = new.load(new.segments, ALL, decode, lambda: None)
@@ -103,7 +104,7 @@ async def test_the_new_host_of_a_moved_channel_takes_over_the_last_files_of_the_
 
 
 @pytest.mark.asyncio
-async def test_the_new_host_of_an_idle_channel_gets_the_last_files_of_the_former_one_and_none_of_its_lost_items(
+async def test_the_new_host_of_an_idle_channel_takes_over_the_last_files_but_not_the_lost_items_in_them(
     tmp_path: Path,
 ) -> None:
     store = FakeStore()
@@ -123,7 +124,7 @@ async def test_the_new_host_of_an_idle_channel_gets_the_last_files_of_the_former
 
 
 @pytest.mark.asyncio
-async def test_limits_remove_objects_and_only_those_of_the_channel(tmp_path: Path) -> None:
+async def test_limits_remove_only_objects_of_the_channel(tmp_path: Path) -> None:
     store = FakeStore()
     foreign = {PREFIX + "notes.txt": b"mine", "channels/ff/1.segment": b"x", "other": b"y", PREFIX + "a/b": b"z"}
     store.objects.update(foreign)
@@ -161,7 +162,7 @@ async def test_the_list_of_objects_on_the_disk_does_not_grow_with_the_objects_th
 
 
 @pytest.mark.asyncio
-async def test_a_flipped_bit_in_an_object_costs_its_block_only_and_a_flipped_index_nothing(tmp_path: Path) -> None:
+async def test_a_flipped_bit_in_a_block_loses_this_block_and_one_in_the_index_loses_nothing(tmp_path: Path) -> None:
     store = FakeStore()
     files = host(tmp_path, "a", store, 1)
     segments = write_closed(files, 1, 3)
@@ -175,7 +176,7 @@ async def test_a_flipped_bit_in_an_object_costs_its_block_only_and_a_flipped_ind
 
 
 @pytest.mark.asyncio
-async def test_an_object_cut_at_any_byte_answers_with_the_whole_blocks_and_no_error(tmp_path: Path) -> None:
+async def test_of_an_object_cut_at_any_byte_the_host_reads_all_complete_blocks_without_an_error(tmp_path: Path) -> None:
     store = FakeStore()
     files = host(tmp_path, "a", store, 1)
     write_closed(files, 1, 3)
@@ -188,7 +189,7 @@ async def test_an_object_cut_at_any_byte_answers_with_the_whole_blocks_and_no_er
 
 
 @pytest.mark.asyncio
-async def test_damage_in_the_cache_on_disk_is_found_and_the_object_is_read_again(tmp_path: Path) -> None:
+async def test_a_host_notices_damage_in_its_cache_on_disk_and_reads_the_object_again(tmp_path: Path) -> None:
     store = FakeStore()
     files = host(tmp_path, "a", store, 1)
     write_closed(files, 1, 3)
@@ -202,7 +203,7 @@ async def test_damage_in_the_cache_on_disk_is_found_and_the_object_is_read_again
 
 
 @pytest.mark.asyncio
-async def test_an_object_of_the_same_name_with_other_bytes_is_neither_overwritten_nor_believed(tmp_path: Path) -> None:
+async def test_a_host_neither_overwrites_nor_reads_an_object_of_the_same_name_with_other_bytes(tmp_path: Path) -> None:
     store = FakeStore()
     files = host(tmp_path, "a", store, 1)
     write_closed(files, 1)
@@ -211,7 +212,7 @@ async def test_an_object_of_the_same_name_with_other_bytes_is_neither_overwritte
     with pytest.raises(FileExistsError, match="other bytes"):
         await move(files, store)
     assert store.objects == {packed.name: b"something else"}
-    assert found_by(host(tmp_path, "a", store, 2)) == [1, 2, 3, 4]  # the file counts
+    assert found_by(host(tmp_path, "a", store, 2)) == [1, 2, 3, 4]  # the host reads the file, not the object
 
 
 @pytest.mark.asyncio
@@ -239,7 +240,7 @@ async def test_an_archive_of_10_000_objects_opens_with_one_listing(
     assert store.calls == [f"find {PREFIX}"]
 
 
-def test_a_store_that_is_away_refuses_to_open_a_channel_with_a_reason(tmp_path: Path) -> None:
+def test_opening_a_channel_fails_with_a_reason_while_the_object_store_is_unreachable(tmp_path: Path) -> None:
     store = FakeStore()
     store.failure = "the network is down"
     with pytest.raises(StoreError, match="network is down"):
@@ -268,7 +269,7 @@ async def test_objects_that_leave_the_archive_together_take_one_write_of_the_lis
 
 
 @pytest.mark.asyncio
-async def test_a_store_that_fails_while_a_host_takes_over_the_last_files_costs_no_item(tmp_path: Path) -> None:
+async def test_no_item_is_lost_if_the_store_fails_while_a_host_takes_over_the_last_files(tmp_path: Path) -> None:
     store = FakeStore()
     former = host(tmp_path, "a", store, 1)
     write_closed(former, 1)

@@ -1,4 +1,4 @@
-"""Over a socket a host answers single puts and short gets in the turn of the event loop in which they come."""
+"""Over a socket a host answers single puts and short gets in the same turn of the event loop in which they arrive."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PRODUCER = 7
 
 @pytest.fixture(autouse=True)
 def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine one answer may take longer than the budget."""
+    """Remove the time budget of a turn: on a busy machine one answer may take longer."""
     monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
 
 
@@ -131,7 +131,7 @@ async def test_a_put_that_may_wait_for_room_is_passed_to_the_stream() -> None:
         assert stream.send(put_of(channel, 3)) == [], "the second put comes first"
 
 
-async def test_no_put_is_answered_out_of_the_middle_of_a_request_in_pieces() -> None:
+async def test_a_put_between_the_pieces_of_another_request_is_refused() -> None:
     async with stream_of("Put") as (stream, channel):
         pieces = list(messages_of(put_of(channel, 1, bytes(400_000))))
         assert stream.send(pieces[0]) == []
@@ -179,7 +179,7 @@ async def test_a_message_that_cannot_be_decoded_ends_the_stream(method: str) -> 
         assert f"not a valid {method}Request message".encode() in status
 
 
-async def test_beyond_the_budget_of_a_turn_messages_go_to_the_stream_and_the_next_turn_has_a_new_one(
+async def test_messages_beyond_the_budget_of_a_turn_are_answered_later_and_the_next_turn_has_a_new_budget(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with stream_of("Put") as (stream, channel):

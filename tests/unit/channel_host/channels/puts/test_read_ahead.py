@@ -1,4 +1,4 @@
-"""Requests that the host reads while a put waits count as its memory, too."""
+"""While a put waits, the host reads further requests of the stream. They count as memory of the host."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Requests:
     """A stream of equal requests without end."""
 
     def __init__(self, request: bytes) -> None:
-        self.reads = self.let_go_calls = 0
+        self.reads = self.release_calls = 0
         self._request = request
 
     async def read(self) -> Any:
@@ -30,7 +30,7 @@ class Requests:
         return self._request
 
     def release(self) -> None:
-        self.let_go_calls += 1
+        self.release_calls += 1
 
 
 async def turns() -> None:
@@ -46,11 +46,11 @@ async def test_requests_read_ahead_are_charged_until_they_are_handled_or_the_str
     ahead.start()
     await turns()
     assert memory.used_bytes == 4 * 2**20
-    await ahead.next()  # it may still have to wait for the turn of its caller
+    await ahead.next()  # the host has not handled this request yet: its caller may have to wait for its turn
     assert memory.used_bytes == 4 * 2**20
     ahead.release()
     assert memory.used_bytes == 3 * 2**20
-    assert requests.let_go_calls
+    assert requests.release_calls
     await ahead.next()
     ahead.close()
     assert memory.used_bytes == 0
@@ -62,7 +62,7 @@ async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used
     for one in streams:
         one.start()
     await turns()
-    assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # one request more on each
+    assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # each stream reads one request beyond the limit
     before = requests.reads
     Charge(memory).set(3 * 2**20)
     late = ReadAhead(requests, memory, unlimited())
@@ -82,7 +82,7 @@ async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used
         one.start()
     await turns()
     assert not account.has_room(Quota.BYTES_IN_FLIGHT)
-    assert requests.reads <= 2 + len(ahead)  # one request more on each
+    assert requests.reads <= 2 + len(ahead)  # each stream reads one request beyond the limit
     for one in ahead:
         one.close()
     assert account.has_room(Quota.BYTES_IN_FLIGHT, 2 * 2**20)
@@ -95,7 +95,7 @@ def large_blocks(size: int) -> int:
     )
 
 
-async def test_a_stream_that_waits_for_its_next_put_does_not_hold_the_last_request() -> None:
+async def test_a_stream_that_waits_for_its_next_put_has_freed_the_memory_of_the_last_request() -> None:
     async with running_host(memory_bytes_max=2**20) as rig:
         channel = await rig.open()
         call: Any = rig.connection.stream_stream(PUT_METHOD, response_deserializer=pb.PutResponse.FromString)()

@@ -1,4 +1,4 @@
-"""Readers of one channel beside a reader that takes nothing, without gRPC. Counts turns of the event loop, not time."""
+"""Readers of one channel, one of which stalls. There is no gRPC. The tests count turns of the event loop, not time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Store:
 
 
 class Stream:
-    """Takes all messages at once, or the first one only."""
+    """A stream to a reader that takes all messages at once, or only the first one."""
 
     def __init__(self, *, stalls: bool = False) -> None:
         self.taken: list[bytes] = []
@@ -47,7 +47,7 @@ class Stream:
 
     async def read(self) -> bytes:
         await asyncio.Event().wait()
-        raise AssertionError("nobody ends the wait")
+        raise AssertionError("nothing ends this wait")
 
     async def write(self, message: bytes) -> None:
         if self._stalls and self.taken:
@@ -57,7 +57,7 @@ class Stream:
 
 
 async def turns_of_puts(streams: list[Stream]) -> tuple[list[int], HostedChannel]:
-    """For each put, the turns of the event loop until every stream that takes messages has its message."""
+    """Put items. Returns for each put the turns of the event loop until all streams that do not stall have the item."""
     store = Store()
     record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(Policy(max_items=4)))
     channel = HostedChannel(recorded_channel(record), MemoryBudget(2**30), store.now, begin=store.scheduler.begin)
@@ -90,14 +90,14 @@ async def turns_until(condition: Any) -> int:
     raise AssertionError("the messages did not come")
 
 
-async def test_a_stalled_reader_costs_the_others_no_turn_of_the_event_loop() -> None:
-    alone, _ = await turns_of_puts([Stream() for _ in range(READERS)])
-    beside, channel = await turns_of_puts([Stream(stalls=True), *(Stream() for _ in range(READERS))])
-    assert beside[1:] == alone[1:]  # the first put wakes the stalled reader for the last time
+async def test_while_one_reader_stalls_the_others_get_items_in_as_few_turns_of_the_event_loop() -> None:
+    without, _ = await turns_of_puts([Stream() for _ in range(READERS)])
+    with_stalled, channel = await turns_of_puts([Stream(stalls=True), *(Stream() for _ in range(READERS))])
+    assert with_stalled[1:] == without[1:]  # the first put wakes the stalled reader for the last time
     assert channel.deliveries.encodings == PUTS
 
 
-async def test_a_stalled_reader_is_offered_one_message() -> None:
+async def test_the_host_writes_one_message_more_to_a_stalled_reader() -> None:
     stalled = Stream(stalls=True)
     await turns_of_puts([stalled, Stream()])
     assert 1000 < stalled.offered_bytes < 1200

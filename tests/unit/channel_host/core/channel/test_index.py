@@ -13,7 +13,7 @@ Entries = list[tuple[int, int]]
 
 
 def fill(index: ChannelIndex, rng: random.Random, runs: int, late: int) -> Entries:
-    """Runs of up to 8 items, each beginning up to `late` behind the one before; the (time, seq) of all, sorted."""
+    """Insert runs of up to 8 items, each at most `late` behind the newest time. Returns all (time, seq), sorted."""
     entries: Entries = []
     time = 0
     for _ in range(runs):
@@ -25,7 +25,7 @@ def fill(index: ChannelIndex, rng: random.Random, runs: int, late: int) -> Entri
     return sorted(entries)
 
 
-def test_the_slices_of_any_two_places_are_the_items_between_them_in_order() -> None:
+def test_the_slices_between_any_two_keys_have_the_items_between_them_in_order() -> None:
     rng, index = random.Random(1), ChannelIndex()
     entries = fill(index, rng, 3000, late=60)
     for _ in range(30):
@@ -46,7 +46,7 @@ def test_the_slices_by_seq_are_the_items_in_the_order_in_which_they_came() -> No
         assert seqs_of(list(index.slices_by_seq(low, high, floor))) == expected
 
 
-def test_neighbouring_times_are_found_at_between_and_beyond_items() -> None:
+def test_the_next_and_the_last_time_are_found_for_any_instant() -> None:
     rng, index = random.Random(3), ChannelIndex()
     times = [time for time, _ in fill(index, rng, 1500, late=30)]
     for instant in range(times[0] - 1, times[0] + 800):
@@ -55,14 +55,14 @@ def test_neighbouring_times_are_found_at_between_and_beyond_items() -> None:
     assert index.next_time(times[-1]) is None
 
 
-def test_runs_in_order_make_one_entry_each() -> None:
+def test_each_run_that_comes_in_order_makes_one_entry() -> None:
     index = ChannelIndex()
     for first in range(0, 10_000, 100):
         index.insert(make_run(first + 1, range(first, first + 100), None, [1] * 100, b""))
     assert len(index) == 100
 
 
-def test_a_late_item_splits_the_run_that_it_falls_into_and_shares_it() -> None:
+def test_a_late_item_splits_the_run_into_whose_times_it_falls() -> None:
     index = ChannelIndex()
     index.insert(make_run(1, [10, 20, 30], None, [1, 1, 1], b"early"))
     index.insert(make_run(4, [20], None, [1], b"late"))

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_afte
 
 
 class CountedKeys(SortedList):  # type: ignore[misc]
-    """Counts the keys that are read."""
+    """Counts the keys that its users read."""
 
     read = 0
 
@@ -28,7 +28,7 @@ class CountedKeys(SortedList):  # type: ignore[misc]
         return self._counted(super().irange(*args, **kwargs))
 
 
-def test_keys_of_a_part_are_read_only_when_a_caller_takes_the_part() -> None:
+def test_the_keys_of_a_part_are_read_when_the_caller_takes_the_part() -> None:
     keys = CountedKeys(range(1000))
     parts = batched_keys(keys, 10)
     assert keys.read == 0
@@ -47,7 +47,7 @@ def test_keys_may_be_added_and_removed_between_two_parts() -> None:
     assert [*chain.from_iterable(parts)] == [10, 11, *range(14, 38, 2)]
 
 
-def test_the_rest_of_each_work_is_done_one_after_the_other_after_a_pause() -> None:
+def test_after_a_pause_the_rests_of_several_works_are_done_one_after_another() -> None:
     done: list[str] = []
 
     def work(name: str, pieces: int) -> Pieces[None]:
