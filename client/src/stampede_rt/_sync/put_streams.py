@@ -14,11 +14,14 @@ from stampede_rt.transports.concurrency_sync import Mutex, live_thread_ids, thre
 from stampede_rt.transports.grpc_sync import PutExchange
 
 STREAMS_MAX = 512  # the most streams of puts of one connection
-LINES_MAX = 16  # streams of one owner and thread at the same time, for puts with different deadlines
+OWNER_STREAMS_MAX = 16  # the most open streams of one owner and thread, for puts with different deadlines
 Owner = int | tuple[object, str]
-"""The owner of a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""
+"""The owner of a stream. A handle that owns streams is named by its id.
+
+All other handles share one owner: the kind of put, with the host's address.
+"""
 StreamKey = tuple[Owner, int, int]
-"""The owner, the thread, and the number of the stream among those of both."""
+"""The owner, the thread, and the number of the stream among the streams of this owner and thread."""
 _handle_ids = itertools.count(1)
 
 
@@ -38,12 +41,12 @@ class PutStream:
         self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
-        """Whether the stream is open and goes to the host of `binding`, and a new one would not be faster."""
+        """Whether a put to the host of `binding` may use the stream. If not, a new one replaces it."""
         is_behind = not self.puts and self.exchange.is_outdated
         return self.target == binding.target and not self.exchange.broken and not is_behind
 
     def is_free(self, ends_s: float) -> bool:
-        """Whether a put that gives up at `ends_s` waits for no put that gives up later."""
+        """Whether all puts under way give up by `ends_s`, so that a new put can end by then, too."""
         return not self.puts or (self.ends_s <= ends_s and not self.exchange.one_at_a_time)
 
 
@@ -52,7 +55,8 @@ class PutStreams:
     for the longest time.
 
     A put that waits for room blocks later puts on its stream. A handle whose puts may wait therefore has streams of its
-    own, unless a thread has only one put under way in any case. A put with an earlier deadline uses another of these
+    own. The blocking client needs
+    none, because each of its threads has only one put under way. A put with an earlier deadline uses another of these
     streams, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
     order (decision 0150).
     """
@@ -80,7 +84,7 @@ class PutStreams:
         self, owner: Owner, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
     ) -> tuple[StreamKey, PutStream]:
         """Note that a put begins, and return its stream with the key. `end` must follow. The arguments: see `use`."""
-        key = self._line(owner, ends_s)
+        key = self._key_of_free(owner, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
             stream = self._replace(key, PutStream(binding.target, open_stream()))
@@ -92,24 +96,24 @@ class PutStreams:
         return key, stream
 
     def end(self, key: StreamKey, stream: PutStream) -> None:
-        """Note that a put has ended. If the stream was closed meanwhile, end it with its last put."""
+        """Note that a put has ended. If the stream was closed meanwhile, its last put ends it."""
         with self._mutex:
             stream.puts -= 1
             over = not stream.puts and self._streams.get(key) is not stream
         if over:
             stream.exchange.cancel()
 
-    def _line(self, owner: Owner, ends_s: float) -> StreamKey:
+    def _key_of_free(self, owner: Owner, ends_s: float) -> StreamKey:
         """Return the key of a stream on which no put waits beyond `ends_s`. The stream may not exist yet.
 
-        If all LINES_MAX streams of the owner and thread are busy with longer waits, returns the key of the last one.
+        If all streams of the owner and thread are busy with longer waits, returns the key of the last one.
         """
         caller = thread_id()
-        for line in range(LINES_MAX - 1):
-            stream = self._streams.get((owner, caller, line))
+        for number in range(OWNER_STREAMS_MAX - 1):
+            stream = self._streams.get((owner, caller, number))
             if stream is None or stream.is_free(ends_s):
-                return owner, caller, line
-        return owner, caller, LINES_MAX - 1
+                return owner, caller, number
+        return owner, caller, OWNER_STREAMS_MAX - 1
 
     def _replace(self, key: StreamKey, stream: PutStream) -> PutStream:
         with self._mutex:

@@ -27,8 +27,8 @@ from stampede_rt.wire.reads import (
     summary_reason,
 )
 
-COPY_TIMEOUT_S = 2.0  # a copy that does not answer for this time, beyond the wait of the read, is given up
-# The reasons with which items may still come into the interval. LOST: the producer may put the lost items again.
+COPY_TIMEOUT_S = 2.0  # after the wait of the read and this time, the client gives up a copy that has not answered
+# With these reasons, items may still come into the interval. LOST: the producer may put the lost items again.
 _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 
 

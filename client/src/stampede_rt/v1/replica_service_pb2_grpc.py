@@ -27,8 +27,8 @@ if _version_not_supported:
 
 class ReplicaServiceStub(object):
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     def __init__(self, channel):
@@ -46,15 +46,15 @@ class ReplicaServiceStub(object):
 
 class ReplicaServiceServicer(object):
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     def Feed(self, request_iterator, context):
         """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
         copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
-        item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
-        meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+        item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
+        the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
         stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
         (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
         SHUTTING_DOWN, PERMISSION_DENIED,
@@ -82,8 +82,8 @@ def add_ReplicaServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class ReplicaService(object):
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     @staticmethod

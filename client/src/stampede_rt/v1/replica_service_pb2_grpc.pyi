@@ -28,8 +28,8 @@ GRPC_VERSION: str
 
 class ReplicaServiceStub:
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     @_typing.overload
@@ -39,8 +39,8 @@ class ReplicaServiceStub:
     Feed: _grpc.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]
     """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
     copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
-    item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
-    meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+    item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
+    the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
     stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
     (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
     SHUTTING_DOWN, PERMISSION_DENIED,
@@ -50,16 +50,16 @@ class ReplicaServiceStub:
 @_typing.type_check_only
 class ReplicaServiceAsyncStub(ReplicaServiceStub):
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Feed: _aio.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]  # type: ignore[assignment]
     """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
     copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
-    item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
-    meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+    item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
+    the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
     stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
     (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
     SHUTTING_DOWN, PERMISSION_DENIED,
@@ -68,8 +68,8 @@ class ReplicaServiceAsyncStub(ReplicaServiceStub):
 
 class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
     """Copies of channels on the hosts, on the gatekeeper's port (paper, section 4.1: proxies). A copy begins when a client
-    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). It ends when
-    the directory no longer has it.
+    first binds the channel at a host for which the directory has a copy (GatekeeperService.BindChannel). The copy
+    ends when the directory no longer has it.
     """
 
     @_abc_1.abstractmethod
@@ -80,8 +80,8 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_replica_service_pb2.FeedResponse], _abc.AsyncIterator[_replica_service_pb2.FeedResponse]]:
         """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
         copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
-        item once, together with its present state. It keeps no queue: a slow copy misses the items that left the source
-        meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
+        item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
+        the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
         stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
         (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
         SHUTTING_DOWN, PERMISSION_DENIED,

@@ -161,7 +161,7 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
 def channel_stats(
     status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None, transport: str | None = None
 ) -> ChannelStats:
-    """Return a channel's counters, as callers see them, and the caller's own findings."""
+    """Return a channel's counters, as callers see them. The client has measured the offset and knows the transport."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,
@@ -216,7 +216,7 @@ def copy_stats(copy: channel_pb2.FedCopyStatus) -> CopyStats:
 
 
 def with_users(stats: ChannelStats, response: channel_service_pb2.GetChannelStatusResponse) -> ChannelStats:
-    """Return the counters with the channel's readers and writers, if the response tells them."""
+    """Return the counters with the channel's readers and writers, if the response has them."""
     if not response.HasField("users"):
         return stats
     users = response.users
@@ -238,7 +238,7 @@ def proxy_info(
 ) -> ProxyInfo:
     """Return a proxy, as callers see it.
 
-    `hosts` has the hosts by id. `status`: of the copy; None: it did not answer.
+    `hosts` has the hosts by id. `status` is the status of the copy, or None if the copy's host did not answer.
     """
     names = {host_id: host.name for host_id, host in hosts.items()}
     host, source = names.get(replica.host_id, ""), names.get(replica.source_host_id, "")
