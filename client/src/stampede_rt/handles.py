@@ -32,6 +32,6 @@ class BoundToProcess:
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise TypeError(
-            f"a {type(self).__name__} works in this process alone and cannot be copied or pickled; pass its channel, "
+            f"a {type(self).__name__} works only in this process and cannot be copied or pickled; pass its channel, "
             "group or queue instead, and make a new one there"
         )

@@ -155,7 +155,7 @@ def _from_status(encoded: bytes) -> StampedeError | None:
         status = rpc_status_pb2.Status.FromString(encoded)
         found = next((one for one in status.details if one.type_url == _ERROR_INFO_URL), None)
         info = None if found is None else rpc_status_pb2.ErrorInfo.FromString(found.value)
-    except DecodeError:  # then the status code alone explains the failure
+    except DecodeError:  # then only the status code explains the failure
         return None
     return None if info is None else error_for(info.reason, status.message, dict(info.metadata))
 

@@ -253,8 +253,8 @@ def connect(
     - `tls`: the certificates, if the cluster asks for them.
     - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible, else
       over gRPC, and from memory shared with the host once a program reads a channel often. "grpc": always over gRPC.
-      "socket": over Unix or TCP sockets, with an error where that is not possible. "tcp": as "socket", but over TCP
-      alone. "shared": over Unix sockets, and from shared memory from the first read on, with an error where a host
+      "socket": over Unix or TCP sockets, with an error where that is not possible. "tcp": as "socket", but only
+      over TCP. "shared": over Unix sockets, and from shared memory from the first read on, with an error where a host
       shares none. Default: `$STAMPEDE_TRANSPORT`, else "best".
 
     Blocks for at most 5 s.

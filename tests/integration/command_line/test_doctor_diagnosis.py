@@ -217,7 +217,7 @@ def test_a_running_majority_without_a_leader_is_not_reported_as_missing_supernod
 
 def test_a_cluster_without_folders_is_reported_but_not_as_a_fault() -> None:
     quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in WELL], "quorum")
-    assert (quorum.state, quorum.advice) == ("3 of 3 serve, in memory alone", "")
+    assert (quorum.state, quorum.advice) == ("3 of 3 serve, only in memory", "")
 
 
 def test_the_advice_after_the_loss_of_all_supernodes_names_its_chapter() -> None:

@@ -128,7 +128,7 @@ def test_a_past_cut_that_a_dropped_archive_does_not_tell_is_named_as_collected(r
     assert rig.left.oldest().payload[:2] != b"0\0"  # the archive has dropped the first ones
     found = rig.group.get(st.OLDEST, st.NOW, as_of=instants[2])
     assert [(len(items), items.reason) for items in found.values()] == [(0, "COLLECTED")] * 2
-    assert "dropped/left held back the cut of then" in found[rig.right].reason.detail
+    assert "dropped/left held back the earlier cut" in found[rig.right].reason.detail
     newest = rig.group.newest(as_of=instants[2])
     assert [newest[channel] for channel in newest] == [None, None]
     assert {channel.name: reason for channel, reason in newest.reasons.items()} == {
@@ -156,7 +156,7 @@ def test_a_past_cut_whose_newest_item_is_damaged_is_named_as_lost(rt: st.Connect
         file.write(b"D")
     right = rig.group[rig.right].get(st.OLDEST, st.NOW, as_of=instant)
     assert ([item.payload for item in right], right.reason) == ([b"%d" % number for number in range(4)], "LOST")
-    assert "damaged/left held back the cut of then" in right.reason.detail
+    assert "damaged/left held back the earlier cut" in right.reason.detail
     found = rig.group.newest(as_of=instant)
     assert (found[rig.right].payload, found.reasons[rig.right]) == (b"3", "LOST")
     whole = rig.group[rig.right].get(rig.began, rig.began + 20 * MS, as_of=instant)

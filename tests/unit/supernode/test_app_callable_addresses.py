@@ -51,7 +51,7 @@ def test_a_newcomer_that_others_cannot_call_may_not_join_members_elsewhere(
     words = ("--listen", address) if option == "--listen" else ("--listen", "0.0.0.0:7590", "--advertise", address)
     assert join(tmp_path / "s9", *words) == 2
     said = capsys.readouterr().err
-    assert f"{address} can be called from its own machine alone" in said
+    assert f"{address} can be called only from its own machine" in said
     assert f"s1 at {ELSEWHERE}" in said
     assert "give --listen or --advertise the address at which they reach this supernode" in said
     assert not (tmp_path / "s9").exists()
@@ -64,7 +64,7 @@ def test_a_newcomer_elsewhere_may_not_join_members_that_it_cannot_call(
     cluster_at(address, monkeypatch=monkeypatch)
     assert join(tmp_path / "s9", "--listen", ELSEWHERE) == 2
     said = capsys.readouterr().err
-    assert f"s1 at {address} can be called from its own machine alone" in said
+    assert f"s1 at {address} can be called only from its own machine" in said
     assert "stampede supernode init --advertise" in said
     assert not (tmp_path / "s9").exists()
 

@@ -84,7 +84,7 @@ async def _serve(settings: WebSettings, address: Address, token: str | None) -> 
     config = uvicorn.Config(
         guarded,
         log_config=None,
-        log_level="warning",  # of the server alone; at "info" it tells what the ready line says
+        log_level="warning",  # only for the HTTP server, which at "info" repeats the ready line
         access_log=False,
         server_header=False,
         limit_concurrency=CONNECTIONS_MAX,

@@ -25,8 +25,8 @@ PAGE_ITEMS_FIRST, PAGE_ITEMS_MAX = 16, 1024
 class EarlierPages:
     """The items of `query` as of an instant. Holds their keys, and one page of items.
 
-    A page has items that lie side by side in time, so that a read finds them without others. No step sorts more than
-    one answer of the host: 2^20 keys would hold an event loop for half a second.
+    The items of a page are neighbours in time, so that the interval of a read has no other items. One step sorts
+    at most the keys of one answer of the host: to sort 2^20 keys would hold an event loop for half a second.
     """
 
     def __init__(
@@ -41,9 +41,9 @@ class EarlierPages:
         self._page_items = PAGE_ITEMS_FIRST
 
     async def begin(self) -> PastState | None:
-        """Find the items. Returns the facts about the channel of then. Raises Overloaded beyond KEYS_MAX.
+        """Find the items. Returns the facts about the channel at that instant. Raises Overloaded beyond KEYS_MAX.
 
-        After an error or a cancel it begins anew.
+        If the last call failed or was cancelled, this call begins anew.
         """
         del self._times[:], self._seqs[:], self._ahead[:]
         sorted_pages: list[array[int]] = []
@@ -54,8 +54,8 @@ class EarlierPages:
             sorted_pages.append(array("I", sorted(range(begin, len(self._seqs)), key=self._seqs.__getitem__)))
             if len(self._times) > KEYS_MAX:
                 raise Overloaded(
-                    f"channel {self._name!r} had more than {KEYS_MAX} items from the start of the subscription "
-                    "on when the replay began; subscribe with a later start=, or replay from an earlier instant"
+                    f"channel {self._name!r} had more than {KEYS_MAX} items after the start of the subscription "
+                    "when the replay began; subscribe with a later start=, or replay from an earlier instant"
                 )
             if not page.more:
                 self._order = heapq.merge(*sorted_pages, key=self._seqs.__getitem__)
@@ -66,7 +66,7 @@ class EarlierPages:
         after = self._accepted_after
         if after is not None and page.incarnation != after.incarnation:
             raise IncarnationLost(
-                f"channel {self._name!r} is incarnation {page.incarnation:x}, and the item to subscribe after is of "
+                f"channel {self._name!r} is incarnation {page.incarnation:x}, and the item given as after= is of "
                 f"incarnation {after.incarnation:x}; subscribe with start="
             )
         low = 0 if after is None else after.seq + 1
@@ -75,9 +75,9 @@ class EarlierPages:
         self._seqs.extend(seq for _, seq in kept)
 
     async def take(self) -> list[Item]:
-        """Return the next items; none after the last one. Leaves out items that the archive does not have any more.
+        """Return the next items; none after the last one. Leaves out items that the archive no longer has.
 
-        After an error or a cancel the next call returns the same items.
+        If a call fails or is cancelled, the next call returns the same items.
         """
         while places := self._next_places():
             items = await self._page(places)
@@ -97,7 +97,7 @@ class EarlierPages:
         return sorted(items, key=lambda one: one.seq)
 
     def _next_places(self) -> list[int]:
-        """The places of the next items as long as each is beside the one before."""
+        """The places of the next items, up to the first one that is not the neighbour of the item before it."""
         ahead, end = self._ahead, 1
         ahead.extend(islice(self._order, max(0, self._page_items - len(ahead))))
         while end < min(len(ahead), self._page_items) and ahead[end] == ahead[end - 1] + 1:

@@ -102,7 +102,7 @@ class MulticastSubscription(Subscription):
             _log.info("the subscription to channel %r does without multicast: %s", self._state.info.name, error)
             self._leave()
             return
-        except BaseException:  # the step is cancelled: without another stream nobody would hear the datagrams
+        except BaseException:  # the step is cancelled: without another stream the client would not receive datagrams
             self._reopen()
             raise
         assert self._decoder is not None, "the stream is open"
@@ -128,7 +128,7 @@ class MulticastSubscription(Subscription):
     async def _follow(self, receiving: Receiving, socket: GroupSocket) -> None:
         """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
         now_s = monotonic_s()
-        if self._session.closed:  # only the stream tells it, and nobody reads the stream
+        if self._session.closed:  # only the stream raises this error, and no step reads the stream
             self._reopen()
             return
         receiving.pace.looks(now_s)
@@ -161,7 +161,7 @@ class MulticastSubscription(Subscription):
         try:
             while self._asked_seq and self._receiving is receiving and not self._closed:
                 await self._receive()
-        except BaseException:  # a cancelled step ends the stream. Nobody who follows datagrams would notice
+        except BaseException:  # a cancelled step ends the stream, and a reader of datagrams would not notice this
             self._reopen()
             raise
         receiving.pace.asked()

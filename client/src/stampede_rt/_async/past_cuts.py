@@ -1,4 +1,4 @@
-"""The cut of a group as it was at an earlier instant, computed from what its recorded members had accepted by then."""
+"""The cut of a group as it was at an earlier instant, computed from the items that its members had accepted by then."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ async def _mark_in_group(group: GroupMembers, channel: Channel, as_of: int) -> P
 
 
 def _denied(group: GroupMembers, channel: Channel, error: PermissionDenied) -> PermissionDenied:
-    """Return the error that says for what the caller needs the right."""
+    """Return the error that names the group and the channel for which the caller needs the right."""
     return PermissionDenied(
-        f"as_of: the cut of then of group {group.name!r} needs the right to read its channel {channel.name!r}: "
+        f"as_of: the earlier cut of group {group.name!r} needs the right to read its channel {channel.name!r}: "
         f"{error}; get that right, or read the other channels without the group",
         metadata=error.metadata,
     )

@@ -83,7 +83,7 @@ class ReplayedVisible(ReplayedSteps):
         return None
 
     async def _begin(self) -> None:
-        """Find the cut of then, and how far the members had come."""
+        """Find the cut at that time, and how far the members had come."""
         group, at = self._group, self._at
         self._seen = self._cut = (await as_known(lambda instant: cut_as_of(group, instant), at)).cut
         start, after = self._start, self._after

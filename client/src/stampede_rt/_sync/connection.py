@@ -195,7 +195,7 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> Group:
         """Get or create a group: channels that readers see up to one common cut (paper, section 3.3).
 
-        With the name alone, the call gets an existing group and creates none.
+        With only the name, the call gets an existing group and creates none.
 
         - `reference`: with "oldest" the group has the smallest cut of all members, with a channel the cut of that
           channel.

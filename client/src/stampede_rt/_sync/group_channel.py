@@ -50,7 +50,7 @@ class GroupChannel(Reader):
 
 
 def read_at_past_cut(group: GroupMembers, state: ChannelState, query: ReadQuery, as_of: int) -> tuple[Items, PastCut]:
-    """Read a channel at the group's cut of then. This changes nothing about the cut that the process has seen."""
+    """Read a channel at the group's cut as of an instant. The cut that the process has seen does not change."""
     try:
         past = cut_as_of(group, as_of)
     except (ChannelNotFound, GroupNotFound):

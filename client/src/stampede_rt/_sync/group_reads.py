@@ -20,14 +20,14 @@ from stampede_rt.values.reading import ReadQuery
 
 
 class MembersRead(NamedTuple):
-    """The answer of each member at one cut. `lack`: why the cut of then may have been higher; None: it was not."""
+    """The answer of each member at one cut. `lack`: why the cut may have been higher; None: it was not."""
 
     answers: ByChannel[Channel, Items]
     lack: Reason | None
 
 
 def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
-    """Read all members at the present cut, or with `as_of` at the cut of then."""
+    """Read all members at the present cut, or at the cut as of `as_of`."""
     view, lack = group.view, None
     if query.as_of is None:
         query = replace(query, cut=present_cut(group))

@@ -281,8 +281,8 @@ class Reader(Reference):
         If the channel has proxies, the subscription may be at a proxy, and may move between the owner and the proxies,
         without a gap or a double. With `stale_ok` False the owner serves it.
 
-        With `via="multicast"` the items come from UDP multicast where the host sends it and this machine hears it;
-        otherwise, and what no datagram brings, as always (docs/proxies.md). Needs the extra `stampede-rt[multicast]`.
+        With `via="multicast"` the items come from UDP multicast if the host sends it and this machine receives it. All
+        other items come over the stream (docs/proxies.md). Needs the extra `stampede-rt[multicast]`.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting, flag_of("stale_ok", stale_ok), via)

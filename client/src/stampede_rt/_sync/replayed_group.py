@@ -127,7 +127,7 @@ class ReplayedGroup:
 
 
 class ReplayedGroupChannel(ReplayedChannel):
-    """A descriptor under a virtual clock: a channel as a group showed it. Its NOW is the cut of then."""
+    """A descriptor under a virtual clock: a channel as a group showed it. Its NOW is the cut at the replay's time."""
 
     def __init__(self, group: Group, channel: Channel, clock: VirtualClock, end: int) -> None:
         super().__init__(channel, clock, end, group._members.view)

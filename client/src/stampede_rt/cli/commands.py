@@ -130,7 +130,7 @@ def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:
 
 
 def parser_of(verb: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser of the command line, with the arguments of `verb` alone.
+    """Return the parser of the command line, with only the arguments of `verb`.
 
     If `verb` is not a client's verb, the parser has all verbs, without their arguments. It then prints the help or an
     error.

@@ -170,7 +170,7 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     needed = len(members) // 2 + 1
     if ready >= needed:
         again = f"start {down} again with its data folder, or, if that is lost, replace it (runbook: replace one)"
-        kept = ", in memory alone" if any(one.in_memory for one in running) else ""
+        kept = ", only in memory" if any(one.in_memory for one in running) else ""
         yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve{kept}", again if down else "")
     elif len(running) >= needed:
         yield CheckResult(

@@ -1,4 +1,4 @@
-"""`stampede group match`, and what it shares with the other verbs of groups."""
+"""`stampede group match`, and functions that other verbs of groups use, too."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def add_match_arguments(verb: argparse.ArgumentParser) -> None:
         dest="start",
         type=checked(parse_bound_text),
         metavar="TIME",
-        help="begin with the items from this time on, such as oldest; default: with those that come from now on",
+        help="begin with the items from this time on, for example oldest; default: only items that come from now on",
     )
     add_as_of(verb)
     verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")

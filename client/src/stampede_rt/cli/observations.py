@@ -31,7 +31,7 @@ class Observation:
     - `is_member`: whether the supernodes list this supernode as a member.
     - `archive_failure`: why the archive of a host takes no items of `archive_failing_channels` channels now.
     - `archive_store_failure`: why the object store of the archive of a host failed last.
-    - `in_memory`: whether a supernode keeps the directory in memory alone.
+    - `in_memory`: whether a supernode keeps the directory only in memory.
     - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's certificate, is wrong.
     - `refused_because`: why other supernodes refuse the store of this supernode.
 

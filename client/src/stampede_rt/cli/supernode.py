@@ -27,7 +27,7 @@ from stampede_rt.values.timeline import format_duration
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24  # the longest validity of a token for a joining supernode
 IN_MEMORY_ADVICE = (
-    "This cluster is kept in memory alone, and ends with its processes. If {names} should be of another cluster, start "
+    "This cluster is kept only in memory, and ends with its processes. If {names} should be of another cluster, start "
     "it again with its --data-dir."
 )
 ID_BYTES = 4  # of a random supernode id

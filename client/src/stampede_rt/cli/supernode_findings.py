@@ -18,9 +18,9 @@ IN_DOUBT = "in doubt"
 REFUSED_BY = " (says "  # follows each reason for which another supernode refuses this one
 DOUBT_ADVICE = (
     "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
-    "the leader again, one after the other, with their data folders: an error in memory alone is gone then. If the "
-    "doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let it join "
-    "under a new id"
+    "the leader again, one after the other, with their data folders: an error that was only in memory ends then. "
+    "If the doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let "
+    "it join under a new id"
 )
 # These words are in a text about a supernode whose release does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"

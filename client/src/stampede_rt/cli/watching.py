@@ -73,7 +73,8 @@ _PEERS = _Source(lambda rt, glob: rt.watch_peers(glob), lambda rt, glob: rt.peer
 def _follow(rt: Connection, glob: str, source: _Source, rows: Queue[Any]) -> None:
     """Put all changes, and the error that ends the watch, into the queue. Runs on a thread of its own.
 
-    If supernodes no longer keep the changes since a break, it begins a new watch, and puts what differs from the list.
+    If supernodes no longer keep the changes since a break, it begins a new watch, and puts the
+    differences from the known things.
     """
     known: Known | None = None
     try:

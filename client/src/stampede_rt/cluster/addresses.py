@@ -46,7 +46,7 @@ def _parse_one(address: str) -> str:
     if address.startswith("unix:"):
         return address
     if "/" in address:
-        raise InvalidArgument(f'the address is {address!r}; write a host and a port alone, as in "rig:7580"')
+        raise InvalidArgument(f'the address is {address!r}; write only a host and a port, as in "rig:7580"')
     host, separator, port = address.rpartition(":")
     if not separator or (":" in host and not host.endswith("]")):
         host, port = f"[{address}]" if ":" in address else address, str(DEFAULT_PORT)

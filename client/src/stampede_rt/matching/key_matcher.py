@@ -1,4 +1,4 @@
-"""Matches of items by their keys alone, for readers that get the items from archives. Pure.
+"""Matches of items by only their keys, for readers that get the items from archives. Pure.
 
 It follows the rule of the host's `Matcher`, which also finds the items.
 """

@@ -18,7 +18,7 @@ STREAM_ID_BYTES = 8
 KEY_BYTES = 32
 SIGNATURE_BYTES = 64
 MESSAGE_BYTES_MAX = 2**20
-"""The largest message. Readers get larger items from the host alone."""
+"""The largest message. Readers get larger items only over their streams from the host."""
 
 HEAD = struct.Struct(f">4s{STREAM_ID_BYTES}sHQ")
 _PART = struct.Struct(">BQQHH")

@@ -1,4 +1,4 @@
-"""Certificates in the form of the standard library, for streams over TCP. They take TLS 1.3 alone.
+"""Certificates in the form of the standard library, for streams over TCP. They allow only TLS 1.3.
 
 Client and server both show a certificate. A server's certificate must name the server's address.
 """

@@ -12,7 +12,7 @@ MOVES_MAX = 1000  # the most moves of one plan
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedMove:
-    """A move that would even out the loads of two hosts. `busy_permille`: what the channel takes of a core, about."""
+    """A move that would even out the loads of two hosts. `busy_permille`: about how much of a core the channel uses."""
 
     channel: str
     source: str

@@ -1,4 +1,4 @@
-"""A group's cut of an earlier instant, and what the archives of its members do not tell about it. Pure."""
+"""A group's cut of an earlier instant, and the facts about it that the archives of its members lack. Pure."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def past_cut_of(marks: Sequence[PastMark]) -> PastCut:
     behind = next((one for one in marks if one.lack is not None and _least(one) == low), None)
     lack = None
     if behind is not None and behind.lack is not None and low not in exact:
-        detail = f"channel {behind.name} held back the cut of then, and may have come further: {behind.lack.detail}"
+        detail = f"channel {behind.name} held back the earlier cut, and may have come further: {behind.lack.detail}"
         lack = Reason(behind.lack, detail)
     changes = [one.next_change for one in marks if one.next_change is not None]
     return PastCut(low, lack, min(changes, default=None))

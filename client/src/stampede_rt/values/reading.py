@@ -63,7 +63,7 @@ class ReadQuery:
       `cut` is None, the host reads at the present cut.
     - `max_staleness_nanos` and `least_seq`: the read accepts a copy that is at most this old, and that has the item of
       this seq. If both are None, it accepts no copy.
-    - `as_of`: the answer is as of this instant of the host's clock, and `cut` is a cut of then.
+    - `as_of`: the answer is as of this instant of the host's clock, and `cut` is a cut at that instant.
     - `within_memory`: the read leaves out the items that only the archive of the channel has.
     """
 

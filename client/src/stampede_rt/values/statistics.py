@@ -52,7 +52,7 @@ class WriterStats:
 class MulticastStats:
     """How a subscription with `via="multicast"` gets its items. The counts begin with the subscription.
 
-    `following`: the items come from datagrams now; False: the host sends them to this reader alone. `group`: the
+    `following`: the items come from datagrams now; False: the host sends them only to this reader. `group`: the
     multicast group and port, "ADDRESS:PORT"; empty before the host has named it. `datagrams`: the opened datagrams.
     `items`: the items that came in them. `repairs`: the requests for items that no datagram brought. `repeated`: the
     datagrams and messages that brought nothing new. The others were dropped: `forged` ones, which nobody with the key

@@ -146,7 +146,7 @@ class UnackedRuns:
 
 
 def in_requests(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:
-    """Yield the runs in their order, grouped so that each group fits into one request. A large run is alone."""
+    """Yield the runs in their order, in groups that each fit into one request. A large run has a group of its own."""
     group: list[NumberedRun] = []
     group_bytes = 0
     for run in runs:

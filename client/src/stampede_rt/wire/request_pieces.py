@@ -88,6 +88,6 @@ def _varint(message: bytes, at: int) -> tuple[int, int]:
 
 def _no_piece() -> InvalidArgument:
     return InvalidArgument(
-        "a message with a piece of a request is invalid, or holds something else, too; send each piece alone, encoded "
-        "from channel_service.proto"
+        "a message with a piece of a request is invalid, or holds something else, too; send each piece by itself, "
+        "encoded from channel_service.proto"
     )

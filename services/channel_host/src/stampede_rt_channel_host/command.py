@@ -1,4 +1,4 @@
-"""The entry of `stampede host`. It answers `--help` from the settings alone, and loads the service to run it."""
+"""The entry of `stampede host`. It loads only the settings to answer `--help`, and the service to run it."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ class HostSettings(ServiceSettings):
             parse=parse_group,
             help="an IPv4 multicast group and a port, such as 239.255.7.5:7585, to which the host sends each item once "
             "for all readers of its network that subscribe with via=multicast; all hosts may share one; default: none, "
-            "it sends to each reader alone",
+            "it sends each reader its own copy",
         ),
     )
     multicast_interface: str = field(

@@ -16,7 +16,7 @@ PACKAGE = "stampede_rt.v1"
 _ALL = frozenset(Role)
 _SUPERNODES = frozenset({Role.SUPERNODE})
 _HOSTS = frozenset({Role.HOST})
-# A host may live inside a client's process, and hosts call each other, so a host may do what a client may.
+# A host may live inside a client's process, and hosts call each other, so a host has all rights of a client.
 _CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
 _OPERATORS = frozenset({Role.OPERATOR})
 

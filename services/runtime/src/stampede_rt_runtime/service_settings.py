@@ -1,6 +1,6 @@
 """The settings that all services share.
 
-The help of a service comes from its settings alone. Therefore no module of settings loads gRPC. The methods of this
+The help of a service comes only from its settings. Therefore no module of settings loads gRPC. The methods of this
 module import it only when they run.
 """
 
@@ -111,7 +111,7 @@ class ServiceSettings:
     def load_secret(self) -> Secret | None:
         """The secret, or None if there is none. Reads a file. Raises PermissionDenied.
 
-        With certificates the secret is read only if a setting names its file, because certificates alone suffice.
+        With certificates the secret is read only if a setting names its file, because certificates suffice.
         """
         from stampede_rt_runtime.auth import load_secret
 

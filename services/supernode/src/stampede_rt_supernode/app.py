@@ -86,7 +86,7 @@ async def serve(settings: SupernodeSettings) -> None:
         await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:
         logger.info(
-            "alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir",
+            "the only supernode; keeps everything in memory; a supernode of `init` or `join` needs its --data-dir",
             extra={"event": "kept_in_memory"},
         )
     async with _open_log(settings, founding, server, credentials, replica) as log:
@@ -335,4 +335,4 @@ def _not_a_verb(word: str) -> str:
     if word in ADMINISTRATIVE_VERBS:
         return f"the client runs {word!r}; write: stampede supernode {word}"
     verbs = ", ".join((*PREPARING, *ADMINISTRATIVE_VERBS))
-    return f"there is no verb {word!r}; the verbs are {verbs}; flags alone start a supernode"
+    return f"there is no verb {word!r}; the verbs are {verbs}; flags without a verb start a supernode"

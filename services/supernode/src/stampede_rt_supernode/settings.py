@@ -35,7 +35,7 @@ def parse_member(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SupernodeSettings(ServiceSettings):
-    """Runs one replica of the directory: alone, or with the other members, of which a majority must run.
+    """Runs one replica of the directory, as the only supernode or with other members, of which a majority must run.
 
     `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for
     supernodes that run. Each has --help.
@@ -46,7 +46,7 @@ class SupernodeSettings(ServiceSettings):
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_address_text,
-            help="the address at which it listens; a supernode alone may use port 0: any free one",
+            help="the address at which it listens; a single supernode may use port 0: any free one",
         ),
     )
     advertise: str = field(
@@ -60,7 +60,7 @@ class SupernodeSettings(ServiceSettings):
     id: str = field(
         default="",
         metadata=setting(
-            metavar="ID", help=f"its id among the members, never used again; a supernode alone: {DEFAULT_ID}"
+            metavar="ID", help=f"its id among the members, never used again; for a single supernode: {DEFAULT_ID}"
         ),
     )
     members: tuple[str, ...] = field(
@@ -68,7 +68,7 @@ class SupernodeSettings(ServiceSettings):
         metadata=setting(
             metavar="ID=HOST:PORT,...",
             parse=parse_list(parse_member),
-            help="all members with this one, the same list at each of them; without it: this supernode alone",
+            help="all members with this one, the same list at each of them; without it: this is the only supernode",
         ),
     )
     data_dir: Path | None = field(
@@ -119,10 +119,11 @@ class SupernodeSettings(ServiceSettings):
             raise ValueError(f"--listen is {self.listen}; with --members name the port that the list has for this one")
 
     def founding(self, listening_at: str) -> Founding:
-        """Returns how this supernode begins: as its folder was prepared, by the list of members, or alone.
+        """Returns how this supernode begins: as its folder was prepared, by the list of members, or as the only one.
 
-        Raises StampedeError if it would begin alone in a folder that was never prepared and that holds no store. It may
-        be a member that lost its disk. Such a member would not know its own votes and acknowledged entries.
+        Raises StampedeError if it would begin as the only one in a folder that was never prepared and that holds no
+        store. It may be a member that lost its disk. Such a member would not know its own votes and acknowledged
+        entries.
         """
         from stampede_rt_supernode.joining.founding import check_restored, read_founding
         from stampede_rt_supernode.replication import holds_store

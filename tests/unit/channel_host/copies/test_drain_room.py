@@ -7,7 +7,7 @@ import asyncio
 from stampede_rt_channel_host.copies.drain_room import (
     MOVES_AT_FIRST,
     MOVES_AT_ONCE,
-    MOVES_TO_ONE,
+    MOVES_PER_DESTINATION,
     QUEUES_AT_ONCE,
     DrainRoom,
 )
@@ -41,7 +41,7 @@ async def test_a_host_that_has_not_answered_yet_gets_few_moves_and_leaves_the_ot
     for _ in range(2):
         moves.room.answered(b"runs")
         await moves.turns()
-    assert moves.under_way.count(b"runs") == MOVES_TO_ONE
+    assert moves.under_way.count(b"runs") == MOVES_PER_DESTINATION
     assert moves.under_way.count(b"frozen") == MOVES_AT_FIRST
 
 
@@ -51,7 +51,7 @@ async def test_all_hosts_together_get_a_limited_number_and_all_moves_have_their_
     for host in range(3):
         moves.room.answered(bytes([host]))
     await moves.turns()
-    assert len(moves.under_way) == MOVES_AT_ONCE < 3 * MOVES_TO_ONE
+    assert len(moves.under_way) == MOVES_AT_ONCE < 3 * MOVES_PER_DESTINATION
     moves.end.set()
     await asyncio.gather(*moves.tasks)
     assert len(moves.under_way) == 90
@@ -64,4 +64,4 @@ async def test_queues_that_wait_for_their_turn_keep_no_room_from_channels() -> N
     await moves.turns()
     assert len(moves.under_way) == QUEUES_AT_ONCE
     await moves.begun(*[b"h"] * 50)
-    assert len(moves.under_way) == MOVES_TO_ONE
+    assert len(moves.under_way) == MOVES_PER_DESTINATION

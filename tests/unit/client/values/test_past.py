@@ -35,7 +35,7 @@ def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
     decided = past_cut_of([mark(7), mark(6, lack=GONE)])
     assert (decided.cut, decided.lack) == (6, "COLLECTED")
     assert decided.lack is not None
-    assert "cam held back the cut of then" in decided.lack.detail
+    assert "cam held back the earlier cut" in decided.lack.detail
     assert past_cut_of([mark(7), mark(None, lack=GONE)])[:2] == (MIN_INSTANT, "COLLECTED")
 
 

@@ -46,7 +46,7 @@ _shtab_stampede_commands() {
     replicas:'list the replicas of a channel or queue, which become the owner if the owner is lost'
     rm:'delete channels with all their items, for everyone'
     sub:'print the items of all matching channels as one stream in the order of time, until Ctrl-C'
-    supernode:'Runs one replica of the directory: alone, or with the other members, of which a majority must run. `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for supernodes that run. Each has --help.'
+    supernode:'Runs one replica of the directory, as the only supernode or with other members, of which a majority must run. `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for supernodes that run. Each has --help.'
     token:'tokens that prove a client'"'"'s name and roles for a while'
     top:'show the busiest channels, live, until q or Ctrl-C'
     watch:'print channels, hosts and peers as they come and go, until Ctrl-C'
@@ -782,7 +782,7 @@ _shtab_stampede_group_match_options=(
   "--tolerance[the greatest distance in time, such as \"10ms\"]:DURATION:"
   "--unique[use each item in at most one match, the nearest]"
   "--lateness[wait this long for late items\; default 0s]:DURATION:"
-  "--from[begin with the items from this time on, such as oldest\; default\: with those that come from now on]:TIME:"
+  "--from[begin with the items from this time on, for example oldest\; default\: only items that come from now on]:TIME:"
   "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
   {-n,--count}"[stop after N matches]:N:"
   ":the group\'s name:"
@@ -861,7 +861,7 @@ _shtab_stampede_host_options=(
   "--metrics-names[with --metrics\: the channels, queues and groups that may have metrics of their own, at most 100 of each, the busiest first\; \"\" for none \[default\: \*\]]:GLOB:"
   "--copy-bytes-per-second[the most bytes a second that each copy of a channel at this host takes from its source\; default\: no limit \[default\: 0 B\]]:SIZE:"
   "--feed-transport[how the feeds of copies reach other hosts\: best (over a socket if the other host offers one, else gRPC), grpc, socket, or tcp (at the other host\'s --data-port) \[default\: best\]]:TRANSPORT:"
-  "--multicast[an IPv4 multicast group and a port, such as 239.255.7.5\:7585, to which the host sends each item once for all readers of its network that subscribe with via\=multicast\; all hosts may share one\; default\: none, it sends to each reader alone \[default\: none\]]:GROUP:PORT:"
+  "--multicast[an IPv4 multicast group and a port, such as 239.255.7.5\:7585, to which the host sends each item once for all readers of its network that subscribe with via\=multicast\; all hosts may share one\; default\: none, it sends each reader its own copy \[default\: none\]]:GROUP:PORT:"
   "--multicast-interface[with --multicast\: the IPv4 address of this machine at whose interface the datagrams leave\; default\: that of --listen\; if the host listens at all addresses, the system chooses \[default\: none\]]:ADDRESS:"
   "--multicast-bytes-per-second[with --multicast\: the most bytes a second of datagrams\; less than the slowest reader and its network take \[default\: 48 MiB\]]:SIZE:"
   "--drain-seconds[after SIGTERM, move the channels to other hosts for at most this time, and then end\; 0\: do not \[default\: 5\]]:SECONDS:"
@@ -1376,10 +1376,10 @@ _shtab_stampede_supernode_options=(
   {-h,--help}"[show this text]"
   "--config[a TOML file with settings]:FILE:_files"
   "--sample-settings[show a TOML file with all settings]"
-  "--listen[the address at which it listens\; a supernode alone may use port 0\: any free one \[default\: localhost\:7590\]]:HOST:PORT:"
+  "--listen[the address at which it listens\; a single supernode may use port 0\: any free one \[default\: localhost\:7590\]]:HOST:PORT:"
   "--advertise[the address at which others reach it\; without it\: its address in --members, then --listen \[default\: none\]]:HOST:PORT:"
-  "--id[its id among the members, never used again\; a supernode alone\: supernode-1 \[default\: none\]]:ID:"
-  "--members[all members with this one, the same list at each of them\; without it\: this supernode alone \[default\: none\]]:ID=HOST:PORT,...:"
+  "--id[its id among the members, never used again\; for a single supernode\: supernode-1 \[default\: none\]]:ID:"
+  "--members[all members with this one, the same list at each of them\; without it\: this is the only supernode \[default\: none\]]:ID=HOST:PORT,...:"
   "--data-dir[the folder of its log\; without it\: in memory, lost when it stops \[default\: none\]]:DIR:"
   "--zone[the network or site of this supernode\; callers prefer supernodes of their zone \[default\: none\]]:ZONE:"
   "--lease-ttl[the lease of a host\; a new cluster takes it from here and keeps it \[default\: 5 s\]]:DURATION:"

@@ -62,7 +62,7 @@ class PastAnswer(NamedTuple):
 
 
 class PastReader:
-    """Reads one channel from its archive alone."""
+    """Reads one channel only from its archive."""
 
     def __init__(self, archive: HostArchive, recorder: ChannelRecorder, channel: ChannelCore) -> None:
         self._archive = archive

@@ -1,7 +1,8 @@
 """The number of moves that one drain has under way.
 
 A move goes through several messages and two entries of the directory's log, so one move at a time leaves the hosts idle
-for most of the time. A destination that does not answer keeps only its own share of the moves from the others.
+for most of the time. A destination that does not answer can hold up only a part of these moves, so the moves to other
+destinations continue.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
 
-MOVES_AT_ONCE = 24  # of the 32 that a host may have under way; the others are for callers
-MOVES_TO_ONE = 16  # to one destination
-MOVES_AT_FIRST = 2  # to a destination that has taken nothing yet: it may be frozen
-QUEUES_AT_ONCE = 6  # of the 8 that a host may have under way; the calls of a queue wait for its copy
+MOVES_AT_ONCE = 24  # a host may have 32 moves under way; callers may use the other 8
+MOVES_PER_DESTINATION = 16
+MOVES_AT_FIRST = 2  # the limit for a destination that has not taken over anything yet, because it may be frozen
+QUEUES_AT_ONCE = 6  # a host may move 8 queues at once; calls of a queue wait while the host copies the queue
 
 
 class DrainRoom:
@@ -36,5 +37,5 @@ class DrainRoom:
         """Note that this host has taken something over: it may now have more moves under way."""
         if host_id not in self._answering:
             self._answering.add(host_id)
-            for _ in range(MOVES_TO_ONE - MOVES_AT_FIRST):
+            for _ in range(MOVES_PER_DESTINATION - MOVES_AT_FIRST):
                 self._to[host_id].release()

@@ -49,5 +49,5 @@ class MoveSlots:
 
 
 def _has_name(maker: str) -> bool:
-    """Whether one caller alone has this name. Callers that share a secret are `@clients` or `@cluster`."""
+    """Whether only one caller has this name. Callers that share a secret are `@clients` or `@cluster`."""
     return bool(maker) and not maker.startswith("@")

@@ -206,7 +206,7 @@ class OutgoingMove:
             await asyncio.sleep(HEIR_SECONDS)
 
     async def _is_needed_no_more(self) -> bool:
-        """Ask the directory, and do what it says. True: this host has dropped the items, or is a replica now."""
+        """Ask the directory, and act on the answer. True: this host has dropped the items, or is a replica now."""
         channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
         error: StampedeError = self._moving.elsewhere or refusals.moved(name, self._host_id)
         try:

@@ -1,7 +1,8 @@
 """The former owner's side of a move of a queue or mailbox (paper, section 3.5: queues migrate).
 
-The host ends the streams of the queue, lets all calls wait, and sends everything. Then one command in the directory
-decides who owns the queue: the command of the new owner, or the one with which this host takes the queue back.
+The host ends the streams of the queue, lets all calls wait, and sends everything. Then the first of
+two commands in the directory decides the owner: the command of the new owner, or the one by which this host takes the
+queue back.
 """
 
 from __future__ import annotations

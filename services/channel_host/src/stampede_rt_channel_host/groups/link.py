@@ -128,7 +128,7 @@ class HostLink:
     def _greet(self, message: Any, peer: bytes | None) -> None:
         hello = message.hello if message is not None and message.HasField("hello") else None
         if hello is None:
-            raise InvalidArgument("the first message of an exchange has no hello; send it alone, before anything else")
+            raise InvalidArgument("the first message of an exchange has no hello; send it first, in its own message")
         if hello.protocol_version != PROTOCOL_VERSION:
             raise VersionMismatch(
                 f"the other host speaks protocol {hello.protocol_version}, this one {PROTOCOL_VERSION}; install the "

@@ -155,7 +155,7 @@ class RemoteMember:
             self._credit -= sum(lengths) + ITEM_OVERHEAD_BYTES * len(lengths)
             self._item_bytes = ITEM_OVERHEAD_BYTES + min(lengths, default=0)
             self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
-        # progress alone comes when there is credit, and nothing to send
+        # a response has only progress if there is credit, and nothing else to send
         self._had_all |= response.HasField("progress") and not (response.runs or response.HasField("gap"))
         self._ask_for_more(must=False)
         if response.HasField("cursor"):

@@ -154,10 +154,10 @@ def _run_of(item: DeadLetter, content_type: str) -> bytes:
 
     A message without a content type gets that of its queue, because the dead-letter queue may have another one.
     """
-    alone = select_items(item.run.body, [item.position])
-    if content_type and not item_pb2.ItemRun.FromString(alone).content_type:
-        return alone + item_pb2.ItemRun(content_type=content_type).SerializeToString()
-    return alone
+    single = select_items(item.run.body, [item.position])
+    if content_type and not item_pb2.ItemRun.FromString(single).content_type:
+        return single + item_pb2.ItemRun(content_type=content_type).SerializeToString()
+    return single
 
 
 def _origin_of(item: DeadLetter, source: RecordedQueue) -> item_pb2.DeadLetterOrigin:

@@ -1,4 +1,4 @@
-"""QuotaUseService of one port: the use that its callers make of their quotas."""
+"""QuotaUseService of one port: how much of their quotas the port's callers use."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -23,7 +23,7 @@ class QuotaUseServicer(quota_use_service_pb2_grpc.QuotaUseServiceServicer):
 
     @errors_as_status
     async def ListQuotaUse(self, request: pb.ListQuotaUseRequest, context: Context) -> pb.ListQuotaUseResponse:
-        """Lists callers that use a quota now, or were refused more."""
+        """Lists the callers that use a quota now, or that the port has refused because of a quota."""
         if len(request.subject_glob) > PATTERN_CHARACTERS_MAX:
             raise InvalidArgument(f"subject_glob has more than {PATTERN_CHARACTERS_MAX} characters")
         is_asked_for = matcher(request.subject_glob)

@@ -135,7 +135,7 @@ class TlsStream(asyncio.BufferedProtocol):
             asyncio.get_running_loop().call_soon(self._open_some)
 
     def can_write_eof(self) -> bool:
-        """Whether one side alone can be closed: not with TLS."""
+        """Whether one side can close while the other stays open. TLS does not allow this."""
         return False
 
     def __getattr__(self, name: str) -> Any:

@@ -35,7 +35,7 @@ def channel_id_of(subject: subject_pb2.Subject) -> bytes:
     """The channel of a subject. Raises QUEUE_NOT_FOUND for a queue, because hosts report no loads of queues."""
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()
-        text = f"queue {shown} has no loads of copies, because takers use its owner alone; report only channels"
+        text = f"queue {shown} has no loads of copies, because takers use only its owner; report only channels"
         raise StampedeError(text, reason="QUEUE_NOT_FOUND", metadata={"queue_id": shown})
     return subject.channel_id
 

@@ -64,7 +64,7 @@ class Members:
         return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """By id: for each member in trouble the reason, and who says so.
+        """By id: the trouble of each member in trouble, and the member that reports it.
 
         These are members whose stores this one refuses, or whose states are in doubt. This supernode itself is among
         them if others refuse it, its state differs, or its disk does not answer.

@@ -161,13 +161,13 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
     elsewhere = [f"{name} at {target}" for name, target in members.items() if not is_loopback(target)]
     if elsewhere and is_loopback(address):
         raise ValueError(
-            f"{address} can be called from its own machine alone, and the members are elsewhere "
+            f"{address} can be called only from its own machine, and the members are elsewhere "
             f"({', '.join(elsewhere)}); give --listen or --advertise the address at which they reach this supernode"
         )
     here = [f"{name} at {target}" for name, target in members.items() if is_loopback(target)]
     if here and not is_loopback(address):
         raise ValueError(
-            f"{', '.join(here)} can be called from its own machine alone, so a supernode at {address} cannot reach it; "
+            f"{', '.join(here)} can be called only from its own machine, so a supernode at {address} cannot reach it; "
             "found the cluster with an address that all machines can call (stampede supernode init --advertise)"
         )
 

@@ -102,7 +102,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         )
 
     async def _check_levels(self, context: Context, policy: Policy) -> None:
-        """Check that all supernodes know what the stated policy asks for. Raises Unavailable."""
+        """Check that all supernodes know the features that the stated policy uses. Raises Unavailable."""
         if policy.is_recorded or policy.ack == "disk":
             await self._calls.check_level(context, "a recorded channel", ARCHIVE_LEVEL)
         if policy.ack != "replica" and policy.replicas:

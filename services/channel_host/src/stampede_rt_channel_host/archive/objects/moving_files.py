@@ -145,5 +145,5 @@ class MovingFiles(SegmentFiles):
     def check_same(self, packed: Packed) -> None:
         """Check that the object that exists already is this segment. Raises OSError. Any thread may call it."""
         if not self.stored.has_object(packed.name, len(packed.content)):
-            text = f"the object {packed.name} exists with other bytes; move it away, and look who wrote it"
+            text = f"the object {packed.name} exists with other bytes; move it, and find out which program wrote it"
             raise OSError(errno.EEXIST, text)

@@ -21,7 +21,8 @@ from stampede_rt_channel_host.core.archive import CutRun
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment
 from stampede_rt_channel_host.core.records import RecordedChannel
 
-LISTING_SECONDS_MAX = 3.0  # a slower listing is left to the mover if the disk knows what the store has
+LISTING_SECONDS_MAX = 3.0
+"""If a listing takes longer and the disk has a list of the objects, the mover finishes the listing."""
 
 
 class ObjectSettings(NamedTuple):
@@ -54,9 +55,9 @@ class ObjectArchive:
     async def open(
         self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor
     ) -> OpenedArchive:
-        """Open the files of a channel. If the store is away, the disk tells what the store has.
+        """Open the files of a channel. If the store is unreachable, uses the list of its objects on the disk.
 
-        Raises OSError, also if the store is away and the disk does not know what it has.
+        Raises OSError, also if the store is unreachable and the disk has no list.
         """
         # before the listing: a leftover that moved during the listing would be neither in it nor on the disk
         self.mover.reopening(record.channel_id)
@@ -86,6 +87,6 @@ class ObjectArchive:
 
 
 def _look(listing: asyncio.Future[dict[int, StoredSegment]]) -> None:
-    """Look at the error of a listing for which nobody may wait any more."""
+    """Retrieve the error of a listing, because possibly no caller waits for it any more."""
     if not listing.cancelled():
         listing.exception()

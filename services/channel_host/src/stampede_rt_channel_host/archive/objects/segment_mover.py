@@ -66,7 +66,7 @@ class SegmentMover:
         self._moved_bytes = self._failures = self._looks = 0
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="archive-mover")
         self.writer: Executor = self._threads
-        """The thread of the archive's writes, which alone changes files."""
+        """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None
         self._wake = asyncio.Event()
 

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.token_bucket import TokenBucket
 
 logger = logging.getLogger(__name__)
 
-BURST_BYTES = 2**16  # what a receiver's socket takes by default while its program does something else
+BURST_BYTES = 2**16  # a receiver's socket buffers this by default while its program does something else
 DATAGRAMS_PER_STEP = 32  # about 0.3 ms of the event loop
 HOPS = 1  # routers do not pass the datagrams on
 SENT_BYTES_MAX = 2**20  # the kernel's queue

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.channels.requests import parse
 class Put(NamedTuple):
     """One run of a request. `wait_nanos` None: the run may wait without limit. `run` may be a view of the request.
 
-    `ack` is a number of the enum Ack: what the put waits for.
+    `ack` is a number of the enum Ack. It says for which acknowledgement the put waits.
     """
 
     first_number: int

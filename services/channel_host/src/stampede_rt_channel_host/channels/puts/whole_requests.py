@@ -113,4 +113,4 @@ class WholeRequests:
 def check_without_piece(request: raw_run_pb2.RawPutRequest | raw_run_pb2.RawEnqueueRequest) -> None:
     """Raises InvalidArgument for a whole request that also holds a piece of another request."""
     if request.HasField("piece"):
-        raise InvalidArgument("a request holds runs and a piece of another request; send the piece alone")
+        raise InvalidArgument("a request holds runs and a piece of another request; send the piece in its own request")

@@ -54,7 +54,7 @@ def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
 
 
 class WantedWindow(NamedTuple):
-    """The next window to load: what to choose (`choose`), and the keys of its items (`window_of`)."""
+    """The next window to load: the argument of `choose`, and the keys of the window's items (`window_of`)."""
 
     wanted: Wanted
     low: ItemKey

@@ -4,7 +4,7 @@ An entry is a part of one run whose items ascend in time, with no other item bet
 run has one entry. A late item splits the entry into which it falls. Both indexes hold the same entries.
 
 Invariant: if an entry begins at a time, no entry before it holds an item of that time, except entries that begin at the
-same time. So the first time alone is the key. Entries of equal keys stand in seq order. The key is an attribute of the
+same time. So the key is only the first time. Entries of equal keys stand in seq order. The key is an attribute of the
 entry, so it needs no memory of its own.
 """
 

@@ -44,7 +44,7 @@ class Retention:
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        self._earlier: EarlierItems | None = None  # None if all earlier collected items are noted, or nobody consumes
+        self._earlier: EarlierItems | None = None  # None: all are noted, or there are no consumers
         self.consumers: Consumers | None = None
         self.unarchived: ArchiveBacklog | None = None  # of a recorded channel: only max_bytes collects these items
         self.set_limits(limits)

@@ -35,7 +35,7 @@ class GroupDefinition:
     spec_version: int = 1
 
     def cut_of(self, times: ChannelTimes) -> int | None:
-        """The cut of one channel alone, or None if the channel never had an item or an advance."""
+        """The cut of one channel without the others, or None if the channel never had an item or an advance."""
         newest = times.newest
         if newest is None:
             return times.advance
@@ -221,7 +221,7 @@ class GroupCut:
         return None
 
     def _own_cut(self, channel_id: bytes) -> int | None:
-        """The cut of one member alone, or None if it has none."""
+        """The cut of one member without the others, or None if it has none."""
         known = self._board.find(channel_id)
         return None if known is None else self._definition.cut_of(known.times)
 

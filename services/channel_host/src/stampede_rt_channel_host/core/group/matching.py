@@ -148,7 +148,7 @@ class Matcher:
         return taken
 
     def _forget_before(self, time: int) -> None:
-        """Let the tracks forget what no item from `time` on needs."""
+        """Let the tracks forget the items that no match of an item from `time` on needs."""
         for track in (self._own, *self._tracks.values()):
             track.forget_before(time - self._tolerance)
 

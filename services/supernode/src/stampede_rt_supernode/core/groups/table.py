@@ -70,7 +70,7 @@ class GroupTable:
         self._note(ChangeKind.ADDED, group)
 
     def replace(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
-        """Replace the group of that id, which keeps its name. A change of witnesses alone is not noted as a change."""
+        """Replace the group of that id, which keeps its name. If only the witnesses change, no change is noted."""
         before, held = self._entries[group.group_id]
         if (group, witnesses) == (before, held):
             return

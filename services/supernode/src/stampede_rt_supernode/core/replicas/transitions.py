@@ -39,7 +39,7 @@ def check_add_replica(operation: AddReplica) -> None:
         raise InvalidArgument(text, metadata={"field": "acknowledged"})
     if operation.is_of_queue and operation.kind is not ReplicaKind.WARM:
         raise InvalidArgument(
-            "a queue has no proxies, because a proxy gives messages to nobody; state kind WARM for a replica",
+            "a queue has no proxies, because a proxy gives no messages to takers; state kind WARM for a replica",
             metadata={"field": "kind"},
         )
 

@@ -64,7 +64,7 @@ class RaftLog:
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
         self._pending_trailer: SnapshotTrailer | None = None
-        # True if term, vote, entries or snapshot wait for the disk. The commit index alone does not count.
+        # True if term, vote, entries or snapshot wait for the disk. A change of only the commit index does not count.
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
