@@ -16,6 +16,7 @@ from stampede_rt.ring.newest import FoundNewest
 from stampede_rt.ring.ring_view import RingView
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking, futexes
+from stampede_rt.transports.mapped_pages import take_pages
 from stampede_rt.transports.socket_errors import error_of
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX, RECEIVED_BYTES_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
@@ -198,4 +199,6 @@ def _mapped(file: int, memory_bytes: int) -> mmap.mmap:
             f"the host sent a file of {found_bytes} bytes with the seals {seals:#x} as its shared memory; it is "
             "defective, or not of this product: replace it"
         )
-    return mmap.mmap(file, memory_bytes, prot=mmap.PROT_READ)
+    mapped = mmap.mmap(file, memory_bytes, prot=mmap.PROT_READ)
+    take_pages(mapped, to_write=False)
+    return mapped

@@ -1,6 +1,8 @@
-"""A ring has room for a burst of the longest runs, within its bounds."""
+"""A ring has room for a burst of the longest runs, within its bounds, and is shorter where memory is short."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as some
@@ -9,22 +11,47 @@ from stampede_rt_channel_host.core.ring_sizes import (
     DATA_BYTES_MAX,
     DATA_BYTES_MIN,
     RUNS_MIN,
-    data_bytes_for,
-    longest_run,
+    RUNS_OF_SHORT_RING,
+    SHORT_DATA_BYTES_MIN,
+    RecentRuns,
+    fits_for,
 )
 
-
-@given(some.integers(0, DATA_BYTES_MAX))
-def test_a_ring_takes_the_runs_for_which_it_was_made(run_bytes: int) -> None:
-    data_bytes = data_bytes_for(run_bytes)
-    assert DATA_BYTES_MIN <= data_bytes <= DATA_BYTES_MAX
-    assert data_bytes >= min(RUNS_MIN * run_bytes, DATA_BYTES_MAX)
-    if run_bytes <= longest_run(DATA_BYTES_MAX):
-        assert run_bytes <= longest_run(data_bytes)
+RUN_BYTES_MAX = DATA_BYTES_MAX // RUNS_OF_SHORT_RING
 
 
-@given(some.integers(0, DATA_BYTES_MAX))
-def test_a_run_that_is_too_long_for_a_ring_gets_a_larger_ring_or_none(run_bytes: int) -> None:
-    former = data_bytes_for(run_bytes // 2)
-    if longest_run(former) < run_bytes <= longest_run(DATA_BYTES_MAX):
-        assert data_bytes_for(run_bytes) > former
+@given(some.integers(0, RUN_BYTES_MAX))
+def test_every_possible_ring_takes_the_runs_for_which_it_is_made(run_bytes: int) -> None:
+    fits = [*fits_for(run_bytes)]
+    assert DATA_BYTES_MIN <= fits[0].data_bytes <= DATA_BYTES_MAX
+    assert fits[0].data_bytes >= min(RUNS_MIN * run_bytes, DATA_BYTES_MAX)
+    for fit in fits:
+        assert max(run_bytes, SHORT_DATA_BYTES_MIN // RUNS_OF_SHORT_RING) <= fit.longest_run or fit is fits[0]
+        assert run_bytes <= fit.longest_run <= fit.data_bytes // RUNS_OF_SHORT_RING
+    assert all(shorter.data_bytes * 2 == longer.data_bytes for longer, shorter in pairwise(fits))
+
+
+@given(some.integers(RUN_BYTES_MAX + 1, 2 * DATA_BYTES_MAX))
+def test_runs_that_are_too_long_for_the_largest_ring_get_none(run_bytes: int) -> None:
+    assert not [*fits_for(run_bytes)]
+
+
+@given(some.integers(0, RUN_BYTES_MAX))
+def test_a_run_that_is_too_long_for_a_ring_gets_a_larger_ring(run_bytes: int) -> None:
+    former, best = next(fits_for(run_bytes // 2)), next(fits_for(run_bytes))
+    assert (best.data_bytes > former.data_bytes) is (run_bytes > former.longest_run)
+
+
+@given(some.integers(0, RUN_BYTES_MAX), some.integers(0, RUN_BYTES_MAX))
+def test_a_ring_suits_if_the_best_one_has_neither_twice_nor_half_of_its_data(one: int, other: int) -> None:
+    ring, best = next(fits_for(one)), next(fits_for(other))
+    assert ring.suits(ring)
+    assert ring.suits(best) is (0.5 < ring.data_bytes / best.data_bytes < 2)
+
+
+def test_the_longest_run_counts_for_one_to_two_periods() -> None:
+    recent = RecentRuns(7)
+    recent.note(5)
+    assert [recent.turn() for _ in range(3)] == [7, 7, 0]
+    recent.note(3)
+    assert recent.turn() == 3

@@ -3,52 +3,43 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
-import mmap
-import os
 from collections.abc import Callable
 from itertools import islice
 
-from stampede_rt.ring.layout import CHANGES_WORD, PAYLOAD_BEGIN_MAX, WORD_BYTES, RingSize
+from stampede_rt.ring.layout import CHANGES_WORD, PAYLOAD_BEGIN_MAX, WORD_BYTES
 from stampede_rt.transports import futexes
 from stampede_rt.wire.runs import plain_payload_at
 from stampede_rt_channel_host.channels.frames import run_bytes
+from stampede_rt_channel_host.channels.ring_memory import RingMemory
 from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, ReferencedBody, Slice
-from stampede_rt_channel_host.core.ring_sizes import longest_run
+from stampede_rt_channel_host.core.ring_sizes import RecentRuns, RingFit
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingRun, RingWriter
 
-SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
 FILLED_BYTES_MAX = 2**20  # the most bytes of held items in a new ring, so that its beginning takes no long step
 FILLED_SLICES_MAX = 64
 
 
 class ChannelRing:
-    """A ring, and the mapping through which the host writes it.
+    """A ring, and the memory in which the host writes it."""
 
-    Its memory has no name in the file system. The system frees it after the last user has closed it.
-    """
-
-    def __init__(self, channel: ChannelCore, size: RingSize, clock: Callable[[], ClockReading]) -> None:
-        """Raises OSError if the system gives no memory."""
-        self.size = size
+    def __init__(
+        self, channel: ChannelCore, memory: RingMemory, fit: RingFit, clock: Callable[[], ClockReading]
+    ) -> None:
+        """No run of `newest_run_bytes` is longer than `fit` allows."""
+        self.fit = fit
+        self.memory = memory
         self.readers = 0
         self.is_open = True
         self.ended = asyncio.Event()
         self.on_closed: Callable[[], None] | None = None
         self.refused_bytes = 0
         """The length of the run that was too long for this ring; 0: there was none."""
-        self._longest_run = longest_run(size.data_bytes)
+        self.reviewed_s = asyncio.get_running_loop().time()
+        """The time at which the host last compared the ring with its channel's runs."""
+        self.recent_runs = RecentRuns(0)
         self._channel, self._clock = channel, clock
-        self.file = os.memfd_create("stampede-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-        try:
-            os.posix_fallocate(self.file, 0, size.whole_bytes)
-            self._memory = mmap.mmap(self.file, size.whole_bytes)
-            fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, SEALS)
-        except BaseException:
-            os.close(self.file)
-            raise
-        self._changes_address = futexes.address_of(self._memory) + CHANGES_WORD * WORD_BYTES
-        self._writer = RingWriter(memoryview(self._memory), size, channel.incarnation, channel.newest)
+        self._changes_address = futexes.address_of(memory.mapped) + CHANGES_WORD * WORD_BYTES
+        self._writer = RingWriter(memoryview(memory.mapped), memory.size, channel.incarnation, channel.newest)
         self._next_seq = channel.next_seq
         self._begin()
 
@@ -80,7 +71,8 @@ class ChannelRing:
 
     def _append(self, part: Slice) -> bool:
         body, begin = _body_of(part)
-        if len(body) > self._longest_run:
+        self.recent_runs.note(len(body))
+        if len(body) > self.fit.longest_run:
             self.refused_bytes = len(body)
             return False
         duration, payload = ABSENT, 0
@@ -105,11 +97,16 @@ class ChannelRing:
             self._writer.close()
             futexes.wake(self._changes_address)
             self._writer.release()
-            self._memory.close()
-            os.close(self.file)
+            self.memory.close()
             self.ended.set()
             if self.on_closed is not None:
                 self.on_closed()
+
+
+def newest_run_bytes(channel: ChannelCore) -> int:
+    """The length of the longest run that a new ring may have to take."""
+    newest = islice(channel.newest_slices(), FILLED_SLICES_MAX)
+    return max((len(part.run.body) for part in newest), default=0)
 
 
 def _body_of(part: Slice) -> tuple[bytes | ReferencedBody, int]:

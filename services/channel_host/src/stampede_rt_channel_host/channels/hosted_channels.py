@@ -51,8 +51,9 @@ class HostedChannel:
     """Whether another object of this host has taken the items over: a copy became the owner, or the reverse."""
     recording: Recording | None = None
     """The recording of a channel with an archive."""
-    largest_run_bytes = 0
-    """The length of the largest run that was too large for a ring."""
+    refused_run_bytes = 0
+    """The length of the run for which the last ring was too small; 0: there was none since then."""
+    ring_making: object = None  # identifies the ring that a worker thread makes for this channel
     registration = 0
     """The number of the host's last registration when the store took `record` over."""
     fed: FedCopies | None = None
@@ -303,14 +304,14 @@ class HostedChannel:
 
     def close_ring(self) -> None:
         """Stop repeating the channel in shared memory. The readers ask the host again. Idempotent."""
-        ring, self.ring = self.ring, None
+        ring, self.ring, self.ring_making = self.ring, None, None
         if ring is not None:
             ring.close()
 
     def _repeat_in_ring(self) -> None:
         """Show the present state to the readers of the ring. A reader must see each item whose put is acknowledged."""
         if self.ring is not None and not self.ring.follow():
-            self.largest_run_bytes = max(self.largest_run_bytes, self.ring.refused_bytes)
+            self.refused_run_bytes = self.ring.refused_bytes
             self.close_ring()
 
     def count_delivered(self, items: int, payload_bytes: int) -> None:
