@@ -124,7 +124,7 @@ async def full(rig: Rig, waiting: int) -> tuple[HostedChannel, list[IncomingRun]
     return hosted, runs[1:]
 
 
-async def test_puts_that_wait_are_refused_in_pieces_and_in_their_order_and_none_slips_in(rig: Rig) -> None:
+async def test_waiting_puts_are_refused_in_pieces_and_in_order_and_none_of_them_is_accepted(rig: Rig) -> None:
     hosted, runs = await full(rig, 4 * PUTS_PER_PIECE)
     left = []
     for _ in hosted.ending(Unavailable("gone", reason="NOT_HERE")):

@@ -32,7 +32,7 @@ def test_each_process_has_a_name_ports_and_a_folder_of_its_own() -> None:
     assert {(one.processes, one.zone) for one in found} == {(1, "lab")}
 
 
-def test_any_free_port_stays_any_free_port() -> None:
+def test_port_0_stays_port_0_for_each_process() -> None:
     assert [one.listen for one in each("--processes", "2", "--listen", "localhost:0")] == ["localhost:0"] * 2
     assert [one.listen for one in each("--processes", "2")] == [""] * 2
 
@@ -58,7 +58,7 @@ def test_each_process_has_a_certificate_of_its_own() -> None:
         (["--tls-certificate", "host-h.pem"], "a certificate names one host; issue one for each"),
     ],
 )
-def test_settings_that_do_not_serve_several_processes_are_refused(words: list[str], why: str) -> None:
+def test_settings_that_several_processes_cannot_share_are_refused(words: list[str], why: str) -> None:
     with pytest.raises(SettingsError, match=why):
         settings_of("--processes", "2", *words)
     settings_of(*words)
@@ -70,7 +70,7 @@ def test_a_number_of_processes_out_of_range_is_refused(text: str) -> None:
         settings_of(f"--processes={text}")
 
 
-def test_auto_is_one_process_for_each_core() -> None:
+def test_auto_means_one_process_for_each_core() -> None:
     assert parse_processes("auto") == min(len(os.sched_getaffinity(0)), PROCESSES_MAX)
 
 

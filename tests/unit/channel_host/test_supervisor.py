@@ -27,5 +27,5 @@ def test_a_process_that_ran_for_long_starts_again_after_the_shortest_pause() -> 
     assert pauses.after(STEADY_SECONDS) == PAUSE_SECONDS_MIN
 
 
-def test_a_process_that_gives_its_channels_away_is_not_killed_before_its_time_for_that_is_over() -> None:
+def test_a_process_that_drains_its_channels_is_killed_only_after_its_drain_time() -> None:
     assert Supervisor([["host"]], drain_seconds=20).stop_seconds_max == 20 + STOP_SECONDS_MAX

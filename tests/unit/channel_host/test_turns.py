@@ -11,7 +11,7 @@ from stampede_rt_channel_host.turns import Turns
 STEPS, LOOKS = 300, 50
 
 
-def test_a_thread_sees_no_half_done_step_and_the_loop_goes_on_while_it_looks_again_and_again() -> None:
+def test_a_thread_sees_only_complete_steps_and_repeated_looks_do_not_stop_the_loop() -> None:
     turns, ended = Turns(), threading.Event()
     state = [0, 0]
     looks: list[bool] = []

@@ -50,7 +50,7 @@ def opened(folder: Path) -> tuple[SegmentFiles, tuple[Segment, ...]]:
     return files, files.open(2).segments
 
 
-def test_a_file_cut_at_any_byte_opens_with_the_blocks_before_the_cut_and_is_written_on(tmp_path: Path) -> None:
+def test_a_file_cut_at_any_byte_keeps_the_blocks_before_the_cut_and_takes_new_ones(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "a")
     write(files, 1, 3)
     files.close(None)
@@ -78,7 +78,7 @@ def test_a_new_file_is_on_stable_storage_with_its_folder(tmp_path: Path, monkeyp
     assert synced == [tmp_path / "channel", tmp_path]  # the name of the file, and the name of its folder
 
 
-def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_loses_no_item_that_was_written_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = opened(tmp_path)
     before = write(files, 1, 2)
 
@@ -97,7 +97,7 @@ def test_a_full_disk_costs_nothing_that_was_written_before(tmp_path: Path, monke
     assert seqs(files, segments) == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_flipped_bit_costs_its_block_only(tmp_path: Path) -> None:
+def test_a_flipped_bit_loses_only_its_block(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     segments = write(files, 1, 3)
     [path] = tmp_path.glob("*.segment")
@@ -130,7 +130,7 @@ def test_a_damaged_head_of_the_first_block_is_a_loss_and_does_not_count_as_colle
 @pytest.mark.parametrize(
     ("epoch", "incarnation", "expected"), [(2, 8, True), (3, 8, False), (3, 7, True), (9, 7, True)]
 )
-def test_only_a_clean_stop_without_another_owner_since_counts_as_one(
+def test_a_stop_counts_as_clean_only_if_no_other_owner_has_served_the_channel_since(
     tmp_path: Path, epoch: int, incarnation: int, expected: bool
 ) -> None:
     stop = CleanStop(incarnation=7, advance=5, lost_from=None, lost_before=3, retries=b"\xff\0")
@@ -146,7 +146,7 @@ def test_only_a_clean_stop_without_another_owner_since_counts_as_one(
 @pytest.mark.parametrize(
     "text", [b"", b"{}", b"7", b"[1]", b'{"incarnation": 7}', b'{"incarnation": "7", "retries": ""}']
 )
-def test_a_note_of_a_stop_that_cannot_be_read_is_none(tmp_path: Path, text: bytes) -> None:
+def test_an_unreadable_note_of_a_stop_is_ignored(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "stopped-cleanly").write_bytes(text)
     assert SegmentFiles(tmp_path, {}).open(0, 7).stop is None
 
@@ -162,7 +162,7 @@ def test_a_folder_names_the_process_that_stopped_last_with_all_items_written(tmp
     folder.close()
 
 
-def test_whole_segments_leave_an_archive_beyond_its_bytes_and_its_age(tmp_path: Path) -> None:
+def test_an_archive_beyond_its_bytes_or_age_drops_whole_segments(tmp_path: Path) -> None:
     files, _ = opened(tmp_path / "bytes")
     for number in range(40):
         run = run_at(1 + 2 * number, payload=b"x" * 2**17)
@@ -176,7 +176,7 @@ def test_whole_segments_leave_an_archive_beyond_its_bytes_and_its_age(tmp_path: 
     assert segments[-1].end_seq == 201
 
 
-def test_seqs_that_were_never_archived_stand_in_the_file(tmp_path: Path) -> None:
+def test_a_file_lists_the_seqs_that_were_never_archived(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 9), [ArchivedRun(2, run_at(9))]], NO_LIMITS)
     files.close(None)

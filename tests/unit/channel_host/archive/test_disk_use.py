@@ -44,7 +44,7 @@ def recorded(folder: ArchiveFolder, channel_id: bytes, created_by: str) -> Segme
     return files
 
 
-def test_a_full_archive_refuses_all_channels_but_those_that_are_charged_with_their_own_limit() -> None:
+def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_their_own_limit() -> None:
     disk = DiskUse(4 * MIB)
     first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
     first.archive_bytes = 2 * MIB
@@ -60,7 +60,7 @@ def test_a_full_archive_refuses_all_channels_but_those_that_are_charged_with_the
     first.check(2**17)
 
 
-def test_items_count_from_their_acceptance_on_and_a_new_folder_with_them() -> None:
+def test_items_and_a_new_folder_count_from_the_acceptance_on() -> None:
     disk = DiskUse(MIB)
     one = disk.of_channel(ONE, "cam")
     one.check(MIB - FOLDER_BYTES)
@@ -76,7 +76,7 @@ def test_items_count_from_their_acceptance_on_and_a_new_folder_with_them() -> No
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 
-def test_the_bytes_of_a_deleted_channel_still_count_for_its_maker() -> None:
+def test_until_its_files_are_gone_a_deleted_channel_counts_for_its_maker() -> None:
     accounts = Accounts()
     disk = DiskUse(4 * MIB, accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, MIB)

@@ -112,7 +112,7 @@ def test_a_channel_at_its_own_limit_is_still_recorded_while_the_archive_is_full(
     assert on_disk(tmp_path) <= LIMIT
 
 
-def test_items_that_memory_loses_while_the_disk_fails_do_not_count_for_ever(tmp_path: Path) -> None:
+def test_items_that_memory_drops_while_the_disk_fails_stop_counting(tmp_path: Path) -> None:
     disk = DiskUse(10 * BYTES_PER_WRITE)
     one = Recorded(disk, tmp_path, 0, ArchiveLimits(None, None))
     for at in range(40 * BYTES_PER_WRITE // MIB):  # memory keeps one of them
@@ -120,7 +120,7 @@ def test_items_that_memory_loses_while_the_disk_fails_do_not_count_for_ever(tmp_
     assert disk.used_bytes <= BYTES_PER_WRITE + 3 * MIB
 
 
-def test_a_channel_that_the_host_gives_up_expects_nothing_more(tmp_path: Path) -> None:
+def test_a_channel_that_the_host_has_given_up_reserves_no_bytes(tmp_path: Path) -> None:
     disk = DiskUse(LIMIT)
     one = Recorded(disk, tmp_path, 0, ArchiveLimits(None, None))
     assert one.put(MIB, MS)

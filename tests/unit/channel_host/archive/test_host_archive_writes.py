@@ -36,7 +36,7 @@ def large(number: int) -> list[ArchivedRun]:
     return [ArchivedRun(number, run_at(1 + 2 * number, payload=b"x" * 2**18))]
 
 
-def test_writes_that_failed_in_a_read_only_folder_lose_and_double_no_item(
+def test_failed_writes_in_a_read_only_folder_neither_lose_nor_repeat_items(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, _ = opened(tmp_path)
@@ -82,7 +82,7 @@ def test_files_that_are_not_segments_do_not_disturb_an_archive(tmp_path: Path) -
     assert seqs(files, segments) == [1, 2]
 
 
-def test_a_folder_is_for_its_owner_only_and_an_owner_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_only_the_owner_can_read_a_folder_and_the_error_names_an_unreadable_owner_file(tmp_path: Path) -> None:
     folder = ArchiveFolder(tmp_path / "a")
     folder.open(b"h" * 16)
     folder.close()
@@ -93,7 +93,7 @@ def test_a_folder_is_for_its_owner_only_and_an_owner_file_that_cannot_be_read_is
         folder.open(b"h" * 16)
 
 
-def test_the_names_of_new_folders_come_to_stable_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_names_of_new_folders_are_synced_to_stable_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[Path] = []
     monkeypatch.setattr("stampede_rt_channel_host.archive.stable_writes.sync_folder", synced.append)
     folder = ArchiveFolder(tmp_path / "a" / "b")
@@ -153,7 +153,7 @@ def archive_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> HostArchive:
     return HostArchive(opened_folder, decode)
 
 
-def test_a_stop_in_the_middle_of_a_write_doubles_no_item(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_in_the_middle_of_a_write_repeats_no_item(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> tuple[Segment, ...]:
         archive = archive_in(tmp_path / "a", monkeypatch)
         recorder, put = recorded(archive, tmp_path / "c")
@@ -197,7 +197,7 @@ def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_writte
 
 
 @pytest.mark.parametrize("is_full", [False, True])
-def test_a_write_begins_as_soon_as_there_is_enough_for_it_and_waits_while_the_disk_fails(
+def test_a_write_begins_as_soon_as_enough_bytes_wait_unless_the_disk_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool
 ) -> None:
     async def scenario() -> list[int]:

@@ -81,7 +81,7 @@ def seqs_of(window: ArchiveWindow) -> list[int]:
     return [part.first_seq for part in window.items.slices(FIRST_KEY, LAST_KEY)]
 
 
-def test_a_short_window_in_memory_is_read_without_a_thread_and_any_other_one_is_not(
+def test_only_a_short_window_in_memory_is_read_without_a_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = SegmentFiles(tmp_path, {})

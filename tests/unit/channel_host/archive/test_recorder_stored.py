@@ -54,7 +54,7 @@ def test_a_wait_for_stable_storage_makes_the_archive_write_at_once(
     assert sum(one.items for one in found.segments) == 2
 
 
-def test_a_disk_that_fails_ends_the_waits_with_its_reason_and_delays_no_other_channel(
+def test_a_disk_failure_ends_the_waits_of_a_channel_with_the_reason_and_delays_no_other_channel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> tuple[str, str, str, str, str]:

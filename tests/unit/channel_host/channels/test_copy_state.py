@@ -31,7 +31,7 @@ def test_a_copy_that_has_not_caught_up_serves_no_caller() -> None:
         state.check("cam", 10, Freshness())
 
 
-def test_a_copy_serves_reads_that_accept_its_age() -> None:
+def test_a_copy_serves_reads_that_accept_its_staleness() -> None:
     clock = Clock()
     state = state_at(clock)
     clock.nanos += S
@@ -47,7 +47,7 @@ def test_a_copy_serves_reads_of_items_that_it_has() -> None:
         state.check("cam", 10, Freshness(least_seq=10))
 
 
-def test_a_copy_that_has_lost_its_source_serves_no_caller_after_a_while() -> None:
+def test_some_time_after_the_loss_of_its_source_a_copy_serves_no_caller() -> None:
     clock = Clock()
     state = state_at(clock)
     clock.nanos += SERVED_STALENESS_NANOS_MAX

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.channels.deletions import DELETIONS_MAX, Deletions
 
 
-def test_a_caller_that_deletes_very_much_makes_its_own_requests_be_forgotten_and_no_others() -> None:
+def test_a_caller_with_very_many_deletions_displaces_only_its_own_remembered_requests() -> None:
     deletions = Deletions()
     deletions.note(b"good", "good")
     for number in range(2 * DELETIONS_MAX):

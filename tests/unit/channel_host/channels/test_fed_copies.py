@@ -76,7 +76,7 @@ def test_a_host_sends_connected_readers_to_a_new_copy_until_both_have_their_shar
     assert len(observers) == 4
 
 
-def test_readers_that_want_the_owner_stay_and_only_a_few_move_at_a_time() -> None:
+def test_readers_that_require_the_owner_stay_and_only_a_few_others_move_at_a_time() -> None:
     observers, copy = Observers(), copy_with(0)
     staying = [Reader(observers, may_move=False) for _ in range(50)]
     moving = [Reader(observers) for _ in range(50)]
@@ -92,7 +92,7 @@ def test_small_differences_move_no_reader() -> None:
     assert not any(one.sent_to for one in readers)
 
 
-def test_a_further_copy_gets_readers_although_the_host_has_hardly_more_than_its_share() -> None:
+def test_a_new_copy_gets_readers_even_if_the_host_is_only_slightly_above_its_share() -> None:
     observers, new, old = Observers(), copy_with(0, "h3:1"), copy_with(3, "h2:1")
     readers = [Reader(observers) for _ in range(3)]
     fed(old, new).relieve("cam", new, observers)

@@ -57,13 +57,13 @@ class Book:
         return counts
 
 
-async def test_a_few_are_woken_before_the_call_returns() -> None:
+async def test_a_few_observers_are_woken_before_the_call_returns() -> None:
     book = Book(OBSERVERS_PER_PIECE)
     book.change()
     assert book.woken == [*range(OBSERVERS_PER_PIECE)]
 
 
-async def test_of_many_each_turn_wakes_a_few_in_their_order() -> None:
+async def test_each_turn_wakes_a_few_of_many_observers_in_order() -> None:
     book = Book(MANY)
     book.change()
     counts = await book.turns()

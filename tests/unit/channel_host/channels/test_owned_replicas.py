@@ -66,7 +66,7 @@ async def test_waits_go_on_after_a_break() -> None:
     assert await waiting
 
 
-async def test_a_wait_for_something_from_before_a_break_ends_however_late_it_begins() -> None:
+async def test_a_wait_for_a_state_before_a_break_ends_even_if_it_begins_after_the_break() -> None:
     replicas = Replicas()
     replicas.know([KnownReplica(REPLICA, 1, False)])
     period = replicas.period

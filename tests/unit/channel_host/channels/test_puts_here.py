@@ -104,7 +104,7 @@ async def test_runs_are_put_in_their_order_and_a_lone_payload_stays_the_same_obj
     assert stream.store.puts.announced == 1
 
 
-async def test_runs_that_come_while_acks_are_told_are_put_too() -> None:
+async def test_runs_that_arrive_while_acks_are_written_are_put_too() -> None:
     stream, later = Stream(), runs_of([b"x"], [b"y"], [b"z"])
 
     def send_next() -> None:
@@ -129,7 +129,7 @@ async def test_a_channel_that_is_not_here_any_more_refuses_all_runs_so_that_the_
     assert not stream.store.puts.runs
 
 
-async def test_a_step_takes_few_bytes_because_the_ring_copies_them_all_at_its_end() -> None:
+async def test_a_step_puts_few_bytes_because_the_ring_copies_all_of_them_at_the_end_of_the_step() -> None:
     stream = Stream()
     stream.puts.send(runs_of(*[[bytes(STEP_BYTES_MAX // 2)]] * 6))
     await stream.steps()
@@ -158,7 +158,7 @@ async def test_no_later_run_overtakes_the_runs_that_came_while_puts_had_to_wait(
     assert [ack.HasField("error") for ack in stream.acks] == [True, True]
 
 
-async def test_a_run_that_no_repetition_helps_is_refused_alone() -> None:
+async def test_a_run_with_a_permanent_error_is_refused_without_the_runs_around_it() -> None:
     stream = Stream()
     stream.store.puts.refused[2] = InvalidArgument("not like this")
     stream.puts.send(runs_of([b"x", b"y"], [b"z"]))
@@ -178,7 +178,7 @@ async def test_a_defect_ends_the_stream_once_and_puts_nothing_more() -> None:
     assert not stream.acks
 
 
-async def test_a_cancelled_stream_puts_nothing_more_and_tells_nothing() -> None:
+async def test_a_cancelled_stream_puts_no_further_run_and_sends_no_ack() -> None:
     stream = Stream()
     ended: list[bool] = []
     stream.puts.on_over = lambda: ended.append(True)
@@ -189,7 +189,7 @@ async def test_a_cancelled_stream_puts_nothing_more_and_tells_nothing() -> None:
     assert (stream.acks, stream.ends, stream.store.puts.runs, ended) == ([], [], [], [True])
 
 
-def test_a_host_that_has_ended_takes_no_runs() -> None:
+def test_a_stopped_host_accepts_no_runs() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
     puts = PutsHere(loop, cast(Any, Store()), (b"c", 3), 11, lambda acks: None, lambda error: None)

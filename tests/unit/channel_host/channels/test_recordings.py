@@ -76,7 +76,7 @@ async def test_the_new_owner_numbers_its_files_by_its_own_epoch_and_reads_the_la
 
 @pytest.mark.parametrize("held", [[2, 4], [2, 3]])
 @pytest.mark.asyncio
-async def test_an_item_that_memory_lost_before_earlier_accepted_ones_stays_in_the_archive_after_a_move(
+async def test_an_item_that_memory_dropped_out_of_order_stays_in_the_archive_after_a_move(
     tmp_path: Path, held: list[int]
 ) -> None:
     store = FakeStore()

@@ -35,7 +35,7 @@ def put(hosted: HostedChannel, clock: ManualClock, payload: bytes) -> None:
 
 
 @pytest.mark.asyncio
-async def test_items_that_left_before_the_replicas_had_them_count_as_memory_and_are_bounded() -> None:
+async def test_items_that_leave_before_the_replicas_have_them_count_as_memory_and_are_bounded() -> None:
     clock, memory = ManualClock(), MemoryBudget(2**40)
     hosted = channel_without_replicas_in_sync(memory, clock)
     frame, accepted = bytes(FRAME_BYTES), UNSEEN_BYTES_MAX // FRAME_BYTES + 1

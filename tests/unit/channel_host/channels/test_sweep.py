@@ -47,7 +47,7 @@ class Host:
         assert not ack.rejections
 
 
-async def test_a_channel_is_swept_when_its_items_are_of_age_and_keeps_the_newest() -> None:
+async def test_a_sweep_collects_items_beyond_the_age_but_keeps_the_newest_one() -> None:
     host = Host()
     channel = host.open(Policy(max_age_nanos=S))
     for _ in range(2000):
@@ -67,7 +67,7 @@ def _overhead(payload: bytes) -> int:
     return len(encode_run([payload], times=[0], durations=[0])) - len(payload) + 9
 
 
-async def test_channels_in_which_nothing_happens_cost_a_sweep_nothing() -> None:
+async def test_a_sweep_does_not_look_at_unchanged_channels() -> None:
     """A fixed fault: 20,000 idle channels took 43 % of a core."""
     host = Host()
     idle = [host.open(Policy(max_age_nanos=S)) for _ in range(2000)]
@@ -118,7 +118,7 @@ async def test_the_memory_of_producers_is_charged_and_freed_without_another_put(
     assert host.memory.used_bytes == without
 
 
-async def test_memory_that_time_has_outdated_is_freed_before_a_put_is_refused() -> None:
+async def test_outdated_items_are_freed_before_a_put_is_refused() -> None:
     host = Host(bytes_max=10_000)
     full, other = host.open(Policy(max_age_nanos=S)), host.open(Policy(max_age_nanos=S))
     host.put(full, b"x" * 9_000)
@@ -140,7 +140,7 @@ async def test_a_dropped_channel_frees_its_memory() -> None:
 
 
 @pytest.mark.parametrize("max_items", [1, 3])
-async def test_an_item_that_is_left_of_a_large_run_does_not_keep_it_all(max_items: int) -> None:
+async def test_the_last_item_of_a_large_run_does_not_keep_the_whole_run_in_memory(max_items: int) -> None:
     """Such an item once counted as its length and 64 bytes, and kept 64 kB in memory."""
     host = Host()
     channel = host.open(Policy(max_items=max_items))
@@ -155,7 +155,7 @@ async def test_an_item_that_is_left_of_a_large_run_does_not_keep_it_all(max_item
     assert payloads[0] not in part.run.body
 
 
-async def test_runs_of_which_items_in_the_middle_went_are_charged_as_they_are_kept() -> None:
+async def test_a_run_without_its_middle_items_is_charged_with_its_kept_bytes() -> None:
     """The rest of a run with gaps stays in its place. It is charged with all the memory that it keeps."""
     host = Host()
     channel = host.open(Policy(max_items=256))

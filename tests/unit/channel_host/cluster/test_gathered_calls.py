@@ -36,7 +36,7 @@ async def asked(calls: GatheredCalls[int, int], *numbers: int) -> list[asyncio.T
     return tasks
 
 
-async def test_questions_that_come_during_a_call_go_together_into_the_next_ones() -> None:
+async def test_lookups_that_arrive_during_a_call_share_the_next_calls() -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 2)
     tasks = await asked(calls, 1) + await asked(calls, 2, 3, 4)
@@ -46,7 +46,7 @@ async def test_questions_that_come_during_a_call_go_together_into_the_next_ones(
     assert await calls.ask(5) == 25
 
 
-async def test_each_question_gets_its_own_answer_or_error() -> None:
+async def test_each_lookup_gets_its_own_answer_or_error() -> None:
     directory = Directory()
     tasks = await asked(GatheredCalls(directory.ask, 8), 0, 2, -3, 4)
     directory.go.set()
@@ -55,7 +55,7 @@ async def test_each_question_gets_its_own_answer_or_error() -> None:
 
 
 @pytest.mark.parametrize("fails", [Unavailable("no supernode"), RuntimeError("a defect")])
-async def test_a_call_that_fails_fails_its_questions_and_no_later_ones(fails: Exception) -> None:
+async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exception) -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 8)
     first, later = await asked(calls, 1), await asked(calls, 2, 3)
@@ -66,7 +66,7 @@ async def test_a_call_that_fails_fails_its_questions_and_no_later_ones(fails: Ex
     assert await asyncio.gather(*later) == [4, 9]
 
 
-async def test_a_caller_that_has_gone_is_not_asked_for_and_keeps_nobody_waiting() -> None:
+async def test_a_cancelled_lookup_is_left_out_and_delays_no_other() -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 8)
     first, (gone, stays) = await asked(calls, 1), await asked(calls, 2, 3)

@@ -16,7 +16,7 @@ def granted(sent: int) -> HostLease:
     return keeper
 
 
-def test_nothing_is_held_before_the_first_grant() -> None:
+def test_a_host_holds_no_lease_before_the_first_grant() -> None:
     keeper = HostLease()
     assert not keeper.is_held(0)
     assert keeper.renewal_in_nanos(123) == 0
@@ -31,13 +31,13 @@ def test_a_host_fences_itself_at_four_fifths_of_the_ttl_after_it_sent() -> None:
     assert keeper.fenced_in_nanos(9_000) == 0
 
 
-def test_it_renews_three_times_per_ttl() -> None:
+def test_a_lease_is_renewed_three_times_per_ttl() -> None:
     keeper = granted(0)
     assert keeper.renewal_in_nanos(0) == TTL // 3
     assert keeper.renewal_in_nanos(TTL) == 0
 
 
-def test_an_overtaken_answer_does_not_shorten_the_lease() -> None:
+def test_a_late_answer_to_an_earlier_renewal_does_not_shorten_the_lease() -> None:
     keeper = granted(2_000)
     keeper.granted(sent_nanos=1_000, ttl_nanos=TTL)
     assert keeper.is_held(5_999)

@@ -9,7 +9,7 @@ import pytest
 from stampede_rt_channel_host.cluster.identity import HomeCluster, default_name, load_host_id, new_boot_incarnation
 
 
-def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
+def test_a_host_keeps_its_id_as_long_as_its_data_folder(tmp_path: Any) -> None:
     assert load_host_id(tmp_path / "new") == load_host_id(tmp_path / "new")
     assert load_host_id(None) != load_host_id(None)
 

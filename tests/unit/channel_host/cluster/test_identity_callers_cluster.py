@@ -18,7 +18,7 @@ def test_a_host_refuses_the_callers_of_another_cluster(tmp_path: Path) -> None:
     assert HomeCluster(tmp_path).judge("y") is not None
 
 
-def test_a_host_serves_the_callers_of_the_cluster_whose_place_its_own_took() -> None:
+def test_a_host_also_serves_callers_with_the_id_of_the_cluster_that_its_cluster_replaced() -> None:
     home = HomeCluster()
     home.note("x")
     home.note("y", ["x"])

@@ -17,6 +17,6 @@ def test_the_load_is_the_share_of_a_core_since_the_last_report_and_the_memory() 
     assert meter.measure().busy_permille == 3000, "a process may use several cores"
 
 
-def test_two_reports_in_the_same_nanosecond_are_no_error() -> None:
+def test_two_reports_in_the_same_nanosecond_raise_no_error() -> None:
     meter = LoadMeter(lambda: 0, 1, cpu_nanos=lambda: 0, steady_nanos=lambda: 0)
     assert meter.measure().busy_permille == 0

@@ -51,7 +51,7 @@ def test_records_keep_the_fields_of_newer_releases() -> None:
     assert group_message(recorded_group(group)).SerializeToString() == newer(GROUP.SerializeToString())
 
 
-def test_a_change_of_a_set_up_keeps_values_that_this_release_does_not_know() -> None:
+def test_a_changed_record_keeps_values_that_this_release_does_not_know() -> None:
     spec = channel_pb2.ChannelSpec.FromString(newer(channel_pb2.ChannelSpec(on_full=UNKNOWN).SerializeToString()))
     change = policy_change(spec)
     assert change.stated.on_full is None

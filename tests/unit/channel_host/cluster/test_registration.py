@@ -73,7 +73,7 @@ async def keeping(host: Host) -> AsyncIterator[None]:
         await host.supernodes.aclose()
 
 
-async def test_a_host_enters_and_holds_its_lease() -> None:
+async def test_a_host_registers_and_holds_its_lease() -> None:
     async with directory() as fake:
         host = Host(fake.target)
         assert not host.registration.lease_held()
@@ -161,7 +161,7 @@ class SlowDirectory:
         return RenewHostLeaseResponse(lease_ttl_nanos=5 * 10**9)
 
 
-async def test_a_lease_counts_from_the_sending_and_not_from_the_answer() -> None:
+async def test_a_lease_begins_when_the_host_sends_the_request() -> None:
     slow = SlowDirectory()
 
     async def ignore(_: object) -> None:
@@ -240,7 +240,7 @@ async def test_the_end_of_a_lease_and_the_next_registration_are_both_warnings(ca
     ]
 
 
-async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
+async def test_a_host_waits_for_a_name_that_its_former_process_still_holds() -> None:
     async with directory() as fake:
         fake.refuse["RegisterHost"] = HostExists("another live host has the name h1")
         host = Host(fake.target)
@@ -252,7 +252,7 @@ async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
         await host.supernodes.aclose()
 
 
-async def test_a_host_that_is_started_again_takes_its_own_place_with_the_next_number() -> None:
+async def test_a_restarted_host_replaces_its_former_process_with_the_next_registration_epoch() -> None:
     async with directory() as fake:
         for boot in (7, 8, 9):
             host = Host(fake.target, boot=boot)
@@ -282,7 +282,7 @@ async def test_an_older_process_of_a_host_does_not_register_again_while_the_newe
         await newer.supernodes.aclose()
 
 
-async def test_a_permanent_refusal_ends_the_start_at_once() -> None:
+async def test_a_permanent_error_ends_the_start_at_once() -> None:
     async with directory() as fake:
         fake.refuse["RegisterHost"] = PermissionDenied("not this one")
         host = Host(fake.target)
@@ -299,7 +299,7 @@ async def test_a_start_without_any_front_end_ends_with_a_reason() -> None:
     await host.supernodes.aclose()
 
 
-async def test_the_leader_named_by_a_follower_is_asked() -> None:
+async def test_a_host_asks_the_leader_that_a_follower_has_named() -> None:
     async with directory() as follower, directory() as leader:
         follower.refuse["RegisterHost"] = NotLeader("not me", metadata={"leader_endpoint": leader.target})
         host = Host(follower.target)
@@ -308,7 +308,7 @@ async def test_the_leader_named_by_a_follower_is_asked() -> None:
         await host.supernodes.aclose()
 
 
-async def test_a_dead_supernode_is_passed_over() -> None:
+async def test_a_host_skips_a_dead_supernode() -> None:
     async with directory() as fake:
         fake.others = ["localhost:1"]
         host = Host(fake.target)
@@ -317,7 +317,7 @@ async def test_a_dead_supernode_is_passed_over() -> None:
         await host.supernodes.aclose()
 
 
-async def test_leaving_deregisters_and_gives_the_lease_up() -> None:
+async def test_a_host_that_leaves_deregisters_and_ends_its_lease() -> None:
     async with directory() as fake:
         host = Host(fake.target)
         await host.registration.enter("localhost:1")
@@ -351,7 +351,7 @@ class NewerDirectory(FakeDirectory):
         return response
 
 
-async def test_a_host_does_not_enter_a_directory_of_another_protocol() -> None:
+async def test_a_host_does_not_register_at_a_directory_of_another_protocol() -> None:
     fake = NewerDirectory()
     async with serving(fake.register) as server:
         fake.target = server.address

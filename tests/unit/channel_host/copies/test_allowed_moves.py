@@ -51,6 +51,6 @@ def test_the_oldest_permission_is_dropped_if_there_are_too_many(monkeypatch: pyt
         moves.check("channel cam", CHANNEL, 1, HOST)
 
 
-def test_the_permit_is_the_one_that_the_directory_expects() -> None:
+def test_the_directory_accepts_the_permit_of_a_host() -> None:
     assert is_permit(AllowedMoves(KEY).permit(CHANNEL, 3, HOST), KEY, CHANNEL, 3, HOST)
     assert AllowedMoves(b"").permit(CHANNEL, 3, HOST) == b"", "the directory has no key of this host"

@@ -64,7 +64,7 @@ def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer()
 
 
 @pytest.mark.parametrize("opened", [None, pb.FeedOpened(begins_anew=True)], ids=["a newer record", "a new copy"])
-async def test_a_source_changes_no_other_channel_of_the_copys_host(opened: pb.FeedOpened | None) -> None:
+async def test_a_source_can_change_only_its_own_channel_at_the_copys_host(opened: pb.FeedOpened | None) -> None:
     """The copy would take the place of that channel, even if this host owns it."""
     rig = Rig()
     other = pb.FeedResponse(opened=opened, state=pb.FeedState())

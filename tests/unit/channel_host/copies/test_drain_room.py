@@ -45,7 +45,7 @@ async def test_a_host_that_has_not_answered_yet_gets_few_moves_and_leaves_the_ot
     assert moves.under_way.count(b"frozen") == MOVES_AT_FIRST
 
 
-async def test_all_hosts_together_get_a_limited_number_and_all_moves_have_their_turn() -> None:
+async def test_the_number_of_moves_to_all_hosts_is_limited_and_every_move_is_served() -> None:
     moves = Moves()
     await moves.begun(*(bytes([one % 3]) for one in range(90)))
     for host in range(3):
@@ -57,7 +57,7 @@ async def test_all_hosts_together_get_a_limited_number_and_all_moves_have_their_
     assert len(moves.under_way) == 90
 
 
-async def test_queues_that_wait_for_their_turn_keep_no_room_from_channels() -> None:
+async def test_waiting_moves_of_queues_do_not_hold_up_moves_of_channels() -> None:
     moves = Moves()
     await moves.begun(*[b"h"] * 50, is_queue=True)
     moves.room.answered(b"h")

@@ -96,7 +96,7 @@ async def test_a_drained_channel_goes_to_another_host_if_the_first_has_no_room()
     assert sorted(free.taken) == [b"c0", b"c1", b"c2"]
 
 
-async def test_a_host_that_has_too_many_moves_under_way_is_asked_again() -> None:
+async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
     busy = Host(*[FULL] * 5)
     assert await drained(3, busy) == Drained(3, {})
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
@@ -110,7 +110,7 @@ async def test_a_recorded_channel_is_drained_only_to_a_host_with_an_archive() ->
     assert (moved, [*left.values()]) == (0, ["it is recorded (archive), and no other live host has an archive"])
 
 
-async def test_a_host_that_also_stops_gets_no_channel() -> None:
+async def test_a_drain_moves_no_channel_to_a_host_that_also_stops() -> None:
     stopping, free = Host(always=SHUTTING_DOWN), Host()
     assert await drained(3, stopping, free) == Drained(3, {})
     assert len(free.taken) == 3
@@ -130,7 +130,7 @@ async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:
     assert "shutting down" in left["cam/0"]
 
 
-async def test_a_channel_that_cannot_move_is_named_and_a_deleted_one_is_not() -> None:
+async def test_the_log_names_a_channel_that_cannot_move_but_not_a_deleted_one() -> None:
     host = Host(InvalidArgument("it is recorded"), ChannelNotFound("it is gone"))
     moved, left = await drained(2, host)
     assert (moved, len(left)) == (1, 1)

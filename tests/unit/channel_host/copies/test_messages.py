@@ -23,7 +23,7 @@ EMPTY = Collection(FIRST_KEY, 0, "age", None, None, "age", None, None)
 
 
 @pytest.mark.parametrize("collection", [FULL, EMPTY])
-def test_a_feed_state_keeps_its_collection_through_the_codec(collection: Collection) -> None:
+def test_a_decoded_feed_state_has_the_encoded_collection(collection: Collection) -> None:
     state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6), 0)
     clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
     assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped
@@ -42,11 +42,11 @@ def test_a_position_is_decoded_as_it_was_encoded_and_needs_a_seq() -> None:
         place_of(pb.FeedPlace(incarnation=11), 3)
 
 
-def test_the_clock_of_a_former_owner_is_of_no_use_to_the_next_one() -> None:
+def test_the_times_of_a_former_owners_clock_are_left_out_for_the_next_owner() -> None:
     assert place_of(place_to(FeedPlace(11, 12, 13, 14), 3), 4) == FeedPlace(11, 12, 13)
 
 
-def test_a_run_is_stored_with_the_bytes_that_came() -> None:
+def test_a_run_is_stored_with_the_received_bytes() -> None:
     body = seal_run(encode_run([b"a", b"bc"], times=[3, 1], durations=[-1, 4]), 20)
     run = run_of(body)
     assert run.body == body

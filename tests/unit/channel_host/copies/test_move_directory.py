@@ -30,7 +30,7 @@ def record(name: str, host_id: bytes, *, alive: bool = True) -> Any:
     return made
 
 
-async def test_the_other_hosts_are_those_of_all_pages_that_live() -> None:
+async def test_the_list_of_other_hosts_has_the_live_hosts_of_all_pages() -> None:
     pages: Any = Pages(record("a", b"a"), record("own", OWN), record("b", b"b", alive=False), record("c", b"c"))
     directory = MoveDirectory(pages, HostIdentity(host_id=OWN, name="own", boot_incarnation=1, zone=""))
     assert [one.name for one in await directory.other_hosts()] == ["a", "c"]

@@ -24,7 +24,7 @@ MADE = RecordedChannel(
 )
 
 
-def test_one_maker_cannot_take_all_moves() -> None:
+def test_the_channels_of_one_maker_cannot_use_all_moves() -> None:
     slots = MoveSlots("to host h1")
     mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
     for _ in range(OF_ONE_MAX):

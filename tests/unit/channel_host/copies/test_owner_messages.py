@@ -38,7 +38,7 @@ def test_the_facts_of_an_owner_are_converted_to_the_clock_of_the_copy() -> None:
     assert (back.places, back.counters, back.until) == (PLACES, COUNTERS, 100)
 
 
-def test_places_that_have_not_changed_are_left_out() -> None:
+def test_unchanged_consumer_places_are_left_out() -> None:
     back = owner_of(owner_to(OwnerPart((), None, COUNTERS, None), 0), 0)
     assert (back.runs, back.places, back.until) == ((), None, None)
 

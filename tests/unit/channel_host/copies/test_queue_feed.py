@@ -54,7 +54,7 @@ async def test_each_step_is_one_request(monkeypatch: pytest.MonkeyPatch) -> None
     await rig.end()
 
 
-async def test_while_nothing_changes_there_are_signs_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_owner_sends_signs_of_life_while_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, 0.01)
     assert [await rig.parts() for _ in range(3)] == [0, 0, 0]
     await rig.end()
@@ -68,7 +68,7 @@ async def test_while_nothing_changes_there_are_signs_of_life(monkeypatch: pytest
         "two owners ago", "another incarnation", "steps that the journal has dropped",
     ],
 )  # fmt: skip
-def test_a_copy_continues_only_if_it_has_no_other_steps_than_its_owner(
+def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
     next_step: int, incarnation: int, owner_epoch: int, continues: bool
 ) -> None:
     """This owner began at step 10 in epoch 4, and has the steps from 8 on."""

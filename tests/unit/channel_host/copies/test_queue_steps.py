@@ -39,7 +39,7 @@ def test_a_large_step_is_sent_in_several_parts(monkeypatch: pytest.MonkeyPatch) 
     assert copy.latest_counters() == core.queue.latest_counters()
 
 
-def test_no_part_is_longer_than_a_host_takes() -> None:
+def test_no_part_is_longer_than_the_limit_of_a_host() -> None:
     """Parts of 1 MiB never arrived over gRPC. So a queue with large messages had no replica in sync."""
     core = Core()
     journal = core.queue.journal()
@@ -57,7 +57,7 @@ def test_no_part_is_longer_than_a_host_takes() -> None:
         assert max(lengths) <= MESSAGE_BYTES_MAX - 2**14, "there is room for the record of the queue"
 
 
-def test_the_refusals_of_a_producer_fit_in_parts_that_a_host_takes() -> None:
+def test_the_refusals_of_a_producer_fit_in_parts_within_the_limit_of_a_host() -> None:
     """When a full queue gets room, it takes many runs of one producer in one step, and may refuse most messages."""
     core = Core(max_item_bytes=100)
     journal = core.queue.journal()

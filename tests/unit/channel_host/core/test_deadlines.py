@@ -32,7 +32,7 @@ def test_a_disarmed_deadline_is_not_due() -> None:
     assert deadlines.pop(10) is None
 
 
-def test_a_deadline_that_is_put_off_again_and_again_takes_no_more_room() -> None:
+def test_a_deadline_that_is_extended_repeatedly_takes_no_more_room() -> None:
     deadlines, one = Deadlines[Thing](), Thing(1)
     for due in range(10_000):
         deadlines.arm(one, due)

@@ -35,7 +35,7 @@ def test_a_retried_run_is_answered_as_before() -> None:
     assert window.find(PRODUCER + 1, 1, 3, now=2) is None
 
 
-def test_the_greatest_numbers_are_told_apart() -> None:
+def test_the_greatest_numbers_are_distinguished() -> None:
     window = RetryWindow()
     last = 2**64 - 1
     window.record(2**64 - 1, last, accepted(1, 9))
@@ -133,7 +133,7 @@ def test_producers_that_were_silent_for_ten_minutes_are_forgotten_without_anothe
     assert (len(window), window.footprint_bytes) == (0, 0)
 
 
-def test_the_window_has_a_bound_in_bytes_for_which_the_longest_silent_producers_go() -> None:
+def test_at_its_bound_in_bytes_the_window_drops_the_longest_silent_producers() -> None:
     window = RetryWindow(bytes_max=100_000)
     for producer_id in range(1, 1001):
         window.record(producer_id, 1, accepted(1, producer_id))
@@ -177,7 +177,7 @@ def test_many_producers_cost_the_memory_that_the_window_reports() -> None:
     assert size <= window.footprint_bytes <= 1.5 * size
 
 
-def test_producer_zero_asks_for_nothing_to_be_recognised() -> None:
+def test_runs_of_producer_zero_are_never_recognised_as_retries() -> None:
     window = RetryWindow()
     window.record(0, 1, accepted(1, 1))
     assert window.find(0, 1, 1, now=0) is None
@@ -210,7 +210,7 @@ def test_parts_whose_seqs_follow_each_other_are_one() -> None:
 
 
 @pytest.mark.parametrize("bounds", [{"producers_max": 200}, {"bytes_max": 100_000}])
-def test_one_caller_with_very_many_producers_pushes_out_its_own_and_not_those_of_others(bounds: dict[str, int]) -> None:
+def test_one_caller_with_very_many_producers_displaces_only_its_own(bounds: dict[str, int]) -> None:
     window = RetryWindow(**bounds)
     for producer_id in range(1, 11):
         window.record(producer_id, 1, accepted(1, producer_id), owner="good")

@@ -16,7 +16,7 @@ def test_host_time_starts_at_the_wall_clock_and_advances_with_the_monotonic_one(
     assert clock.offset_nanos == 0
 
 
-def test_a_small_offset_bends_time_by_little_and_melts_away() -> None:
+def test_host_time_corrects_a_small_offset_slowly() -> None:
     clock = HostTime(0, 0)
     millisecond = 1_000_000
     assert clock.read(SECOND, SECOND + 30 * millisecond) == SECOND + millisecond
@@ -33,7 +33,7 @@ def test_readings_in_quick_succession_follow_as_well_as_rare_ones() -> None:
     assert 1_000_000 - clock.offset_nanos == 3327  # of 1 ms after 0.1 s of 30: 1 - exp(-0.1 / 30), rounded down
 
 
-def test_a_wall_clock_that_steps_an_hour_ahead_is_reached_within_about_two() -> None:
+def test_host_time_catches_up_with_a_wall_clock_step_of_an_hour_in_about_two_hours() -> None:
     clock = HostTime(0, 0)
     assert clock.read(SECOND, 3601 * SECOND) == SECOND + SECOND // 2
     for second in range(2, 7400):
@@ -47,7 +47,7 @@ def test_a_wall_clock_that_steps_back_never_turns_host_time_back() -> None:
     assert [after - before for before, after in pairwise(times)] == [SECOND // 2] * 98
 
 
-def test_a_monotonic_reading_from_before_counts_as_the_last_one() -> None:
+def test_a_monotonic_reading_before_the_last_one_counts_as_the_last_one() -> None:
     clock = HostTime(10, 1000)
     assert clock.read(20, 1010) == 1010
     assert clock.read(15, 5000) == 1010

@@ -14,7 +14,7 @@ def test_channels_that_share_groups_directly_or_indirectly_are_placed_together()
     assert sorted(sorted(bunch) for bunch in together(groups)) == [[b"a", b"b", b"d"], [b"c"], [b"e"]]
 
 
-def test_the_least_busy_host_gets_channels_and_equals_share_them() -> None:
+def test_the_least_busy_host_gets_channels_and_equally_busy_hosts_share_them() -> None:
     hosts = [host("h1", 900), host("h2", 110, 5), host("h3", 190, 4)]
     places = spread([[b"a"], [b"b"], [b"c"]], hosts)
     assert sorted(one.name for one in places.values()) == ["h2", "h3", "h3"]

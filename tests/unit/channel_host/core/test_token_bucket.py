@@ -13,7 +13,7 @@ def test_a_burst_is_allowed_at_once_and_the_rest_at_the_rate() -> None:
     assert bucket.spend(10, 0.3) == 0
 
 
-def test_a_long_rest_gives_no_more_than_one_burst() -> None:
+def test_after_a_long_pause_no_more_than_one_burst_is_allowed() -> None:
     bucket = TokenBucket(rate=100, burst=50, now_s=0)
     assert bucket.spend(50, 1000) == 0
     assert bucket.spend(50, 1000) == pytest.approx(0.5)

@@ -87,7 +87,7 @@ def test_a_window_forgets_the_runs_of_lost_items_and_continues_a_run_that_is_los
     assert (len(window), window.footprint_bytes) == (0, 0)
 
 
-def test_a_window_gives_way_to_its_owner_if_the_two_disagree() -> None:
+def test_a_copied_window_takes_over_the_entry_of_its_owner_if_the_two_differ() -> None:
     window = RetryWindow()
     window.record(1, 1, whole(1, 4, 1))
     window.adopt(KeptRun(1, 3, whole(9, 2, 2)))

@@ -114,14 +114,14 @@ async def test_a_host_follows_the_channels_of_all_groups_until_the_last_group_is
     assert groups.wanted(LEFT) == {7}
 
 
-async def test_a_group_that_is_learnt_makes_the_host_look_at_no_other_group(groups: Groups) -> None:
+async def test_when_a_host_learns_of_a_group_it_looks_at_no_other_group(groups: Groups) -> None:
     for number in range(100):
         groups.adopt(number, (number, LEFT), (number + 1, RIGHT))
     assert groups.walked.walks == 0
     assert groups.wanted(LEFT) == {*range(100)}
 
 
-async def test_the_groups_of_one_caller_do_not_leave_out_the_channels_of_others(
+async def test_many_groups_of_one_caller_do_not_displace_the_channels_of_others(
     groups: Groups, caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(0, INTEREST_MAX + 2000, 64):

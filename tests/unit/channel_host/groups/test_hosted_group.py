@@ -121,7 +121,7 @@ async def test_an_end_is_reported_to_a_few_in_a_turn() -> None:
     assert {str(one.exception()) for one in waiting} == {"gone"}
 
 
-async def test_a_reader_that_has_not_heard_yet_of_a_new_life_of_the_group_reads_nothing_of_it() -> None:
+async def test_a_reader_of_the_former_incarnation_of_a_group_reads_nothing_of_the_new_one() -> None:
     hosted = Hosted()
     incarnation = hosted.group.record.incarnation
     hosted.group.check_incarnation(incarnation)

@@ -116,7 +116,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     await wire.end()
 
 
-async def test_a_link_reports_when_the_other_side_has_sent_all_that_it_knew() -> None:
+async def test_a_link_reports_when_the_other_host_has_sent_its_whole_state() -> None:
     notebook = Notebook()
     wire = Wire(notebook)
     await wire.greet()
@@ -127,7 +127,7 @@ async def test_a_link_reports_when_the_other_side_has_sent_all_that_it_knew() ->
     assert [is_first for _, is_first in notebook.heard] == [False, True, False]
 
 
-async def test_a_certificate_speaks_for_the_host_of_its_own_name_alone() -> None:
+async def test_a_certificate_is_valid_only_for_the_host_that_it_names() -> None:
     notebook = Notebook()
     notebook.names[OTHER] = "h2"
     wire = Wire(notebook, certified_name="nobody")
@@ -141,7 +141,7 @@ async def test_a_certificate_speaks_for_the_host_of_its_own_name_alone() -> None
     assert len(notebook.heard) == 1
 
 
-async def test_a_host_that_becomes_known_under_another_name_is_not_heard_any_more() -> None:
+async def test_a_host_accepts_no_further_messages_under_an_outdated_host_name() -> None:
     notebook = Notebook()
     wire = Wire(notebook, certified_name="nobody")
     await wire.greet()
@@ -186,7 +186,7 @@ async def test_silence_breaks_a_link_and_signs_of_life_keep_it(monkeypatch: pyte
         await wire.running
 
 
-async def test_a_host_without_a_lease_speaks_for_no_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_host_without_a_lease_reports_no_times_of_channels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_module, "LINK_SIGN_OF_LIFE_SECONDS", 0.01)
     notebook = Notebook()
     wire = Wire(notebook)

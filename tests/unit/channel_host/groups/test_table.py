@@ -52,7 +52,7 @@ def told(number: int, *members: int, **settings: Any) -> ResolvedGroup:
 def ignored(one: bytes) -> None: ...
 
 
-async def test_a_group_that_loses_members_forgets_these_and_looks_at_no_others() -> None:
+async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_others() -> None:
     table = HostedGroups()
     table.board._known = known = Walked()
     begin = PieceScheduler().begin
@@ -145,7 +145,7 @@ notes = draws.tuples(
 
 
 @given(settings=draws.lists(settings_of_groups, min_size=1, max_size=4), scenario=draws.lists(notes, max_size=40))
-def test_groups_show_the_same_as_if_each_change_looked_at_all_of_them(
+def test_groups_have_the_same_cuts_as_if_each_change_updated_all_groups(
     settings: list[dict[str, Any]], scenario: list[tuple[int, int, int | None, int]]
 ) -> None:
     async def compare() -> None:

@@ -66,7 +66,7 @@ def told(families: list[Family]) -> dict[tuple[str, ...], float]:
     return {(one.metric.name, *labels): value for one in families for labels, value in one.samples}
 
 
-def test_the_sums_count_every_item_and_its_fate() -> None:
+def test_the_sums_count_accepted_rejected_and_collected_items() -> None:
     host = Host()
     left = host.open("left", Policy(max_items=2, on_full="drop_oldest"))
     for payload in (b"aa", b"bb", b"cc"):

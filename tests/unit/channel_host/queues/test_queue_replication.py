@@ -100,7 +100,7 @@ def test_an_owner_without_a_minimum_continues_without_replicas() -> None:
     assert owner.done == ["one"]
 
 
-def test_steps_that_every_replica_has_are_forgotten_and_those_of_a_slow_feed_are_kept() -> None:
+def test_an_owner_deletes_the_steps_that_every_replica_has_and_keeps_those_that_a_slow_feed_lacks() -> None:
     owner = Owner()
     owner.put("one")
     owner.feed.next_step = 2
@@ -111,7 +111,7 @@ def test_steps_that_every_replica_has_are_forgotten_and_those_of_a_slow_feed_are
     assert owner.replication.journal.steps_from(2, 10**9) is not None
 
 
-async def test_a_wait_ends_with_the_replicas_with_its_time_or_with_the_queue() -> None:
+async def test_a_wait_ends_when_the_replicas_have_the_step_or_at_its_timeout_or_with_the_queue() -> None:
     owner = Owner()
     owner.put("one")
     assert not await owner.replication.replicated(2, 0.001)
@@ -127,7 +127,7 @@ async def test_a_wait_ends_with_the_replicas_with_its_time_or_with_the_queue() -
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_a_released_queue_answers_everything(waits: bool) -> None:
+def test_a_released_queue_answers_all_waiting_calls(waits: bool) -> None:
     owner = Owner()
     if waits:
         owner.put("one")
@@ -145,7 +145,7 @@ def test_the_status_shows_the_position_of_a_replica() -> None:
     assert status.heard_ago_nanos == 30
 
 
-def test_an_owner_that_owns_the_queue_again_trusts_no_replica_before_it_has_heard_of_it_anew() -> None:
+def test_a_host_that_owns_a_queue_again_waits_for_new_reports_of_its_replicas() -> None:
     owner = Owner()
     owner.put("one")
     owner.report(2)
@@ -160,7 +160,7 @@ def test_an_owner_that_owns_the_queue_again_trusts_no_replica_before_it_has_hear
     assert owner.done == ["one", "two"]
 
 
-async def test_a_queue_that_comes_back_after_a_move_is_owned_again_and_one_that_never_left_is_not() -> None:
+async def test_only_a_queue_that_has_really_moved_is_owned_since_a_new_epoch() -> None:
     for epoch, since_epoch in ((2, 1), (3, 3)):
         hosted = await held_queue()
         assert hosted.replication is not None

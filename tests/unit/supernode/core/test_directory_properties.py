@@ -55,7 +55,7 @@ class DirectoryMachine(ThreeDirectories):
             self.populate()
 
     def populate(self) -> None:
-        """Chance alone seldom comes so far that hosts, channels, groups and copies are there at once."""
+        """Add hosts, channels, groups and copies, because random commands seldom make all of them."""
         self.apply(BeginTenure(tenure=1, supernode_id="s", new_cluster_id="c", new_lease_ttl_nanos=1), self.fresh_id())
         for number, name in enumerate(("a", "b", "c"), start=1):
             self.apply(register(number, name=name), self.fresh_id())
@@ -66,10 +66,10 @@ class DirectoryMachine(ThreeDirectories):
         for copy in (add_replica(channel_ids[0], warm=True), add_replica(channel_ids[1], warm=True)):
             added = self.apply(copy, self.fresh_id())
             assert isinstance(added, ReplicaAdded)
-            said = SetReplicaInSync(
+            report = SetReplicaInSync(
                 channel_id=copy.channel_id, epoch=1, host_id=added.host.host_id, boot_incarnation=1, in_sync=True
             )
-            self.apply(said, self.fresh_id())
+            self.apply(report, self.fresh_id())
 
     op_ids = st.none() | st.integers(1, 6).map(id_of)
 
@@ -163,11 +163,11 @@ class DirectoryMachine(ThreeDirectories):
             owned = sorted(channel.channel_id for channel in tables.channels.values() if channel.host_id == one)
             assert [channel.channel_id for channel in tables.channels_at(one)] == owned
             assert host.channels == len(owned)
-            assert host.alive or owned or host.is_lost, "a host that left, and owns nothing, is forgotten"
+            assert host.alive or owned or host.is_lost, "a host that has left and owns nothing has no record"
         assert {channel.host_id for channel in tables.channels.values()} <= set(tables.hosts)
 
     @invariant()
-    def groups_and_their_names_are_one_to_one_and_their_members_are_there(self) -> None:
+    def group_names_and_ids_are_one_to_one_and_the_members_of_groups_exist(self) -> None:
         tables = self.directory.tables
         groups = tables.groups
         assert dict(groups.ids) == {group.name: one for one, group in groups.by_id.items()}
@@ -185,14 +185,14 @@ class DirectoryMachine(ThreeDirectories):
             assert sorted(group.group_id for group in with_it) == [g.group_id for g in groups.with_channel(one)]
 
     @invariant()
-    def copies_are_at_live_hosts_of_their_boot_and_the_channel_names_them(self) -> None:
+    def copies_are_at_live_hosts_with_the_same_boot_number_and_the_channel_names_these_hosts(self) -> None:
         tables = self.directory.tables
         held: dict[bytes, set[bytes]] = {}
         for channel in tables.channels.values():
             copies = tables.replicas.of(channel.channel_id)
             assert channel.proxy_host_ids == tuple(copy.host_id for copy in copies if not is_former_owner(copy))
             places = {channel.host_id, *(copy.host_id for copy in copies)}
-            assert len(places) == len(copies) + 1, "one copy at a host, none at the owner"
+            assert len(places) == len(copies) + 1, "a host has at most one copy, and the owner has none"
             for copy in copies:
                 host = tables.hosts[copy.host_id]
                 assert (host.alive, host.boot_incarnation) == (True, copy.boot_incarnation)
@@ -224,7 +224,7 @@ class DirectoryMachine(ThreeDirectories):
         self.versions |= now
 
     @invariant()
-    def a_watcher_that_follows_the_changes_sees_channels_and_groups_as_they_are(self) -> None:
+    def a_watcher_that_applies_the_changes_has_the_present_channels_and_groups(self) -> None:
         page = self.directory.tables.changes.read(self.position, 10_000)
         assert page is not None
         self.position = page.position

@@ -56,8 +56,8 @@ def epoch_in(result: Result) -> int:
 def assert_stale(result: Result, *, reached: int, alive: bool = True) -> None:
     assert isinstance(result, Refused)
     assert result.reason == "STALE_REGISTRATION"
-    told = result.metadata["registration_epoch"], result.metadata["alive"]
-    assert told == (str(reached), "true" if alive else "false")
+    reported = result.metadata["registration_epoch"], result.metadata["alive"]
+    assert reported == (str(reached), "true" if alive else "false")
     assert f"registers with epoch {reached + 1}" in result.message
 
 
@@ -74,22 +74,26 @@ def test_a_late_registration_of_an_older_process_is_refused(log: Log, made: Make
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_the_process_that_lives_takes_the_next_number_if_the_late_one_came_first(log: Log, made: Make) -> None:
+def test_the_newer_process_takes_the_next_epoch_if_the_request_of_the_older_one_came_first(
+    log: Log, made: Make
+) -> None:
     log.apply(made(boot=2, epoch=1))
     assert_stale(log.apply(made(boot=3, epoch=1)), reached=1)
     assert epoch_in(log.apply(made(boot=3, epoch=2))) == 2
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_process_registers_again_with_its_epoch_and_its_late_requests_do_not_lower_it(log: Log, made: Make) -> None:
+def test_a_process_registers_again_with_its_epoch_and_late_requests_do_not_lower_the_epoch(
+    log: Log, made: Make
+) -> None:
     log.apply(made(boot=3, epoch=4))
     assert epoch_in(log.apply(made(boot=3, epoch=4))) == 4
-    assert epoch_in(log.apply(made(boot=3, epoch=2))) == 4, "sent before it was told of a higher one"
+    assert epoch_in(log.apply(made(boot=3, epoch=2))) == 4, "the process sent it before it learned the higher epoch"
     assert_stale(log.apply(made(boot=2, epoch=4)), reached=4)
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_repeated_request_is_answered_as_before_and_takes_nothing_back(log: Log, made: Make) -> None:
+def test_a_repeated_request_is_answered_as_before_and_changes_nothing(log: Log, made: Make) -> None:
     first = made(boot=2, epoch=0)
     answer = log.apply(first, op_id=id_of(77))
     log.apply(made(boot=3, epoch=1))
@@ -99,7 +103,7 @@ def test_a_repeated_request_is_answered_as_before_and_takes_nothing_back(log: Lo
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_late_registration_is_refused_after_the_newer_process_has_died_too(log: Log, made: Make) -> None:
+def test_a_late_registration_is_also_refused_after_the_newer_process_has_died(log: Log, made: Make) -> None:
     log.apply(made(boot=3, epoch=1))
     at = log.directory.applied_index
     ended = expire(1, boot=3, registered_index=at) if isinstance(record_of(log), HostRecord) else None
@@ -108,14 +112,14 @@ def test_a_late_registration_is_refused_after_the_newer_process_has_died_too(log
     assert_stale(log.apply(made(boot=2, epoch=1)), reached=1, alive=False)
 
 
-def test_a_host_that_has_left_is_not_brought_back_while_it_owns_something(log: Log) -> None:
+def test_a_late_registration_does_not_revive_a_host_that_has_left_but_still_owns_channels(log: Log) -> None:
     log.apply(register(1, name="it", boot=3, epoch=1))
     log.apply(open_channel("x", host="it"))
     log.apply(deregister(1, boot=3))
     assert_stale(log.apply(register(1, name="it", boot=2, epoch=1)), reached=1, alive=False)
 
 
-def test_a_late_registration_of_a_peer_that_has_left_holds_its_successor_up_for_one_request_only(log: Log) -> None:
+def test_a_late_registration_of_a_peer_that_has_left_delays_its_successor_by_one_request(log: Log) -> None:
     log.apply(register_peer(1, "it", boot=3, epoch=1, proof=5))
     log.apply(deregister_peer(1, boot=3))
     assert epoch_in(log.apply(register_peer(1, "it", boot=2, epoch=1, proof=5))) == 1
@@ -123,7 +127,7 @@ def test_a_late_registration_of_a_peer_that_has_left_holds_its_successor_up_for_
     assert epoch_in(log.apply(register_peer(1, "it", boot=4, epoch=2, proof=5))) == 2
 
 
-def test_the_name_counts_where_the_newer_process_has_another_id(log: Log) -> None:
+def test_a_late_registration_is_refused_by_its_name_if_the_newer_process_has_another_id(log: Log) -> None:
     log.apply(register_peer(1, "it", boot=1, epoch=0, proof=5))
     log.apply(register_peer(2, "it", boot=2, epoch=1, proof=5))
     late = log.apply(register_peer(1, "it", boot=3, epoch=1, proof=5))
@@ -139,7 +143,7 @@ def test_the_error_for_a_used_name_shows_no_epoch_to_another_caller(log: Log) ->
 
 
 @pytest.mark.parametrize("made", KINDS)
-def test_a_snapshot_keeps_the_number(log: Log, made: Make) -> None:
+def test_a_snapshot_keeps_the_registration_epoch(log: Log, made: Make) -> None:
     log.apply(made(boot=3, epoch=4))
     log.directory = decode_snapshot(encode_snapshot(log.directory))
     assert_stale(log.apply(made(boot=2, epoch=4)), reached=4)

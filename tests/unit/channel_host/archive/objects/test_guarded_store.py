@@ -88,7 +88,7 @@ def test_while_one_call_tries_a_store_that_hangs_the_others_do_not_wait() -> Non
 
 
 @pytest.mark.asyncio
-async def test_a_store_that_refuses_to_make_or_delete_objects_still_gives_them() -> None:
+async def test_a_store_that_refuses_to_make_or_delete_objects_can_still_be_read() -> None:
     class ReadOnly(FakeStore):
         def _call(self, what: str) -> None:
             super()._call(what)
@@ -108,7 +108,7 @@ async def test_a_store_that_refuses_to_make_or_delete_objects_still_gives_them()
 
 
 @pytest.mark.asyncio
-async def test_an_upload_is_always_tried_and_its_result_decides_whether_readers_try(
+async def test_an_upload_is_always_tried_and_readers_try_only_if_the_last_upload_succeeded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Hanging(FakeStore):

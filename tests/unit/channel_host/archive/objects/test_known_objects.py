@@ -27,7 +27,7 @@ def test_a_list_of_objects_shows_what_was_added_and_removed(tmp_path: Path) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["objects"]
 
 
-def test_a_list_cut_off_within_a_line_is_unknown_until_the_next_note(tmp_path: Path) -> None:
+def test_a_list_that_ends_within_a_line_counts_as_missing_until_the_host_writes_it_again(tmp_path: Path) -> None:
     known, file = KnownObjects(tmp_path, URL), tmp_path / "objects"
     known.replace(Known(1, {"a": 1}))
     known.add({"b": 2})
@@ -40,7 +40,7 @@ def test_a_list_cut_off_within_a_line_is_unknown_until_the_next_note(tmp_path: P
         assert known.read() == Known(1, {"z": 9})
 
 
-def test_a_flipped_bit_makes_the_list_unknown(tmp_path: Path) -> None:
+def test_a_list_with_a_flipped_bit_counts_as_missing(tmp_path: Path) -> None:
     known, file = KnownObjects(tmp_path, URL), tmp_path / "objects"
     known.replace(Known(1, {"a": 1, "b": 2}))
     good = file.read_bytes()
@@ -51,7 +51,7 @@ def test_a_flipped_bit_makes_the_list_unknown(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", ["replace", "add"])
-def test_a_disk_that_takes_no_line_costs_the_list_and_not_the_move(
+def test_a_move_succeeds_even_if_the_disk_cannot_store_the_list(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
 ) -> None:
     def full(*_: object) -> None:

@@ -30,7 +30,7 @@ async def moved(one: Host, count: int) -> None:
 
 @pytest.mark.parametrize("step", [-DAY, DAY])
 @pytest.mark.asyncio
-async def test_a_clock_that_steps_costs_no_item_and_keeps_no_file_open(tmp_path: Path, step: int) -> None:
+async def test_a_step_of_the_clock_loses_no_item_and_leaves_no_file_open(tmp_path: Path, step: int) -> None:
     store = FakeStore()
     async with host(tmp_path, store) as one:
         one.clock = 2 * DAY
@@ -51,7 +51,7 @@ async def test_a_clock_that_steps_costs_no_item_and_keeps_no_file_open(tmp_path:
 
 
 @pytest.mark.asyncio
-async def test_with_another_store_the_files_on_the_disk_move_there_and_the_former_list_does_not_count(
+async def test_after_a_change_of_the_store_files_move_to_the_new_store_and_the_old_list_is_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
@@ -77,7 +77,7 @@ async def test_with_another_store_the_files_on_the_disk_move_there_and_the_forme
 
 
 @pytest.mark.asyncio
-async def test_on_a_full_disk_files_move_and_reads_go_on_without_the_cache(
+async def test_on_a_full_disk_files_still_move_and_reads_work_without_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = FakeStore()

@@ -69,7 +69,7 @@ async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store
 
 
 @pytest.mark.asyncio
-async def test_memory_gets_the_items_of_the_disk_that_are_later_than_all_in_the_store(tmp_path: Path) -> None:
+async def test_memory_gets_only_the_items_on_disk_that_are_later_than_all_items_in_the_store(tmp_path: Path) -> None:
     store = FakeStore()
     await left(tmp_path, store)
     store.failure = "away"
@@ -97,7 +97,7 @@ async def test_a_new_channel_can_be_recorded_while_the_store_is_away(tmp_path: P
 
 @pytest.mark.parametrize(("epoch", "damage"), [(3, False), (2, True)])
 @pytest.mark.asyncio
-async def test_a_host_that_may_not_know_all_objects_refuses_the_channel(
+async def test_a_host_without_a_list_of_all_objects_refuses_the_channel(
     tmp_path: Path, epoch: int, damage: bool
 ) -> None:
     store = FakeStore()
@@ -114,7 +114,7 @@ async def test_a_host_that_may_not_know_all_objects_refuses_the_channel(
 
 
 @pytest.mark.asyncio
-async def test_a_listing_that_hangs_delays_a_start_for_a_moment_only(
+async def test_a_listing_that_hangs_delays_a_start_only_briefly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = threading.Event()
@@ -142,7 +142,9 @@ async def test_a_listing_that_hangs_delays_a_start_for_a_moment_only(
 
 
 @pytest.mark.asyncio
-async def test_objects_of_a_later_owner_refuse_the_channel_even_if_the_disk_knows_others(tmp_path: Path) -> None:
+async def test_a_host_refuses_a_channel_with_objects_of_a_later_owner_even_if_its_disk_lists_others(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
     await left(tmp_path, store)
     store.objects[PREFIX + "000000009000000001_5_0_90_90_x_x_0.segment"] = b"later"

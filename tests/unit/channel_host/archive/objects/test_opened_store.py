@@ -57,7 +57,7 @@ async def test_a_store_with_conditional_puts_passes_the_check_again_and_again(st
 
 
 @pytest.mark.asyncio
-async def test_a_listing_of_many_objects_is_whole(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_listing_of_many_objects_is_complete(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     store = opened(server, monkeypatch, "many")
     folder = server.folder / "many" / "channels" / "1"
     folder.mkdir(parents=True)
@@ -68,7 +68,7 @@ async def test_a_listing_of_many_objects_is_whole(server: S3Server, monkeypatch:
 
 @pytest.mark.parametrize(("variable", "value"), [("AWS_SECRET_ACCESS_KEY", "wrong"), ("AWS_ACCESS_KEY_ID", "nobody")])
 @pytest.mark.asyncio
-async def test_wrong_credentials_are_a_clear_error_without_the_secret(
+async def test_the_error_for_wrong_credentials_is_clear_and_does_not_show_the_secret(
     server: S3Server, monkeypatch: pytest.MonkeyPatch, variable: str, value: str
 ) -> None:
     opened(server, monkeypatch, "x")
@@ -79,7 +79,7 @@ async def test_wrong_credentials_are_a_clear_error_without_the_secret(
 
 
 @pytest.mark.asyncio
-async def test_a_missing_bucket_is_a_clear_error(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_error_for_a_missing_bucket_is_clear(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
     opened(server, monkeypatch, "x")
     with pytest.raises(SettingsError, match="s3://no-such-bucket/x"):
         await check_store(OpenedStore("s3://no-such-bucket/x"))
@@ -107,7 +107,7 @@ async def test_a_store_that_overwrites_is_refused() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path: Path) -> None:
+async def test_the_error_for_a_folder_without_write_permission_is_clear(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(StoreError, match=r"file://.*file"):
         OpenedStore(f"file://{tmp_path}/file/below")

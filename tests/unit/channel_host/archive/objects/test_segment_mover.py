@@ -1,5 +1,5 @@
-"""The archive of a host with an object store: moves in the background, a store that fails, and the files that a host
-leaves.
+"""The archive of a host with an object store: moves in the background, a store that fails, and the files of channels
+that moved to another host.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Host:
         self.mover = objects.mover
 
     async def serve(self, epoch: int, next_seq: int = 1) -> ChannelRecorder:
-        """Record the channel here from now on. `next_seq`: of a channel that has moved here without items."""
+        """Record the channel here. `next_seq`: the next seq of a channel that has moved here without items."""
         files, found = await self.archive.open(record(epoch))
         channel = ChannelCore(Policy(max_items=4), incarnation=epoch)
         next_seq = max(next_seq, *(one.end_seq for one in found.segments), 1)
@@ -106,13 +106,13 @@ async def host(path: Path, store: FakeStore, bytes_max: int = 2**30) -> AsyncIte
 
 
 async def fill(one: Host) -> None:
-    """Write until the limit of the disk refuses an item."""
+    """Write until an item is refused because of the limit of the disk."""
     while True:  # each write takes some of the room
         await one.write()
 
 
 @pytest.mark.asyncio
-async def test_closed_files_move_and_give_their_room_on_the_disk_back(tmp_path: Path) -> None:
+async def test_closed_files_move_to_the_store_and_free_their_bytes_on_the_disk(tmp_path: Path) -> None:
     store = FakeStore()
     async with host(tmp_path, store) as one:
         await one.serve(1)
@@ -130,7 +130,7 @@ async def test_closed_files_move_and_give_their_room_on_the_disk_back(tmp_path: 
 
 
 @pytest.mark.asyncio
-async def test_files_are_kept_on_disk_up_to_its_limit_while_the_store_is_away(
+async def test_while_the_store_is_unreachable_files_stay_on_the_disk_up_to_its_limit(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = FakeStore()
@@ -144,7 +144,7 @@ async def test_files_are_kept_on_disk_up_to_its_limit_while_the_store_is_away(
         assert one.archive.store_failure == "connection refused"
         with pytest.raises(Overloaded, match="--archive-bytes-max"):
             await fill(one)
-        assert one.read()[:4] == [1, 2, 3, 4], "live and archived reads go on"
+        assert one.read()[:4] == [1, 2, 3, 4], "reads of memory and of the archive still work"
         store.failure = ""
         await until(lambda: one.local() == [] and not one.mover.failure)
         await one.write()
@@ -154,7 +154,7 @@ async def test_files_are_kept_on_disk_up_to_its_limit_while_the_store_is_away(
 
 
 @pytest.mark.asyncio
-async def test_a_host_that_stops_moves_what_it_has_closed(tmp_path: Path) -> None:
+async def test_a_host_that_stops_moves_its_closed_files(tmp_path: Path) -> None:
     store = FakeStore()
     async with host(tmp_path, store) as one:
         await one.serve(1)
@@ -164,7 +164,7 @@ async def test_a_host_that_stops_moves_what_it_has_closed(tmp_path: Path) -> Non
 
 
 @pytest.mark.asyncio
-async def test_a_store_that_does_not_answer_does_not_keep_a_host_from_stopping(
+async def test_a_host_stops_even_if_the_store_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     class Hanging(FakeStore):
@@ -182,7 +182,7 @@ async def test_a_store_that_does_not_answer_does_not_keep_a_host_from_stopping(
 
 
 @pytest.mark.asyncio
-async def test_the_files_of_a_channel_that_moved_away_follow_it_now_or_after_a_restart(tmp_path: Path) -> None:
+async def test_the_files_of_a_channel_that_moved_away_are_uploaded_at_once_or_after_a_restart(tmp_path: Path) -> None:
     store = FakeStore()
     store.failure = "away"
     async with host(tmp_path, store) as one:
@@ -296,7 +296,9 @@ async def test_the_limits_of_an_idle_channel_remove_its_objects(
 
 
 @pytest.mark.asyncio
-async def test_a_store_that_takes_no_object_in_time_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_upload_that_takes_too_long_counts_as_a_failure_of_the_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Hanging(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             await asyncio.Event().wait()

@@ -34,7 +34,7 @@ def test_the_plan_of_a_repeated_get_is_made_once() -> None:
     assert plans.read(request(1)).plan is plans.read(request(2**63)).plan is plans.read(request(0)).plan
 
 
-def test_an_id_that_stands_elsewhere_in_the_message_is_found() -> None:
+def test_an_id_at_an_unusual_position_of_the_message_is_found() -> None:
     plans = GetPlans()
     late = request(0) + pb.GetRequest(call_id=5).SerializeToString()
     assert [plans.read(late).call_id for _ in range(2)] == [5, 5]
@@ -51,7 +51,7 @@ def test_cancellations_and_refusals_keep_their_ids() -> None:
         assert isinstance(refused.refusal, InvalidArgument)
 
 
-def test_a_stream_of_ever_new_questions_keeps_a_bounded_number() -> None:
+def test_a_stream_remembers_a_bounded_number_of_different_requests() -> None:
     plans = GetPlans()
     first = plans.read(request(1)).plan
     for limit in range(1, PLANS_MAX + 1):
@@ -60,6 +60,6 @@ def test_a_stream_of_ever_new_questions_keeps_a_bounded_number() -> None:
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xff", b"\x08", b"\x08" + b"\xff" * 12])
-def test_garbage_is_refused(garbage: bytes) -> None:
+def test_a_request_of_random_bytes_is_refused(garbage: bytes) -> None:
     with pytest.raises(InvalidArgument, match="not a valid GetRequest"):
         GetPlans().read(garbage)

@@ -64,7 +64,7 @@ async def test_a_single_message_is_written_by_the_caller_itself() -> None:
     assert len(asyncio.all_tasks()) == tasks
 
 
-async def test_answers_take_turns() -> None:
+async def test_answers_to_several_gets_are_written_in_turns() -> None:
     box = Box()
     box.add(1, messages=3)
     box.add(2)
@@ -76,7 +76,7 @@ async def test_answers_take_turns() -> None:
     assert box.sent == 60
 
 
-async def test_a_dropped_call_is_written_no_further() -> None:
+async def test_a_dropped_call_gets_no_further_messages() -> None:
     box = Box()
     box.context.open.clear()
     box.add(1, messages=3)
@@ -131,7 +131,7 @@ async def test_answers_are_bounded_by_the_bytes_that_they_keep() -> None:
     assert (box.outbox.queued_bytes, box.outbox.has_room) == (0, True)
 
 
-async def test_a_dropped_answer_keeps_nothing_and_makes_room() -> None:
+async def test_a_dropped_answer_frees_its_items_and_makes_room() -> None:
     box = Box()
     box.outbox.add(1, answer(1, 1), box.count, 10 * QUEUED_BYTES_MAX)
     box.outbox.drop(1)

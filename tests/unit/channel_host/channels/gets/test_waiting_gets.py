@@ -128,7 +128,7 @@ async def test_gets_whose_time_ends_together_are_answered_a_few_in_a_turn_by_one
     assert len(blocked.gets) == timers() - before == 0
 
 
-async def test_gets_for_future_items_cost_a_put_nothing() -> None:
+async def test_a_put_does_not_look_at_gets_for_future_items() -> None:
     blocked = Blocked()
     for number in range(10_000):
         start = START + (number + 1) * S
@@ -157,7 +157,7 @@ async def test_gets_that_end_together_are_freed_a_few_at_a_time() -> None:
 
 
 @pytest.mark.parametrize("match", [Match.START, Match.SPAN])
-async def test_gets_between_the_newest_item_and_the_clock_cost_a_put_nothing(match: Match) -> None:
+async def test_a_put_does_not_look_at_gets_between_the_newest_item_and_the_clock(match: Match) -> None:
     """A fixed fault: 2000 such gets cost each put 59 ms."""
     blocked = Blocked()
     blocked.now += 10_000 * S
@@ -172,7 +172,7 @@ async def test_gets_between_the_newest_item_and_the_clock_cost_a_put_nothing(mat
     assert blocked.channel.polls == 1
 
 
-async def test_gets_of_newer_items_cost_a_late_put_nothing() -> None:
+async def test_a_late_put_does_not_look_at_gets_of_newer_items() -> None:
     blocked = Blocked()
     blocked.put(START)
     for number in range(1000):
@@ -183,7 +183,7 @@ async def test_gets_of_newer_items_cost_a_late_put_nothing() -> None:
     assert len(blocked.released) == 1000
 
 
-async def test_an_advance_is_looked_at_by_those_whose_interval_it_ends() -> None:
+async def test_an_advance_wakes_only_the_gets_whose_interval_it_ends() -> None:
     blocked = Blocked()
     for number in range(1000):
         start = START + (number + 1) * S
@@ -204,7 +204,7 @@ async def test_gets_that_one_put_ends_end_in_the_order_of_their_arrival() -> Non
     assert blocked.released == [0, 1, 2, 3, 5, 6]
 
 
-async def test_a_duration_that_reaches_ahead_of_the_clock_releases_the_gets_that_it_reaches() -> None:
+async def test_an_item_whose_span_ends_in_the_future_releases_the_gets_within_the_span() -> None:
     blocked = Blocked()
     for number, ahead in enumerate((4, 6)):
         blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
@@ -267,7 +267,7 @@ def found_times(outcome: object) -> list[int]:
 
 
 @pytest.mark.parametrize("query", [bucket(START + S), NEWEST, replace(bucket(START + S), match=Match.SPAN)])
-async def test_a_put_that_releases_very_many_gets_looks_at_a_few_in_each_step_and_none_misses_it(query: Query) -> None:
+async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(query: Query) -> None:
     blocked = Blocked(max_items=1)
     pieces = InPieces(blocked)
     for number in range(1000):
@@ -287,7 +287,7 @@ async def test_a_put_that_releases_very_many_gets_looks_at_a_few_in_each_step_an
 
 
 @pytest.mark.parametrize("gets", [GETS_PER_PIECE, 4 * GETS_PER_PIECE])
-async def test_the_looks_of_one_step_find_a_bounded_number_of_slices_in_all(gets: int) -> None:
+async def test_one_step_reads_a_bounded_number_of_slices_for_all_its_gets(gets: int) -> None:
     blocked = Blocked(max_items=1000)
     pieces = InPieces(blocked)
     held = 12 * SLICES_PER_LOOK

@@ -8,7 +8,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 
 
-def test_one_caller_has_three_quarters_and_others_the_rest() -> None:
+def test_one_caller_may_use_three_quarters_of_a_limit_and_others_the_rest() -> None:
     here = CreationShares("h1", "channels", 8)
     for _ in range(6):
         here.check("greedy")
@@ -20,7 +20,7 @@ def test_one_caller_has_three_quarters_and_others_the_rest() -> None:
     here.check("greedy")
 
 
-def test_names_that_several_callers_share_have_no_share() -> None:
+def test_a_name_that_several_callers_share_has_no_share_of_its_own() -> None:
     here = CreationShares("h1", "queues", 4)
     for name in ("", "@clients", "@cluster"):
         for _ in range(9):

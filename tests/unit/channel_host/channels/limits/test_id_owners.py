@@ -56,7 +56,7 @@ def test_an_id_that_members_use_belongs_to_no_other_caller(caller: list[str]) ->
         use(owners, QUEUE, 7, "consumer")
 
 
-def test_a_caller_of_many_numbers_makes_its_own_be_forgotten_and_no_others(caller: list[str]) -> None:
+def test_a_caller_with_too_many_numbers_displaces_only_its_own(caller: list[str]) -> None:
     owners = IdOwners()
     use(owners, QUEUE, 7, "taker")
     caller.append("thief")
@@ -67,7 +67,7 @@ def test_a_caller_of_many_numbers_makes_its_own_be_forgotten_and_no_others(calle
         use(owners, QUEUE, 7, "taker")
 
 
-def test_all_numbers_together_have_a_bound(caller: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sum_of_all_numbers_is_bounded(caller: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "OWNED_IDS_MAX", 100)
     owners = IdOwners()
     for number in range(300):

@@ -8,7 +8,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.limits.memory import RECLAIMS_MAX, Charge, MemoryBudget
 
 
-def test_a_claim_beyond_the_bound_is_refused_with_the_way_out() -> None:
+def test_the_error_for_a_claim_beyond_the_bound_names_a_remedy() -> None:
     budget = MemoryBudget(1000)
     Charge(budget).set(864)
     budget.claim(136)
@@ -16,7 +16,7 @@ def test_a_claim_beyond_the_bound_is_refused_with_the_way_out() -> None:
         budget.claim(137)
 
 
-def test_charges_add_up_as_they_change() -> None:
+def test_the_sum_of_charges_follows_each_change() -> None:
     budget = MemoryBudget(1000)
     one, other = Charge(budget), Charge(budget)
     one.set(300)
@@ -41,7 +41,7 @@ def test_outdated_items_are_freed_before_a_claim_is_refused() -> None:
         budget.claim(1001)
 
 
-def test_a_claim_asks_for_more_memory_only_until_there_is_room_and_not_for_ever() -> None:
+def test_a_claim_reclaims_memory_until_there_is_room_but_in_a_bounded_number_of_steps() -> None:
     asked = 0
 
     def free() -> bool:

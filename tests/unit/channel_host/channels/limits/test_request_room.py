@@ -55,7 +55,7 @@ async def uploads(room: RequestRoom | RequestRooms | None = None) -> AsyncIterat
         assert found.room.used_bytes == 0
 
 
-async def test_requests_get_room_in_the_order_in_which_they_came() -> None:
+async def test_requests_get_room_in_the_order_of_arrival() -> None:
     async with uploads() as some:
         for number, size in enumerate((40, 40, 30, 10)):
             await some.begin(f"{number}", f"caller {number}", size)
@@ -65,7 +65,7 @@ async def test_requests_get_room_in_the_order_in_which_they_came() -> None:
         assert some.under_way == ["0", "1", "2", "3"]
 
 
-async def test_a_caller_gets_half_of_the_room_and_lets_others_pass_while_it_waits() -> None:
+async def test_one_caller_gets_at_most_half_of_the_room_and_its_waiting_requests_do_not_block_others() -> None:
     async with uploads() as some:
         for number in range(4):
             await some.begin(f"hostile {number}", "hostile", 25)
@@ -117,7 +117,7 @@ class CountedBytes(int):
         return int(self) + other
 
 
-async def test_the_waiting_requests_of_a_caller_that_has_used_up_its_part_take_no_step_of_other_requests() -> None:
+async def test_waiting_requests_of_a_caller_at_its_limit_cost_other_requests_no_steps() -> None:
     async with uploads() as some:
         for number in range(1000):
             await some.begin(f"hostile {number}", "hostile", CountedBytes(25))

@@ -92,7 +92,7 @@ async def test_items_are_sent_once_for_all_readers_and_a_beat_follows_them() -> 
         assert rig.multicasts.readers == 2
 
 
-async def test_nothing_is_sent_before_the_first_reader_and_after_the_last_one() -> None:
+async def test_a_multicast_sends_items_only_while_it_has_readers() -> None:
     rig = Rig()
     rig.put(b"before")
     async with rig.reader() as opener:
@@ -126,7 +126,7 @@ async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.Monke
         assert {staying.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
 
 
-async def test_the_key_changes_within_a_message_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fixed fault: at a rate of 1 KB/s a reader that had left could open datagrams for minutes."""
     monkeypatch.setattr(channel_multicast, "KEY_SECONDS_MIN", 0.0)
     rig = Rig()
@@ -230,7 +230,7 @@ async def test_short_items_with_long_attributes_go_in_several_messages(monkeypat
         assert [*ranges] == [(1, 3), (3, 4)]
 
 
-async def test_a_multicast_that_is_too_slow_skips_items_and_announces_them_in_a_heartbeat() -> None:
+async def test_a_slow_multicast_skips_items_and_announces_them_in_a_heartbeat() -> None:
     rig = Rig()
     async with rig.reader() as opener:
         rig.group.may_send.clear()

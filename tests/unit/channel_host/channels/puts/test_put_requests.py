@@ -43,7 +43,7 @@ def as_read(request: PutRequest) -> tuple[object, ...]:
     some.booleans(),
     some.sampled_from([b"", b"short", LONG]),
 )
-def test_a_request_of_several_runs_reads_as_protobuf_reads_it(
+def test_a_request_of_several_runs_is_decoded_as_by_protobuf(
     puts: list[tuple[int, int | None]], first: bool, payload: bytes
 ) -> None:
     run = run_parts([b"x", payload], times=[1, 2], attributes={"k": "v"})
@@ -55,7 +55,7 @@ def test_a_request_of_several_runs_reads_as_protobuf_reads_it(
 
 
 @given(some.binary(max_size=40), some.integers(0, 40))
-def test_changed_requests_read_as_protobuf_reads_them_or_are_refused(garbage: bytes, at: int) -> None:
+def test_a_changed_request_is_decoded_as_by_protobuf_or_refused(garbage: bytes, at: int) -> None:
     raw = b"".join(put_pieces(put_head(b"c" * 16, 7, 9), 3, run_parts([LONG], times=None), 5))
     changed = raw[:at] + garbage + raw[at + len(garbage) :]
     try:
@@ -72,7 +72,7 @@ def _read_and_judge(raw: bytes) -> None:
         parse_run(put.run)
 
 
-def test_a_long_request_in_an_unusual_form_is_read_whole() -> None:
+def test_a_long_request_in_an_unusual_form_is_decoded_by_protobuf() -> None:
     usual = b"".join(put_pieces(b"", 3, run_parts([LONG], times=None)))
     head_behind = usual + put_head(b"c" * 16, 7, 9)
     assert as_read(read_request(head_behind)) == as_protobuf(head_behind)
@@ -103,7 +103,7 @@ def enqueue_of_runs(*payloads: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("payloads", [(b"short",), (LONG,), (LONG, b"", LONG)])
-def test_a_request_of_enqueues_reads_as_protobuf_reads_it(payloads: tuple[bytes, ...]) -> None:
+def test_a_request_of_enqueues_is_decoded_as_by_protobuf(payloads: tuple[bytes, ...]) -> None:
     raw = enqueue_of_runs(*payloads)
     known, found = queue_pb.EnqueueRequest.FromString(raw), read_enqueues(raw)
     assert (found.queue_id, found.epoch, found.producer_id) == (known.queue_id, known.epoch, known.producer_id)

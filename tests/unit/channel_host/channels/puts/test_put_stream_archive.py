@@ -25,7 +25,7 @@ async def put(channel: Opened, number: int) -> pb.PutAck:
     return ack
 
 
-async def test_a_put_repeated_while_the_disk_fails_learns_that_the_channel_has_its_items(
+async def test_the_error_of_a_put_repeated_while_the_disk_fails_says_that_the_channel_has_its_items(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:

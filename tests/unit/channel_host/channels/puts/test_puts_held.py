@@ -45,7 +45,7 @@ async def test_a_partly_accepted_run_continues_at_the_next_owner() -> None:
     assert (ack.first_seq, ack.items, larger.next_seq) == (1, 4, 5)
 
 
-async def test_a_put_without_a_wait_waits_for_the_end_of_a_move_and_is_accepted_then() -> None:
+async def test_even_a_put_without_a_wait_is_held_during_a_move_and_accepted_after_it() -> None:
     channel = a_channel(10)
     puts = puts_of(channel)
     puts.hold()
@@ -59,7 +59,7 @@ async def test_a_put_without_a_wait_waits_for_the_end_of_a_move_and_is_accepted_
     assert (run.ack.first_seq, channel.next_seq) == (1, 3)
 
 
-async def test_a_put_whose_wait_is_over_when_the_move_ends_is_refused_if_there_is_no_room() -> None:
+async def test_after_a_move_a_full_channel_refuses_a_put_whose_wait_is_over() -> None:
     puts = puts_of(a_channel(1))
     puts.hold()
     run = run_of(2, wait_nanos=0)

@@ -119,7 +119,9 @@ async def test_a_request_counts_as_bytes_in_flight_of_its_caller_and_more_than_i
         await whole.read()
 
 
-async def test_a_request_that_does_not_go_on_is_refused_and_frees_its_room(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_whose_next_piece_does_not_arrive_is_refused_and_frees_its_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.05)
     room, began = RequestRooms(), [piece(b"x", 100)]
 

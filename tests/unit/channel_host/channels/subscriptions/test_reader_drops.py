@@ -12,7 +12,7 @@ def slowest(readers: Readers, name: str, count: int = 9) -> list[ReaderDrops]:
     return run_to_end(readers.of_channel(name, count))
 
 
-def test_a_channel_has_its_own_readers_the_slowest_first_and_at_most_the_wanted_number() -> None:
+def test_a_channel_lists_at_most_the_wanted_number_of_its_readers_the_slowest_first() -> None:
     readers = Readers()
     with readers.reading("a") as quick, readers.reading("a") as slow, readers.reading("b"):
         slow.count(0, 5)
@@ -23,7 +23,7 @@ def test_a_channel_has_its_own_readers_the_slowest_first_and_at_most_the_wanted_
     assert slowest(readers, "a") == []
 
 
-def test_a_reader_of_a_group_is_none_of_a_channel_with_the_same_name() -> None:
+def test_a_channel_does_not_list_the_readers_of_a_group_with_the_same_name() -> None:
     readers = Readers()
     with readers.reading("a", of_group=True) as drops:
         drops.count(3, 0)

@@ -57,7 +57,7 @@ def test_a_segment_cut_at_any_byte_keeps_all_blocks_before_the_cut() -> None:
         assert not found.damaged
 
 
-def test_a_bit_flipped_anywhere_is_found_and_costs_its_block_only() -> None:
+def test_a_flipped_bit_is_found_anywhere_and_loses_only_its_block() -> None:
     raw, ends = segment_of(3)
     for at in range(len(raw) - len(segment_of(0)[0])):
         place = at + len(segment_of(0)[0])

@@ -42,7 +42,7 @@ def drawn(seed: int, *, late: bool) -> list[PlacedBlock]:
 
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("seed", range(25))
-def test_blocks_are_found_as_by_a_look_at_all_of_them(seed: int, late: bool) -> None:
+def test_the_index_finds_the_same_blocks_as_a_scan_of_all_blocks(seed: int, late: bool) -> None:
     blocks = drawn(seed, late=late)
     draw, count = random.Random(seed), random.Random(seed).randrange(len(blocks) + 1)
     grown = SegmentBlocks(blocks[:count]).followed_by(blocks[count:])

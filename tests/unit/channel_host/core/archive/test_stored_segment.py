@@ -53,7 +53,7 @@ def blocks(count: int) -> list[PlacedBlock]:
     return [PlacedBlock(at * (HEAD_BYTES + 20), head) for at, head in enumerate(heads)]
 
 
-def test_the_index_of_a_segment_has_its_blocks_and_no_changed_byte_passes() -> None:
+def test_the_index_of_a_segment_has_its_blocks_and_any_changed_byte_is_noticed() -> None:
     found, length = blocks(3), 3 * (HEAD_BYTES + 20)
     raw = encode_index(found)
     assert decode_index(raw, length) == found

@@ -27,7 +27,7 @@ def test_a_run_without_times_is_stamped_with_the_later_of_clock_and_newest_item(
     assert outcome.run.body == f"4 None {CLOCK + 500}".encode()
 
 
-def test_a_run_without_times_is_stamped_with_no_time_that_is_too_old() -> None:
+def test_the_stamped_time_of_a_run_without_times_is_never_too_old() -> None:
     """A fixed fault: after an advance by a machine whose clock was 20 ms ahead, the puts of the next 20 ms were too
     old.
     """
@@ -41,7 +41,7 @@ def test_a_run_without_times_is_stamped_with_no_time_that_is_too_old() -> None:
     assert channel.put(unstamped, CLOCK + 3, seal).stamped_time == CLOCK + 30
 
 
-def test_refused_items_do_not_hold_up_the_others_and_leave_no_hole_in_the_seqs() -> None:
+def test_refused_items_do_not_block_other_items_and_leave_no_hole_in_the_seqs() -> None:
     channel = a_channel(clock_ahead=100, max_items=9, max_item_bytes=50)
     outcome = put(channel, CLOCK, CLOCK + 101, CLOCK + 1, CLOCK + 2, lengths=[1, 1, 51, 1])
     assert reasons(outcome.rejections) == [(1, "IN_FUTURE"), (2, "ITEM_TOO_LARGE")]
@@ -59,7 +59,7 @@ def test_the_error_of_an_item_too_far_ahead_has_the_measured_offset() -> None:
     assert error.metadata == {"offset_nanos": "101", "host_time_unix_nano": str(CLOCK)}
 
 
-def test_an_item_older_than_the_collected_bucket_is_too_old_and_one_in_the_bucket_is_not() -> None:
+def test_an_item_before_the_newest_collected_bucket_is_too_old_but_one_in_it_is_not() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 10, 20)
     assert reasons(put(channel, 9).rejections) == [(0, "TOO_OLD")]
@@ -67,7 +67,7 @@ def test_an_item_older_than_the_collected_bucket_is_too_old_and_one_in_the_bucke
     assert times_of(get(channel).slices) == [10, 20]
 
 
-def test_an_item_that_age_would_collect_at_once_is_too_old() -> None:
+def test_an_item_that_max_age_would_collect_at_once_is_too_old() -> None:
     channel = a_channel(max_age_nanos=100)
     put(channel, CLOCK - 50)
     assert put(channel, CLOCK - 500).run is not None, "its span reaches to the next item, within the age"
@@ -105,7 +105,7 @@ def test_the_refusal_of_a_full_channel_states_its_number_of_items_and_bytes() ->
     assert channel.counters(CLOCK).rejected["CHANNEL_FULL"] == 1
 
 
-def test_a_put_on_a_full_blocking_channel_waits_for_the_age_of_the_oldest_as_if_it_were_in() -> None:
+def test_a_put_into_a_full_blocking_channel_waits_until_max_age_would_collect_the_oldest_item() -> None:
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
     waiting = put(channel, CLOCK + 10)
@@ -127,7 +127,7 @@ def test_the_part_of_a_run_that_fits_is_accepted_and_the_rest_waits() -> None:
     assert channel.counters(CLOCK).rejected["CHANNEL_FULL"] == 2
 
 
-def test_a_put_that_waits_in_the_bucket_that_fills_the_channel_waits_for_others() -> None:
+def test_a_put_into_the_newest_bucket_of_a_full_channel_has_no_retry_time() -> None:
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
     assert put(channel, CLOCK).retry_at is None
@@ -150,10 +150,10 @@ def test_a_put_without_a_time_waits_for_an_item_from_the_future() -> None:
     assert times_of(get(channel, now=CLOCK + 151).slices) == [CLOCK + 151]
 
 
-def test_the_second_of_two_puts_that_wait_for_one_place_waits_for_the_age_of_the_first() -> None:
-    """Both waited from the same instant.
+def test_of_two_waiting_puts_the_second_waits_until_max_age_collects_the_first() -> None:
+    """Both puts began to wait at the same instant.
 
-    Accepted and given a time, the first put once held the second one back for ever.
+    A fixed fault: when the first put had been accepted and had got its time, the second put waited for ever.
     """
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
@@ -173,8 +173,8 @@ def test_the_rest_of_a_run_without_times_is_accepted_when_its_first_item_is_old_
     assert channel.put(offer.rest(1, CLOCK), CLOCK + 101, seal).stamped_time == CLOCK + 101
 
 
-def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_the_newest_item() -> None:
-    """The newest bucket stays for readers, so a put with a time in it would exceed the limit."""
+def test_without_consumers_a_waiting_put_is_accepted_once_the_clock_has_passed_the_newest_item() -> None:
+    """The channel keeps its newest bucket for readers. A put into this bucket would exceed the limit."""
     channel = a_channel(max_items=1, consumers=1, on_full="block")
     put(channel, CLOCK + 50)
     channel.consume(1, [], CLOCK)
@@ -221,7 +221,7 @@ def test_puts_that_the_shell_refused_are_counted() -> None:
     assert channel.counters(CLOCK).rejected["MALFORMED_RUN"] == 3
 
 
-def test_a_policy_that_cannot_hold_changes_nothing() -> None:
+def test_an_invalid_policy_is_refused_and_changes_nothing() -> None:
     channel = a_channel(max_items=9)
     before = channel.policy
     with pytest.raises(InvalidArgument):

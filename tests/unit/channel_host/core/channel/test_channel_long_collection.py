@@ -22,7 +22,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
 
 
 @pytest.mark.parametrize("policy", [Policy(max_items=10), Policy(max_bytes=10 * (64 + 10))])
-def test_a_smaller_limit_walks_hardly_more_than_a_block(looked: SliceCounter, policy: Policy) -> None:
+def test_a_smaller_limit_reads_little_more_than_one_block(looked: SliceCounter, policy: Policy) -> None:
     channel = filled()
     looked.slices = 0
     channel.configure(policy, CLOCK)
@@ -42,7 +42,7 @@ def test_a_put_after_a_smaller_limit_frees_a_bounded_number_of_entries() -> None
     assert len(held.index) <= 11
 
 
-def test_late_items_that_crowd_a_block_split_it(looked: SliceCounter) -> None:
+def test_a_block_with_too_many_late_items_is_split(looked: SliceCounter) -> None:
     channel = filled(2 * BLOCK_ITEMS + 10, max_age_nanos=10**6)
     for time in range(ITEMS):
         put(channel, CLOCK - ITEMS + time)
@@ -125,7 +125,7 @@ def large_bucket(items: int = 5000) -> ChannelCore:
     return channel
 
 
-def test_the_end_of_a_large_bucket_costs_no_walk_over_all_of_its_items(looked: SliceCounter) -> None:
+def test_the_end_of_a_large_bucket_is_known_without_a_walk_over_its_items(looked: SliceCounter) -> None:
     """A fixed fault: with 50,000 items of one time, the search for the next deadline took 90 ms, and the collection 180
     ms.
     """

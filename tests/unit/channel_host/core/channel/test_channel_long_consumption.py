@@ -29,7 +29,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
     return count_slices(monkeypatch)
 
 
-def test_items_that_many_consumers_consumed_out_of_order_go_after_a_bounded_number_of_looks() -> None:
+def test_items_that_many_consumers_consumed_out_of_order_leave_after_a_bounded_number_of_steps() -> None:
     """A fixed fault: the core looked at all 1024 consumers for each of 64 slices."""
     consumers, items = 300, 40
     channel = a_channel(consumers=consumers)
@@ -50,7 +50,7 @@ def test_items_that_many_consumers_consumed_out_of_order_go_after_a_bounded_numb
     assert most <= 2 * (CONSUMERS_CHECKED_MAX + consumers)
 
 
-def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: SliceCounter) -> None:
+def test_setting_up_consumers_of_a_full_channel_does_not_walk_over_its_items(looked: SliceCounter) -> None:
     channel = shuffled()
     looked.slices = 0
     channel.configure(Policy(consumers=1, max_age_nanos=10**12), CLOCK)
@@ -63,7 +63,7 @@ def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: S
     assert [one.waiting for one in channel.consumers(CLOCK)] == [ITEMS - 100]
 
 
-def test_no_consumer_owes_items_that_go_while_new_consumers_learn_of_gone_items() -> None:
+def test_no_consumer_owes_items_that_leave_while_new_consumers_are_told_of_collected_items() -> None:
     channel = backwards(3000)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12), CLOCK)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12, consumers=1), CLOCK)
@@ -136,7 +136,7 @@ def test_a_consumer_with_many_consumed_items_after_a_gap_advances_over_them_in_s
     assert max(after - before for before, after in pairwise(below)) <= 2 * (RANGES_PER_LOOK_MAX + 16 + 1)
 
 
-def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() -> None:
+def test_a_consumer_merges_many_collected_ranges_a_few_at_a_time() -> None:
     """After 200,000 such ranges, one `consume` once took 228 ms."""
     consumers, end = Consumers(1), 40_001
     consumers.consume(1, range(2, end, 2), next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
@@ -151,7 +151,7 @@ def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() ->
     assert done.below == end
 
 
-def test_consumers_learn_of_items_that_went_before_them_in_small_steps() -> None:
+def test_consumers_are_told_of_earlier_collected_items_in_small_steps() -> None:
     consumers, end = Consumers(1), 40_001
     for seq in range(2, end, 2):
         consumers.note_collected(seq, seq + 1)
@@ -192,7 +192,7 @@ def test_items_that_all_consumers_consumed_are_freed_in_small_steps(monkeypatch:
     assert channel.counters(CLOCK).held == 1
 
 
-def test_a_late_item_behind_many_outdated_and_some_consumed_items_frees_a_bounded_number_of_entries() -> None:
+def test_a_late_item_before_many_outdated_items_frees_a_bounded_number_of_entries() -> None:
     """With 1,000,000 outdated items, the put of the late item once freed all of them, and took 3.1 s."""
     channel = filled(consumers=1, max_age_nanos=10**7)
     channel.consume(1, [], CLOCK)

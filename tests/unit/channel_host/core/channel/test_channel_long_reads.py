@@ -65,7 +65,7 @@ def test_a_part_of_a_subscription_holds_a_bounded_number_of_slices() -> None:
     assert len(channel.since(cursor, CLOCK, 2**30).slices) == pieces.STEPS_PER_PIECE
 
 
-def test_a_page_in_a_bucket_of_equal_times_costs_the_page(looked: SliceCounter) -> None:
+def test_a_page_within_a_large_bucket_reads_only_the_items_of_the_page(looked: SliceCounter) -> None:
     channel = a_channel()
     for _ in range(ITEMS):
         put(channel, CLOCK)

@@ -38,7 +38,7 @@ def test_an_item_is_collected_when_the_consumer_of_each_place_has_consumed_it() 
     assert channel.counters(CLOCK).collected["consumption"] == 1
 
 
-def test_consuming_twice_has_the_same_effect_as_once() -> None:
+def test_consuming_an_item_twice_has_the_same_effect_as_once() -> None:
     channel = three_items()
     assert channel.consume(ANN, [1, 2], CLOCK).items == 2
     assert channel.consume(ANN, [1, 2, 3, 3], CLOCK).items == 1
@@ -53,7 +53,7 @@ def test_an_item_is_kept_until_earlier_items_are_collected_so_that_no_span_grows
     assert held(channel) == []
 
 
-def test_the_next_consumer_is_refused_and_learns_when_a_place_gets_free() -> None:
+def test_the_refusal_of_one_consumer_too_many_names_the_time_at_which_a_place_gets_free() -> None:
     channel = three_items()
     channel.consume(ANN, [], CLOCK)
     channel.consume(BOB, [], CLOCK)
@@ -62,7 +62,7 @@ def test_the_next_consumer_is_refused_and_learns_when_a_place_gets_free() -> Non
     assert held(channel) == [1, 2, 3]
 
 
-def test_a_consumer_whose_lease_ends_holds_nothing_back_and_gives_its_place() -> None:
+def test_a_consumer_whose_lease_has_ended_holds_back_no_items_and_loses_its_place_to_the_next() -> None:
     channel = three_items()
     channel.consume(ANN, [1], CLOCK)
     channel.consume(BOB, [1, 2], CLOCK, lease_nanos=60 * 10**9)
@@ -194,7 +194,7 @@ def test_a_large_backlog_is_collected_in_small_parts() -> None:
     assert (channel.counters(CLOCK).held, channel.look(CLOCK)[0].backlog_bytes) == (0, 0)
 
 
-def test_fewer_consumers_end_the_places_whose_leases_end_first() -> None:
+def test_a_lower_number_of_consumers_removes_the_places_whose_leases_end_first() -> None:
     channel = three_items(consumers=3)
     channel.consume(ANN, [1, 2, 3], CLOCK, lease_nanos=300)
     channel.consume(BOB, [1], CLOCK, lease_nanos=100)
@@ -247,7 +247,7 @@ def test_a_channel_without_consumers_refuses_consumption() -> None:
     assert channel.look(CLOCK)[1].consumers is None
 
 
-def test_the_places_go_with_the_channel_as_values() -> None:
+def test_consumer_places_can_be_exported_and_imported_as_values() -> None:
     channel, heir = three_items(), three_items()
     channel.consume(ANN, [1, 3], CLOCK)
     heir.restore_consumers(channel.consumer_places(CLOCK + 4), CLOCK + 4)
@@ -299,7 +299,7 @@ def test_a_future_interval_is_not_called_collected_once_the_last_item_was_consum
     assert (found.complete, found.truncated, found.reason) == (False, False, "NOT_YET")
 
 
-def test_a_thousand_consumers_cost_a_put_and_a_consume_a_look_at_few_of_them() -> None:
+def test_with_a_thousand_consumers_a_put_or_consume_looks_at_few_of_them() -> None:
     """A fixed fault: with 1000 consumers a put took 1 ms, and a consume 1.6 ms."""
     channel = a_channel(consumers=1000)
     _, retention = channel.look(CLOCK)
@@ -320,7 +320,7 @@ def test_a_thousand_consumers_cost_a_put_and_a_consume_a_look_at_few_of_them() -
     assert channel.counters(CLOCK).collected["consumption"] == 30
 
 
-def test_one_slow_consumer_among_a_thousand_costs_only_its_own_consumption() -> None:
+def test_the_consumption_of_one_slow_consumer_does_not_look_at_a_thousand_others() -> None:
     channel = a_channel(consumers=1000)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None

@@ -33,7 +33,7 @@ def small_chunks() -> object:
 
 
 @given(times, keys)
-def test_neighbours_of_a_key_are_found(added: list[int], key: int) -> None:
+def test_a_list_finds_the_neighbours_of_a_key(added: list[int], key: int) -> None:
     made, entries = filled(added)
     assert [*made] == entries
     assert (made.first, len(made)) == (entries[0] if entries else None, len(entries))

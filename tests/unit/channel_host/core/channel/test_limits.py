@@ -21,7 +21,7 @@ def test_any_stated_limit_leaves_age_unlimited(policy: Policy) -> None:
     assert ChannelLimits.of(policy).max_age_nanos is None
 
 
-def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
+def test_beside_other_limits_only_max_bytes_has_a_default() -> None:
     assert ChannelLimits.of(Policy(max_items=5)).max_bytes == 256 * 1024 * 1024
 
 
@@ -41,7 +41,7 @@ def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
         (Policy(max_age_nanos=8, max_age_unconsumed_nanos=7), "max_age_unconsumed not below max_age"),
     ],
 )
-def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: str) -> None:
+def test_the_error_for_an_invalid_policy_names_the_field(policy: Policy, message: str) -> None:
     with pytest.raises(InvalidArgument, match=message):
         ChannelLimits.of(policy)
 

@@ -32,7 +32,7 @@ from stampede_rt_channel_host.core.channel import (
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, seqs_of, times_of
 
 
-def test_at_finds_the_item_whose_span_holds_the_instant() -> None:
+def test_at_finds_the_item_whose_span_contains_the_instant() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20, 30, durations=[5, -1, -1])
     assert times_of(get(channel, 14, 14).slices) == [10]
@@ -49,7 +49,7 @@ def test_time_is_continuous_between_two_neighbouring_nanoseconds() -> None:
     assert times_of(get(channel, 10, 10, "[)").slices) == []
 
 
-def test_an_instantaneous_item_is_one_instant() -> None:
+def test_the_span_of_an_item_without_a_duration_can_be_one_instant() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20, durations=[0, 0])
     assert times_of(get(channel, 10, 20, "()").slices) == []
@@ -73,7 +73,7 @@ def test_whole_needs_all_of_the_span_and_takes_the_open_newest_as_ending_now() -
     assert times_of(get(channel, 10, NOW - "1ns", match=Match.WHOLE).slices) == [10, 20]
 
 
-def test_now_is_not_before_a_newest_item_that_is_ahead() -> None:
+def test_now_is_never_before_the_newest_item() -> None:
     channel = a_channel(max_items=9)
     put(channel, CLOCK + 100)
     answer = get(channel, OLDEST, NOW)
@@ -113,7 +113,7 @@ def test_a_bucket_gives_its_highest_seq_newest_first_and_its_lowest_otherwise() 
 
 
 @pytest.mark.parametrize("newest_first", [False, True])
-def test_pages_by_after_bring_every_item_once(newest_first: bool) -> None:
+def test_pages_with_after_return_every_item_once(newest_first: bool) -> None:
     channel = a_channel(max_items=99)
     put(channel, 10, 20, 20, 20, 15, 30)
     seen: list[int] = []

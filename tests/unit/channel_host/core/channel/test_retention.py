@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.run import Slice
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, times_of
 
 
-def test_the_window_of_the_age_can_always_be_answered_in_full() -> None:
+def test_a_read_within_max_age_is_always_complete() -> None:
     channel = a_channel(max_age_nanos=100)
     put(channel, *range(CLOCK - 500, CLOCK, 30))
     answer = get(channel, NOW - "100ns", NOW)
@@ -40,7 +40,7 @@ def test_a_bucket_is_collected_as_a_whole_when_its_last_span_is_too_old() -> Non
     assert channel.counters(CLOCK + 160).collected["age"] == 2
 
 
-def test_the_oldest_go_by_count_and_by_bytes_with_64_bytes_for_each_item() -> None:
+def test_max_items_and_max_bytes_collect_the_oldest_items_and_each_item_adds_64_bytes() -> None:
     by_count = a_channel(max_items=2)
     put(by_count, 10, 20, 30)
     assert times_of(get(by_count).slices) == [20, 30]
@@ -50,7 +50,7 @@ def test_the_oldest_go_by_count_and_by_bytes_with_64_bytes_for_each_item() -> No
     assert by_bytes.counters(CLOCK).collected == {"age": 0, "count": 0, "bytes": 1, "consumption": 0}
 
 
-def test_a_narrower_policy_collects_at_once_and_the_reason_names_it() -> None:
+def test_a_stricter_policy_collects_at_once_and_the_reason_names_its_limit() -> None:
     channel = a_channel(max_items=100)
     put(channel, *range(10, 100, 10))
     channel.configure(Policy(max_items=2), CLOCK)
@@ -113,7 +113,7 @@ def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:
     return looked
 
 
-def test_age_counts_each_item_that_it_outdates_however_late_the_item_came() -> None:
+def test_collection_by_age_counts_each_outdated_item_even_a_very_late_one() -> None:
     rng = random.Random(5)
     channel = a_channel(max_age_nanos=1_000_000, max_items=4500)
     held: list[int] = []
@@ -131,7 +131,7 @@ def test_age_counts_each_item_that_it_outdates_however_late_the_item_came() -> N
             assert (counters.held, counters.held_bytes, channel.oldest) == (len(held), 10 * len(held), held[0])
 
 
-def test_freeing_keeps_pace_with_puts() -> None:
+def test_outdated_items_are_freed_as_fast_as_puts_arrive() -> None:
     channel = a_channel(max_items=10)
     for first in range(0, 20_000, 20):
         put(channel, *range(first, first + 20))
@@ -139,7 +139,7 @@ def test_freeing_keeps_pace_with_puts() -> None:
     assert not channel.collect(CLOCK, entries_max=100)
 
 
-def test_one_large_item_that_outdates_many_small_ones_does_not_double_the_memory_twice() -> None:
+def test_one_large_item_that_outdates_many_small_ones_at_most_doubles_the_memory() -> None:
     channel = a_channel(max_bytes=64 * 1000)
     for time in range(1000):
         put(channel, time, lengths=[0])

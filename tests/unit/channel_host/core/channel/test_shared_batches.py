@@ -19,7 +19,7 @@ def taken(channel: ChannelCore, cursor: AllCursor, limit_bytes: int = ENOUGH, no
     return seqs_of([one.slice for one in channel.since(cursor, now, limit_bytes).slices])
 
 
-def test_readers_at_one_place_get_one_batch_and_go_on_from_its_end() -> None:
+def test_readers_at_the_same_position_share_one_batch_and_continue_after_it() -> None:
     channel = a_channel()
     put(channel, 1, 2)
     put(channel, 3)

@@ -27,7 +27,7 @@ def facts(answer: ReadAnswer | None) -> tuple[object, ...] | None:
 
 
 @given(runs, durations, policies, some.integers(-2, 34), some.integers(10, 40))
-def test_an_item_at_an_instant_is_that_of_a_walk(
+def test_the_item_at_an_instant_is_the_one_that_a_walk_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], time: int, now: int
 ) -> None:
     channel = filled(puts, duration, policy)
@@ -40,7 +40,7 @@ def test_an_item_at_an_instant_is_that_of_a_walk(
 
 
 @given(runs, durations, policies, some.integers(0, 34), some.integers(10, 40))
-def test_the_newest_item_is_that_of_a_walk(
+def test_the_newest_item_is_the_one_that_a_walk_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], bound: int, now: int
 ) -> None:
     channel = filled(puts, duration, policy)

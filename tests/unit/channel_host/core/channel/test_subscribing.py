@@ -99,7 +99,7 @@ def test_a_subscription_resumes_after_the_seq_of_an_item() -> None:
     assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, ALL).slices]) == [3]
 
 
-def test_a_resumption_that_cannot_hold_is_refused() -> None:
+def test_an_invalid_resumption_is_refused() -> None:
     channel = a_channel(max_items=9)
     with pytest.raises(IncarnationLost):
         channel.subscribe_all(CLOCK, after=Position(20, 2, incarnation=9))
@@ -124,7 +124,7 @@ def test_a_newest_subscription_never_goes_back_and_counts_skipped_items() -> Non
     assert (cursor.delivered, cursor.skipped) == (1, 3)
 
 
-def test_the_newest_with_a_start_begins_with_the_present_one() -> None:
+def test_a_newest_subscription_with_a_start_begins_with_the_present_newest_item() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20, 20)
     cursor = channel.subscribe_newest(CLOCK, start=Bound(None, 5))

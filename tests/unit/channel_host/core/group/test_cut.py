@@ -49,7 +49,7 @@ def test_no_item_is_visible_before_every_channel_has_reported() -> None:
     assert cut.cut == 40
 
 
-def test_a_reference_channel_alone_decides() -> None:
+def test_only_the_reference_channel_decides_the_cut() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), reference=A)
     cut, board = defined(definition, a=at(100))
     assert (cut.cut, cut.waiting_on(0)) == (100, [A])
@@ -71,7 +71,7 @@ def test_an_advance_beyond_the_newest_item_is_the_cut_and_an_earlier_one_is_not(
         assert defined(definition, a=ChannelTimes(1, 7, 100, advance=80))[0].cut == 100
 
 
-def test_by_start_a_duration_moves_no_cut() -> None:
+def test_with_bound_start_durations_do_not_move_the_cut() -> None:
     assert defined(GroupDefinition(members=frozenset((A,))), a=at(100, end=103))[0].cut == 100
 
 
@@ -97,7 +97,7 @@ def test_an_added_member_does_not_move_the_cut_back_and_a_removed_one_releases_i
     assert cut.cut == 100
 
 
-def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
+def test_a_silent_member_is_left_out_until_its_next_item() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     board = TimesBoard()
     board.enter_own(A, at(100), 0)
@@ -115,7 +115,7 @@ def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
     assert (cut.cut, cut.waiting_on(S)) == (120, [A, B])
 
 
-def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
+def test_if_all_members_are_silent_the_member_with_the_latest_item_decides_the_cut() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     board = TimesBoard()
     board.enter_own(A, at(100), 0)
@@ -126,7 +126,7 @@ def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
 
 
-def test_a_member_of_a_host_that_is_not_heard_of_holds_the_cut_though_it_may_be_silent() -> None:
+def test_a_member_at_an_unreachable_host_holds_the_cut_even_if_it_would_count_as_silent() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     cut, board = defined(definition, a=at(100), b=at(70))
     board.confirm([A], 5 * S)
@@ -151,7 +151,7 @@ def test_the_cut_of_another_host_counts_and_no_item_is_shown_before_it_is_known(
     assert cut.cut == 300
 
 
-def test_another_incarnation_begins_anew() -> None:
+def test_the_times_of_another_incarnation_replace_the_earlier_ones() -> None:
     cut, _ = group(a=at(100), b=at(70))
     cut.define(GroupDefinition(members=frozenset((A, B)), incarnation=2))
     assert cut.cut is None
@@ -170,7 +170,7 @@ def test_reports_of_a_former_owner_change_nothing() -> None:
     assert found.times == at(60, epoch=4, incarnation=9)
 
 
-def test_an_item_that_everybody_consumed_before_the_group_was_made_counts_as_one_that_was_there() -> None:
+def test_an_item_that_all_consumers_consumed_before_the_group_existed_counts_for_the_cut() -> None:
     """A channel that never had an item or an advance has no cut; this channel had an item."""
     used = channel(100, 120, policy=Policy(consumers=1, max_items=10))
     used.consume(1, [1, 2], NOW)
@@ -191,7 +191,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     assert (found.times, found.known_until) == (at(70, epoch=4), 30)
 
 
-def test_a_new_incarnation_of_a_channel_holds_the_cut_until_it_has_passed_it() -> None:
+def test_a_new_incarnation_of_a_channel_holds_the_cut_until_its_items_have_passed_the_cut() -> None:
     cut, board = group(a=at(90), b=at(100))
     board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # its host was lost
     board.hear(A, at(95), 0, 0)

@@ -100,7 +100,7 @@ def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: 
     assert times == list(range(1, ITEMS + 1))
 
 
-def test_a_reader_through_a_group_is_told_that_there_is_more_to_look_at() -> None:
+def test_a_read_through_a_group_reports_that_unread_items_remain() -> None:
     made = channel(1_000_000, policy=POLICY)
     horizon = Horizon(1_000_001, lambda: "held back")
     reader, newest = VisibleAll(made, horizon, NOW), VisibleNewest(made, horizon, NOW)

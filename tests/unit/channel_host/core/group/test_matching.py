@@ -79,7 +79,7 @@ def test_an_item_whose_time_is_decided_is_dropped_and_counted() -> None:
     assert matcher.dropped == 1
 
 
-def test_items_that_go_before_they_are_settled_are_counted() -> None:
+def test_a_match_counts_items_that_leave_before_they_are_decided() -> None:
     left, right = channel(10, policy=Policy(max_items=2)), channel(1)
     matcher = everything(left, right, 1)
     for time in (20, 30):

@@ -48,14 +48,14 @@ def test_the_clock_stops_at_the_cut() -> None:
     assert times(answer.slices) == [10]  # which lasts up to now, since nothing later is visible
 
 
-def test_without_a_cut_there_is_no_item_and_no_present() -> None:
+def test_without_a_cut_no_item_is_visible_and_now_has_no_instant() -> None:
     view = VisibleChannel(channel(10))
     assert view.read(everything(), horizon(None), CLOCK).reason == "HIDDEN"
     assert view.read(Query(interval=parse_interval(5, NOW)), horizon(None), CLOCK).interval is None
     assert VisibleChannel(channel()).read(everything(), horizon(None), CLOCK).reason == "NOT_YET"
 
 
-def test_complete_waits_for_the_cut_too() -> None:
+def test_a_complete_get_also_waits_for_the_cut() -> None:
     view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 25, "[)"), complete=True)
     pending = view.begin(query, horizon(22), CLOCK)
@@ -71,7 +71,7 @@ def test_a_reader_that_has_seen_a_later_cut_learns_that_the_host_is_stalled() ->
     assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
 
 
-def test_a_max_age_shorter_than_the_lead_over_the_cut_is_noticed() -> None:
+def test_a_read_reports_a_max_age_shorter_than_the_lead_over_the_cut() -> None:
     view = VisibleChannel(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)
@@ -132,7 +132,7 @@ def test_a_subscription_resumed_within_a_step_skips_no_late_item() -> None:
     assert delivered(resumed, 25)[-1] == 20
 
 
-def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> None:
+def test_a_subscription_resumed_within_a_run_keeps_all_granted_items() -> None:
     """The items after the key in the same run once counted twice, and were then reported as lost."""
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")

@@ -19,14 +19,14 @@ def numbers(asked: Iterable[bytes]) -> set[int]:
     return {int.from_bytes(one) for one in asked}
 
 
-def test_one_maker_may_fill_all_unused_room() -> None:
+def test_the_channels_of_one_maker_may_use_all_free_room() -> None:
     wanted = WantedChannels(4)
     wanted.add("hostile", ids(1, 2, 3, 4, 5))
     assert numbers(wanted.asked) == {1, 2, 3, 4}
     assert wanted.left_out == 1
 
 
-def test_the_newest_channels_of_the_maker_with_most_make_room_for_those_of_others() -> None:
+def test_channels_of_others_displace_the_newest_channels_of_the_maker_with_the_most() -> None:
     wanted = WantedChannels(4)
     wanted.add("hostile", ids(1, 2, 3, 4, 5))
     wanted.add("good", ids(11))
@@ -47,7 +47,7 @@ def test_a_channel_above_the_limit_is_admitted_when_another_one_leaves() -> None
     assert not wanted.asked
 
 
-def test_a_channel_of_two_makers_counts_for_the_other_one_when_the_first_has_no_room_for_it() -> None:
+def test_a_channel_of_two_makers_counts_for_the_second_if_the_first_has_no_room() -> None:
     wanted = WantedChannels(3)
     wanted.add("hostile", ids(1, 2, 11))
     wanted.add("good", ids(11))
@@ -67,7 +67,7 @@ STEPS = some.lists(some.tuples(some.integers(0, 3), some.integers(0, 11)), max_s
 
 
 @given(STEPS)
-def test_all_room_is_used_and_no_maker_is_left_out_while_another_has_many_more(steps: list[tuple[int, int]]) -> None:
+def test_makers_share_all_room_almost_evenly(steps: list[tuple[int, int]]) -> None:
     """A step adds a channel to a maker's group, or removes it if it is there."""
     limit, wanted, held = 5, WantedChannels(5), Counter[tuple[int, int]]()
     for maker, number in steps:
@@ -85,7 +85,7 @@ def test_all_room_is_used_and_no_maker_is_left_out_while_another_has_many_more(s
 
 
 @given(STEPS)
-def test_the_last_maker_gets_its_share_although_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
+def test_a_new_maker_gets_its_share_even_if_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
     wanted = WantedChannels(8)
     for maker, number in steps:
         wanted.add(f"{maker}", ids(number))

@@ -416,7 +416,7 @@ def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypat
     assert not core.put(3500, owner="greedy").is_done, "one run of each caller may wait, however large"
 
 
-def test_one_call_looks_after_a_bounded_number_of_ended_leases_and_the_rest_is_due_at_once() -> None:
+def test_one_call_handles_a_bounded_number_of_ended_leases_and_the_next_call_is_due_at_once() -> None:
     core = Core(lease_nanos=10)
     for _ in range(8):
         core.put(*[1] * 256)
@@ -437,7 +437,7 @@ def test_overlapping_numbers_of_a_producer_are_refused() -> None:
 
 
 @pytest.mark.parametrize("field", ["max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries"])
-def test_a_limit_below_one_is_refused_by_name(field: str) -> None:
+def test_the_error_for_a_limit_below_one_names_the_limit(field: str) -> None:
     with pytest.raises(InvalidArgument, match=field):
         QueueLimits(**{field: 0})
 
@@ -447,7 +447,7 @@ def test_an_unknown_rule_for_a_full_queue_is_refused() -> None:
         QueueLimits(on_full=BLOCK.upper())
 
 
-def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_go(
+def test_a_taker_finds_every_returned_copy_even_with_few_looks_per_call(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(dispatcher, "RETURNS_PER_LOOK_MAX", 2)

@@ -30,7 +30,7 @@ def test_a_batch_holds_a_bounded_number_of_items_however_small_they_are() -> Non
     assert core.dispatched() == {1: [*range(ITEMS_DISPATCHED_MAX + 1, 2001)]}
 
 
-def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> None:
+def test_each_call_serves_some_of_many_waiting_takers_and_all_get_the_same_number() -> None:
     core = Core(max_items=10_000)
     for taker_id in range(1, 101):
         core.taker(taker_id, 100)
@@ -45,7 +45,7 @@ def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> N
     assert served == {taker_id: [100] for taker_id in range(1, 101)}
 
 
-def test_no_call_gives_out_more_items_than_one_call_may() -> None:
+def test_no_call_delivers_more_items_than_the_limit_of_a_call() -> None:
     core = Core(max_items=30_000)
     for taker_id in range(1, 21):
         core.taker(taker_id, 1000)
@@ -76,7 +76,7 @@ def test_a_new_taker_waits_until_earlier_takers_are_served() -> None:
     assert before == {*range(1, len(before) + 1)}
 
 
-def test_room_for_many_runs_that_wait_is_given_to_some_by_each_call_in_order() -> None:
+def test_each_call_gives_room_to_some_of_many_waiting_runs_in_order() -> None:
     core = Core(max_items=1)
     core.put(1)
     waiting = [core.put(1, wait_nanos=10**9) for _ in range(5 * OFFERED_PER_CALL_MAX)]
@@ -119,7 +119,7 @@ def test_a_dropped_queue_frees_its_items_in_pieces() -> None:
     assert core.counted("held", "leased") == (0, 0)
 
 
-def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_in() -> None:
+def test_many_calls_refuse_waiting_runs_in_order_and_accept_none_of_them() -> None:
     core = Core(max_items=1)
     core.put(1)
     waiting = [

@@ -51,7 +51,7 @@ def opened_at(log: Log, name: str) -> str:
     return opened.host.name
 
 
-def test_a_new_channel_is_placed_on_the_least_loaded_host_although_it_has_more_channels() -> None:
+def test_a_new_channel_is_placed_on_the_least_loaded_host_even_if_this_host_has_more_channels() -> None:
     log = log_with_hosts(2)
     for number in range(4):
         log.apply(open_channel(f"quiet/{number}", host="host-2"))
@@ -161,13 +161,13 @@ def test_loads_of_another_leader_or_of_a_former_registration_have_no_effect() ->
     assert log.directory.tables.hosts[id_of(1)].load == HostLoad()
 
 
-def test_below_its_feature_level_hosts_have_no_load_and_channels_go_by_their_number() -> None:
+def test_below_the_feature_level_hosts_have_no_load_and_the_number_of_channels_decides() -> None:
     log = log_with_hosts(2, level=LOADS_LEVEL - 1)
     assert {host.load for host in log.directory.tables.hosts.values()} == {None}
     assert [opened_at(log, f"c/{number}") for number in range(3)] == ["host-1", "host-2", "host-1"]
 
 
-def test_a_note_of_loads_is_no_change_for_watchers() -> None:
+def test_watchers_see_no_change_when_loads_are_noted() -> None:
     log = log_with_hosts(1)
     before = log.directory.tables.changes.end_position
     assert note(log, {1: HostLoad(busy_permille=900)}) == 1
@@ -180,7 +180,7 @@ def opened_beside(log: Log, name: str, beside: str) -> str:
     return opened.host.name
 
 
-def test_a_channel_opens_at_the_host_of_the_channel_that_it_names_though_others_have_less_to_do() -> None:
+def test_a_channel_opens_beside_the_named_channel_even_if_other_hosts_are_less_busy() -> None:
     log = log_with_hosts(3)
     log.apply(open_channel("left", host="host-3"))
     note(log, {3: HostLoad(busy_permille=940)})
@@ -189,14 +189,14 @@ def test_a_channel_opens_at_the_host_of_the_channel_that_it_names_though_others_
 
 
 @pytest.mark.parametrize("load", [HostLoad(busy_permille=960), HostLoad(held_bytes=99, bytes_max=100)])
-def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_has_no_room(load: HostLoad) -> None:
+def test_a_channel_opens_elsewhere_if_the_host_of_the_named_channel_has_no_room(load: HostLoad) -> None:
     log = log_with_hosts(2)
     log.apply(open_channel("left", host="host-1"))
     note(log, {1: load})
     assert opened_beside(log, "right", "left") == "host-2"
 
 
-def test_a_channel_opens_elsewhere_if_the_host_of_its_neighbour_is_lost() -> None:
+def test_a_channel_opens_elsewhere_if_the_host_of_the_named_channel_is_lost() -> None:
     log = log_with_hosts(2)
     log.apply(open_channel("left", host="host-1"))
     log.apply(deregister(1))
