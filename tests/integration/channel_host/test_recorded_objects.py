@@ -184,6 +184,35 @@ def test_a_host_that_starts_while_the_store_is_away_serves_what_it_has_and_catch
     assert numbers(channel.get(began, began + (ITEMS + 29) * MS)) == list(range(ITEMS + 30))
 
 
+def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_at_once_and_catches_up(
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = filled(rt, "rig/taken", "h1")
+    moved(server, folder, channel, "h1")
+    server.stop()
+    cluster.hosts[0].kill()
+    try:
+        wait_until(lambda: rt.channel("rig/taken").info.host == "h2", "the directory has found another host")
+        channel = rt.channel("rig/taken")
+        with channel.subscribe() as live:
+            channel.put(b"100")
+            assert next(live).payload == b"100"
+            taken = time.time_ns()
+            put(channel, taken, 1, 5)
+            assert [int(next(live).payload) for _ in range(4)] == [1, 2, 3, 4]
+        assert channel.newest().payload == b"4"
+        assert numbers(channel.get(taken, st.NOW)) == [100, 1, 2, 3, 4]
+        assert numbers(channel.get(began, st.NOW, within="memory")) == [100, 1, 2, 3, 4]
+        assert "while the object store of its archive was away" in refusal(channel, began)
+    finally:
+        server.start()
+        cluster.hosts[0].restart()
+    wait_until(lambda: answers(channel, began) == [*range(ITEMS), 100, 1, 2, 3, 4], "the host has caught up")
+    assert channel.get(began, began + (ITEMS - 2) * MS).reason is None
+    moved(server, folder, channel, "h2")
+    assert answers(channel, began) == [*range(ITEMS), 100, 1, 2, 3, 4]
+
+
 def refusal(channel: st.Channel, began: int) -> str:
     """Why the host cannot read moved items. On a busy machine the last try of the client may end at the directory."""
     with pytest.raises(st.Unavailable) as caught:

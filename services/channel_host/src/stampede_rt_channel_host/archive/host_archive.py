@@ -52,7 +52,7 @@ class HostArchive:
         self.objects = objects
         self.disk = disk or DiskUse()
         self.disk.on_full = self._make_room
-        self._decode, self._now = decode, now
+        self._decode, self.now = decode, now
         self._kept = KeptBlocks()
         self._recorders: set[ChannelRecorder] = set()
         self._making_room: asyncio.Task[None] | None = None
@@ -90,15 +90,20 @@ class HostArchive:
         """The number of channels whose last write failed."""
         return len(self._failing)
 
-    async def open(self, record: RecordedChannel) -> tuple[SegmentFiles, OpenedArchive]:
-        """The files of a channel, after a look at them. Raises OSError."""
+    async def open(
+        self, record: RecordedChannel, *, may_be_unknown: bool = False
+    ) -> tuple[SegmentFiles, OpenedArchive]:
+        """The files of a channel, after a look at them. Raises OSError.
+
+        `may_be_unknown`: if the object store is away, the host may open them without knowing what the store has.
+        """
         channel_id, name = record.channel_id, record.name
         facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
         if self.objects is None:
             files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
             found = await self._in_writer(files.open, record.epoch, record.incarnation)
         else:
-            files, found = await self._open_stored(self.objects, record, facts)
+            files, found = await self._open_stored(self.objects, record, facts, may_be_unknown)
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
                 "the archive of a channel was damaged",
@@ -112,11 +117,12 @@ class HostArchive:
         return files, found
 
     async def _open_stored(
-        self, objects: ObjectArchive, record: RecordedChannel, facts: dict[str, str | int]
+        self, objects: ObjectArchive, record: RecordedChannel, facts: dict[str, str | int], may_be_unknown: bool
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, with those in the object store. Raises OSError."""
         files = objects.files_of(record.channel_id, facts, self._kept)
-        return files, await objects.open(files, record, self._readers, self._writer)
+        opened = await objects.open(files, record, self._readers, self._writer, may_be_unknown=may_be_unknown)
+        return files, opened
 
     async def _in_writer(self, call: Callable[..., Result], *arguments: object) -> Result:
         return await asyncio.get_running_loop().run_in_executor(self._writer, call, *arguments)
@@ -251,7 +257,7 @@ class HostArchive:
 
     def _look(self, recorders: list[ChannelRecorder]) -> tuple[list[tuple[Segment, ...]], list[FoundFolder]]:
         """Delete outdated files. Returns the other files of the recorders, and all folders. Blocks. Raises OSError."""
-        kept = [one.files.drop_outdated(one.limits, self._now()) for one in recorders]
+        kept = [one.files.drop_outdated(one.limits, self.now()) for one in recorders]
         return kept, [*self.folder.of_channels()]
 
     async def load(

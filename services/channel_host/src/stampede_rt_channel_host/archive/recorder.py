@@ -12,6 +12,7 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel import ChannelCore, Run, Slice
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
@@ -65,6 +66,8 @@ class ChannelRecorder:
         self.limits = ArchiveLimits(None, None)
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
+        self.on_listed: Callable[[], None] = _ignore
+        """Is called when the object store has told which segments it has, after an opening without it."""
         self._channel = channel
         lacks_from = _lacks_from(channel, segments, is_shared=files.is_shared) if from_memory else channel.next_seq
         self.archived_to = lacks_from
@@ -299,5 +302,9 @@ def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
     """The times between which the segments have items."""
     lows = [one.low[0] for one in segments if one.low is not None]
     highs = [one.high[0] for one in segments if one.high is not None]
-    is_cut = bool(segments) and segments[0].first_seq > 1
+    is_cut = bool(segments) and given_between(1, segments[0].first_seq) > 0
     return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
+
+
+def _ignore() -> None:
+    """Nobody waits for a listing."""

@@ -101,6 +101,8 @@ class SegmentFiles(SegmentReads):
         """Whether the other hosts of the cluster read the closed segments, too."""
         self.is_listed = True
         """Whether the place of the segments has told which ones it has; else a list on the disk did."""
+        self.is_known = True
+        """Whether the host knows all segments: False until the first listing after an opening without one."""
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._begun_at = 0  # the acceptance instant of its first block
@@ -300,6 +302,11 @@ class SegmentFiles(SegmentReads):
             size -= segment.length
         if outdated:
             self._segments = self._segments[self._files.remove_all(outdated) :]
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the channel at this host."""
+        return self._epoch
 
     def local_bytes(self) -> int:
         """The bytes of the segments in the folder."""

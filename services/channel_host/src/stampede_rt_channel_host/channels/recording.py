@@ -11,14 +11,16 @@ from typing import Any
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.policy import FOREVER_NANOS
-from stampede_rt.values.timeline import Bound, Interval, ResolvedInterval
+from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
-from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.restored_channel import restore_channel
+from stampede_rt_channel_host.channels.unknown_past import UnknownPast
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRead,
@@ -37,12 +39,9 @@ from stampede_rt_channel_host.core.channel import (
     AllCursor,
     ChannelCore,
     Query,
-    Run,
     Slice,
     SubscriptionBatch,
-    make_run,
 )
-from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -68,10 +67,15 @@ class OpenedChannelArchive:
         self.newest = newest
 
 
-async def open_archive(archive: HostArchive, record: RecordedChannel) -> OpenedChannelArchive:
-    """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written."""
+async def open_archive(
+    archive: HostArchive, record: RecordedChannel, *, may_be_unknown: bool = False
+) -> OpenedChannelArchive:
+    """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written.
+
+    `may_be_unknown`: if the object store is away, the host may serve the channel without knowing what the store has.
+    """
     try:
-        files, found = await archive.open(record)
+        files, found = await archive.open(record, may_be_unknown=may_be_unknown)
         newest = await _newest(archive, files, found.segments)
     except OSError as error:
         raise Unavailable(
@@ -86,7 +90,7 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
     """The newest archived items; None: there are none. While the object store is away, those on the disk, as far as
     they are later than all items in the store. Raises OSError.
     """
-    if not segments:
+    if not segments or not files.is_known:
         return None
     if files.is_listed:
         with suppress(StoreError):
@@ -122,11 +126,14 @@ class Recording:
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
+        # while the host does not know which items the object store has
+        self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found.stop)
         if channel.next_seq == 1 and (opened.found.segments or opened.found.stop is not None):
-            _restore(channel, opened, cut)
+            restore_channel(channel, opened.found, opened.newest, cut)
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
+        self.recorder.on_listed = self._listed
         archive.record(self.recorder, has_moved=from_memory)
 
     def set_policy(self, policy: Policy, epoch: int = 0) -> None:
@@ -138,7 +145,17 @@ class Recording:
     def accepted(self, now: int) -> None:
         """Note that the channel has accepted items or an advance at `now`."""
         if self.recorder.note(now):
-            self._archive.touch(self.recorder, self._on_archived)
+            self._archive.touch(self.recorder, self._written)
+
+    def _listed(self) -> None:
+        if self._unknown is not None:
+            self._unknown.listed()
+            self._written()
+
+    def _written(self) -> None:
+        if self._unknown is not None and self._unknown.is_over(self.recorder, self._archive.now()):
+            self._unknown = None
+        self._on_archived()
 
     def check_advance(self, instant: int) -> None:
         """Check that the archive has room for an advance to `instant`, unless it changes nothing. Raises Overloaded."""
@@ -158,6 +175,8 @@ class Recording:
 
     def reaches(self, query: Query, now: int) -> bool:
         """Whether a read may need items that only the archive has."""
+        if self._unknown is not None and self._unknown.hides(self.recorder, query, now):
+            return True
         if not self.recorder.segments:
             return False
         held, _ = self._channel.look(now)
@@ -172,11 +191,23 @@ class Recording:
         Raises Unavailable if the archive cannot be read.
         """
         self._channel.check_positions(query)
+        self.check_known(query, now())
         return await tried(lambda: self._read(query, within, scheduler, now()))
+
+    def check_known(self, query: Query, now: int, horizon: Horizon | None = None) -> None:
+        """Raise Unavailable if a read needs items of the object store, and the host does not know them yet."""
+        if self._unknown is not None:
+            self._unknown.check(self.recorder, query, now, horizon)
+
+    def check_start(self, start: Bound, now: int, horizon: Horizon | None = None) -> None:
+        """As `check_known`, for a reader that begins at `start`."""
+        self.check_known(Query(interval=Interval(start, start), match=Match.START), now, horizon)
 
     def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:
         """Whether a read through a group may need items that only the archive has."""
         held, _ = self._channel.look(now)
+        if self._unknown is not None and self._unknown.hides(self.recorder, query, now, horizon):
+            return True
         return bool(self.recorder.segments) and reaches_archive(held, self.recorder.span, query, horizon, now)
 
     async def read_in_group(
@@ -188,19 +219,24 @@ class Recording:
         Raises Unavailable if the archive cannot be read.
         """
         self._channel.check_positions(query)
+        self.check_known(query, now(), horizon)
         return await tried(lambda: self._read_in_group(query, horizon, within, scheduler, now(), waits=waits))
 
     def past_reader(self) -> PastReader:
-        """Reads the channel as it was at earlier instants."""
+        """Reads the channel as it was at earlier instants. Raises Unavailable as `check_known`."""
+        if self._unknown is not None:
+            raise self._unknown.error()
         return PastReader(self._archive, self.recorder, self._channel)
 
     def beginning(self, where: dict[str, Any], now: int) -> dict[str, Any]:
         """The place where a subscription begins, if it reaches below the items in memory.
 
-        `where` are keyword arguments of `ChannelCore.subscribing_all`.
+        `where` are keyword arguments of `ChannelCore.subscribing_all`. Raises Unavailable as `check_known`.
         """
         start = where.get("start")
         segments = self.recorder.segments
+        if start is not None:
+            self.check_start(start, now)
         if start is None or not segments:
             return where
         held, _ = self._channel.look(now)
@@ -287,32 +323,3 @@ class Recording:
             window = await self._archive.load(self.recorder.files, segments, wanted)
             await scheduler.do(read.take(window))
         return read
-
-
-def _restore(channel: ChannelCore, opened: OpenedChannelArchive, cut: Callable[[bytes, int, int], bytes]) -> None:
-    """Take the newest archived items into memory, so that the channel goes on where its archive ends.
-
-    A channel that stopped before its first item has a note of the stop, and no items.
-    """
-    window, segments = opened.newest or ArchiveWindow(ChannelIndex(), None, None, None), opened.found.segments
-    parts = sorted(window.items.slices(FIRST_KEY, LAST_KEY), key=lambda one: one.first_seq)
-    runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
-    after = window.edge
-    first = segments[0].first_seq if segments else 1
-    if after is None and first > 1 and runs:
-        after = min(min(run.times) for run in runs) - 1
-    stop, loss = opened.found.stop, (span_of(segments).newest, channel.lost_before)
-    channel.restore(
-        runs,
-        after=after,
-        next_seq=max((one.end_seq for one in segments), default=1),
-        loss=loss if stop is None else (stop.lost_from, stop.lost_before),
-        advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
-    )
-
-
-def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:
-    """The items of a slice as a run of their own."""
-    run, lo, hi = part
-    durations = None if run.durations is None else run.durations[lo:hi]
-    return make_run(part.first_seq, run.times[lo:hi], durations, run.lengths[lo:hi], cut(bytes(run.body), lo, hi))

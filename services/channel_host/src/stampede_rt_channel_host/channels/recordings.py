@@ -11,6 +11,7 @@ from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
+from stampede_rt_channel_host.core.archive.seq_starts import has_start
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -38,8 +39,10 @@ class Recordings:
         self._recorded: dict[bytes, Recording] = {}
         self._departed = ArchiveCounts(0, 0, 0)
 
-    async def prepare(self, record: RecordedChannel, hosted: HostedChannel | None) -> None:
+    async def prepare(self, record: RecordedChannel, hosted: HostedChannel | None, *, is_move: bool = False) -> None:
         """Look at the archive of a channel that the host is about to serve as `record` says.
+
+        If the object store is away, a host that takes a channel over serves it without knowing what the store has.
 
         Raises InvalidArgument if the channel is to be recorded and the host has no archive. Raises Unavailable if the
         archive cannot be used.
@@ -52,7 +55,8 @@ class Recordings:
             return
         if hosted is not None and hosted.recording is not None:
             hosted.recording.stop()
-        opened = await open_archive(self.archive, record)
+        is_lost = record.may_have_lost and record.policy.ack != "replica" and has_start(record.epoch)
+        opened = await open_archive(self.archive, record, may_be_unknown=is_lost and not is_move)
         self._opened[record.channel_id] = opened
 
     def check_move(self, record: RecordedChannel) -> None:
@@ -70,7 +74,7 @@ class Recordings:
         `next_seq`: the channel's. Raises the errors of `prepare`, and InvalidArgument if this host has items with these
         seqs in its archive, from another incarnation.
         """
-        await self.prepare(record, None)
+        await self.prepare(record, None, is_move=True)
         opened = self._opened.get(record.channel_id)
         if opened is not None and any(one.end_seq > next_seq for one in opened.found.segments):
             raise InvalidArgument(

@@ -7,6 +7,7 @@ import asyncio
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import position_of, position_to
@@ -243,6 +244,8 @@ class MatchStream:
 def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) -> Matcher:
     after = request.after
     partners = {one.channel_id: (one.position.time_unix_nano, one.position.seq) for one in after.partners}
+    if hosted.recording is not None and request.HasField("after") and not after.next_seq:
+        hosted.recording.check_start(Bound(None, after.after.time_unix_nano), now)
     return Matcher(
         hosted.channel,
         {},

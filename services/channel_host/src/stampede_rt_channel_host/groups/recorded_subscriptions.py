@@ -59,6 +59,8 @@ class RecordedSteps:
 async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon: Horizon, start: Bound) -> Bound:
     """The bound at which a subscription begins, over the archive and memory. Raises Unavailable as `take`."""
     recording = hosted.recording
+    if recording is not None:
+        recording.check_start(start, channels.now(), horizon)
     if recording is None or not recording.recorder.segments:
         return start
     query = Query(interval=Interval(start, start), limit=1)

@@ -13,6 +13,7 @@ from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
 
 
@@ -51,6 +52,13 @@ class MovingFiles(SegmentFiles):
         """As `open`. `found`: the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation, self.stored.adopt(found))
         self.stored.note(epoch)
+        return opened
+
+    def open_unknown(self, epoch: int, incarnation: int) -> OpenedArchive:
+        """As `open`, for a host that does not know the segments in the store. Raises OSError."""
+        opened = self.open(epoch, incarnation)
+        self.stored.forget_known()
+        self.is_known = self.is_listed = False
         return opened
 
     def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
@@ -102,7 +110,11 @@ class MovingFiles(SegmentFiles):
         self.is_listed = True
         self._unplaced += self.stored.adopt({number: one for number, one in found.items() if number not in kept})
         new = [one for one in self._unplaced if self.stored.is_stored(one.number)]
-        self.stored.note_more(new)
+        if self.is_known:
+            self.stored.note_more(new)
+        else:
+            self.stored.note(self._epoch)
+            self.is_known = True
         for one in new:
             if one.number < latest and one.first_seq < archived_to:  # else this owner does not have its items
                 kept[one.number] = one
@@ -122,11 +134,6 @@ class MovingFiles(SegmentFiles):
         """All segments of the archive, as they are now."""
         return self._segments
 
-    @property
-    def epoch(self) -> int:
-        """The epoch of the channel at this host."""
-        return self._epoch
-
     def lacks_items(self, archived_to: int) -> bool:
         """Whether segments may be missing: there is a hole between two segments, or behind the last one, or all
         segments are this owner's. `archived_to`: see `find_again`.
@@ -136,7 +143,7 @@ class MovingFiles(SegmentFiles):
         is_alone = not self._segments or self._segments[0].number >= own
         if is_alone or self._segments[-1].end_seq < archived_to:
             return True
-        return any(before.end_seq < after.first_seq for before, after in pairs)
+        return any(given_between(before.end_seq, after.first_seq) for before, after in pairs)
 
     def local_bytes(self) -> int:
         """The bytes of the segments in the folder."""

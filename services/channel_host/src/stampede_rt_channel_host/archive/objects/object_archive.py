@@ -23,6 +23,8 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 LISTING_SECONDS_MAX = 3.0
 """If a listing takes longer and the disk has a list of the objects, the mover finishes the listing."""
+UNKNOWN_SECONDS_MAX = 7.0
+"""How much longer the host waits for a listing if the disk has no list."""
 
 
 class ObjectSettings(NamedTuple):
@@ -53,37 +55,49 @@ class ObjectArchive:
         return MovingFiles(path, facts, StoredSegments(path, self._cache, self.store), self._cut, kept)
 
     async def open(
-        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor
+        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor, *, may_be_unknown: bool
     ) -> OpenedArchive:
         """Open the files of a channel. If the store is unreachable, uses the list of its objects on the disk.
 
-        Raises OSError, also if the store is unreachable and the disk has no list.
+        If the disk has no list either, opens the files without one, if they `may_be_unknown`. Else raises OSError.
         """
         # before the listing: a leftover that moved during the listing would be neither in it nor on the disk
         self.mover.reopening(record.channel_id)
         try:
-            found, files.is_listed = await self._found(files, record, readers, writer)
+            found, files.is_listed = await self._found(files, record, readers, writer, may_be_unknown)
             loop = asyncio.get_running_loop()
+            if found is None:
+                return await loop.run_in_executor(writer, files.open_unknown, record.epoch, record.incarnation)
             return await loop.run_in_executor(writer, files.open_found, record.epoch, record.incarnation, found)
         except BaseException:
             self.mover.not_reopened(record.channel_id)
             raise
 
     async def _found(
-        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor
-    ) -> tuple[Mapping[int, StoredSegment], bool]:
-        """The segments in the store, and whether a listing of the store tells them. Raises OSError."""
+        self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor, may_be_unknown: bool
+    ) -> tuple[Mapping[int, StoredSegment] | None, bool]:
+        """The segments in the store, and whether a listing of the store tells them. None: nobody knows them now.
+
+        Raises OSError.
+        """
         loop = asyncio.get_running_loop()
         listing = loop.run_in_executor(readers, files.stored.find, record.epoch)
         listing.add_done_callback(_look)
-        await asyncio.wait({listing}, timeout=LISTING_SECONDS_MAX)
-        failure = listing.exception() if listing.done() else None
-        if isinstance(failure, LaterOwner):
-            raise failure
-        known = None
-        if failure is not None or not listing.done():
-            known = await loop.run_in_executor(writer, files.known, record.epoch, record.incarnation)
-        return (await listing, True) if known is None else (known, False)
+        if not await _fails(listing, LISTING_SECONDS_MAX):
+            return listing.result(), True
+        known = await loop.run_in_executor(writer, files.known, record.epoch, record.incarnation)
+        if known is not None or (may_be_unknown and await _fails(listing, UNKNOWN_SECONDS_MAX)):
+            return known, False
+        return await listing, True
+
+
+async def _fails(listing: asyncio.Future[dict[int, StoredSegment]], seconds_max: float) -> bool:
+    """Whether a listing fails, or takes longer. Raises LaterOwner."""
+    await asyncio.wait({listing}, timeout=seconds_max)
+    failure = listing.exception() if listing.done() else None
+    if isinstance(failure, LaterOwner):
+        raise failure
+    return failure is not None or not listing.done()
 
 
 def _look(listing: asyncio.Future[dict[int, StoredSegment]]) -> None:

@@ -252,6 +252,7 @@ class SegmentMover:
         archived_to = recorder.archived_to
         recorder.keep(await self.in_writer(lambda: files.find_again(found, archived_to)))
         self._former.found(files, lacks_items=files.lacks_items(archived_to))
+        recorder.on_listed()
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
         names = files.stored.outdated[:DELETED_AT_ONCE]

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
@@ -118,9 +119,12 @@ def deliver(
 
 
 def _gap(cursor: AllCursor, first: int, end: int, reason: Reason) -> SubscriptionBatch:
-    cursor.dropped += end - first
     cursor.mark_done(end)
-    return SubscriptionBatch(gap=Gap(first_seq=first, last_seq=end - 1, items=end - first, reason=reason), more=True)
+    lacks = given_between(first, end)
+    if not lacks:  # an owner has begun here without the seqs of the former owners
+        return SubscriptionBatch(more=True)
+    cursor.dropped += lacks
+    return SubscriptionBatch(gap=Gap(first_seq=end - lacks, last_seq=end - 1, items=lacks, reason=reason), more=True)
 
 
 def _belonging(piece: Slice, cursor: AllCursor) -> Slice | None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
 
 
 class Hole(NamedTuple):
@@ -58,7 +59,8 @@ def border_holes(
 
 def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:
     before, after = earlier.head, later.head
-    if after.first_seq > before.end_seq:
+    lacks = given_between(before.end_seq, after.first_seq)
+    if lacks:
         start, end = sorted((before.high[0], after.low[0]))
         inner = (start + 1, end - 1) if end - start > 1 else (start, end)
-        yield Hole(*inner, after.first_seq - before.end_seq)
+        yield Hole(*inner, lacks)

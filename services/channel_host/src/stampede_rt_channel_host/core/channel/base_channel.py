@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
-from stampede_rt_channel_host.core.channel.restoring import restore
+from stampede_rt_channel_host.core.channel.restoring import leave_to_archive, restore
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.values import Counters
@@ -171,6 +171,18 @@ class BaseChannel:
         self._reading.lost_from, self.lost_before = loss
         self._reading.note_loss(self.lost_before)
         self._acceptance.advance = self._reading.advance = advance
+
+    def leave_to_archive(self, edge: int, loss: tuple[int | None, int | None], now: int) -> bool:
+        """Note that an archive has been found, with the items up to `edge` of the former owners. `loss`: see `restore`.
+
+        Returns False if items up to `edge` are still to be archived: call it again after the next write.
+        """
+        clock = self._age_and_free(self._tick(now))
+        if not leave_to_archive(self._held, edge, self._retention.unarchived, clock):
+            return False
+        self._reading.lost_from, self.lost_before = loss
+        self._reading.note_loss(self.lost_before)
+        return True
 
     @property
     def footprint_bytes(self) -> int:

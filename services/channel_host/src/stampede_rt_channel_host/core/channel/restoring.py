@@ -1,10 +1,11 @@
-"""Takes the newest items of an archive into an empty channel. Pure."""
+"""Takes the newest items of an archive into an empty channel, or leaves all earlier items to an archive. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from stampede_rt_channel_host.core.channel.held_items import ARCHIVE
+from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, low_of
+from stampede_rt_channel_host.core.channel.held_items import AGE, ARCHIVE
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.run import Run
 
@@ -23,6 +24,22 @@ def restore(held: Holdings, runs: Iterable[Run], *, after: int | None, next_seq:
         held.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
     _skip_to(held, next_seq)
     held.collected_end = None if after is None else held.oldest
+
+
+def leave_to_archive(held: Holdings, edge: int, backlog: ArchiveBacklog | None, clock: int) -> bool:
+    """From now on the archive has all items up to the time `edge`, those in memory, too. Later ones stay in memory.
+
+    Returns False if some of them are still to be archived. Call it again then; meanwhile no such item is accepted.
+    """
+    held.newest_collected = edge if held.newest_collected is None else max(edge, held.newest_collected)
+    low = low_of(backlog)
+    if low is not None and low[0] <= edge:
+        return False
+    held.outdate(held.oldest_before(edge + 1), AGE, clock)
+    held.floor = max(held.floor, (edge + 1, 0))
+    held.collected_by = ARCHIVE
+    held.collected_end = edge + 1 if held.oldest is None else held.oldest
+    return True
 
 
 def _skip_to(held: Holdings, next_seq: int) -> None:

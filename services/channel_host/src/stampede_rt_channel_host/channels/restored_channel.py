@@ -1,0 +1,43 @@
+"""Takes the newest archived items of a channel into its memory, when its host begins to serve it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt_channel_host.archive.recorder import span_of
+from stampede_rt_channel_host.archive.segment_files import OpenedArchive
+from stampede_rt_channel_host.core.archive import ArchiveWindow
+from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+
+
+def restore_channel(
+    channel: ChannelCore, found: OpenedArchive, newest: ArchiveWindow | None, cut: Callable[[bytes, int, int], bytes]
+) -> None:
+    """Take the newest archived items into memory, so that the channel goes on where its archive ends.
+
+    A channel that stopped before its first item has a note of the stop, and no items.
+    """
+    window, segments = newest or ArchiveWindow(ChannelIndex(), None, None, None), found.segments
+    parts = sorted(window.items.slices(FIRST_KEY, LAST_KEY), key=lambda one: one.first_seq)
+    runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
+    after = window.edge
+    first = segments[0].first_seq if segments else 1
+    if after is None and first > 1 and runs:
+        after = min(min(run.times) for run in runs) - 1
+    stop, loss = found.stop, (span_of(segments).newest, channel.lost_before)
+    channel.restore(
+        runs,
+        after=after,
+        next_seq=max((one.end_seq for one in segments), default=1),
+        loss=loss if stop is None else (stop.lost_from, stop.lost_before),
+        advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
+    )
+
+
+def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:
+    """The items of a slice as a run of their own."""
+    run, lo, hi = part
+    durations = None if run.durations is None else run.durations[lo:hi]
+    return make_run(part.first_seq, run.times[lo:hi], durations, run.lengths[lo:hi], cut(bytes(run.body), lo, hi))

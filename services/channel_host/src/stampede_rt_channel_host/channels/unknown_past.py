@@ -1,0 +1,91 @@
+"""The archived items of a channel whose host has taken it over while the object store was away."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.core.archive import reaches, resolved_now
+from stampede_rt_channel_host.core.archive.recorded_items import earliest
+from stampede_rt_channel_host.core.archive.seq_starts import start_of
+from stampede_rt_channel_host.core.channel import ChannelCore, Query
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.group import Horizon
+
+
+class UnknownPast:
+    """Says which reads have to wait until the store tells which items it has.
+
+    All items of the former owners lie before `since`, the instant of the take-over. The host has all later ones. With
+    `is_fresh` the channel began here without items, at the first seq of its epoch. Otherwise a replica has become the
+    owner, and knows which items have left its memory.
+    """
+
+    def __init__(self, channel: ChannelCore, epoch: int, stop: CleanStop | None) -> None:
+        """`stop`: the note of the former process of this host, if it had all items."""
+        self.is_fresh = channel.next_seq == 1
+        self._channel, self._first_seq, self._stop = channel, start_of(epoch), stop
+        self._since = channel.lost_before or 0
+        self._is_listed = False
+        if self.is_fresh:
+            channel.restore((), after=None, next_seq=self._first_seq, loss=(None, channel.lost_before))
+
+    def check(self, recorder: ChannelRecorder, query: Query, now: int, horizon: Horizon | None = None) -> None:
+        """Raise Unavailable if the answer of a read may have items that only the store has.
+
+        `horizon`: of the group through which to read.
+        """
+        if self.hides(recorder, query, now, horizon):
+            raise self.error()
+
+    def error(self) -> Unavailable:
+        """The error of a read that needs the store."""
+        return Unavailable(
+            f"the host has taken channel {self._channel.name} over while the object store of its archive was away, so "
+            "it does not know yet which earlier items the store has; read again when the store is back, or read with "
+            'within="memory"'
+        )
+
+    def hides(self, recorder: ChannelRecorder, query: Query, now: int, horizon: Horizon | None = None) -> bool:
+        """Whether the answer of a read may have items that only the store has."""
+        held, _ = self._channel.look(now)
+        known = [one for one in recorder.segments if one.first_seq >= self._first_seq]
+        oldest = earliest(held.oldest, span_of((*known,)).oldest)
+        if horizon is not None:
+            if horizon.cut is None:
+                return False
+            now = min(now, horizon.cut)
+        within = resolved_now(held, recorder.span, query, now)
+        if within is None or query.interval.start.meta is MetaTime.OLDEST:
+            return True
+        last = within.end - within.end_exclusive
+        last = last if horizon is None or horizon.cut is None else min(last, horizon.cut - 1)
+        if not self.is_fresh:
+            return reaches(held, min(within.start, last))
+        is_begun = oldest is not None and oldest <= min(within.start, last)
+        if within.start >= self._since and (is_begun or query.match is not Match.SPAN):
+            return False
+        return not self._has_latest(held, query, within, last)
+
+    def _has_latest(self, held: Holdings, query: Query, within: ResolvedInterval, last: int) -> bool:
+        """Whether a read of the latest item up to `last` finds it in memory."""
+        if not (query.newest_first and query.limit == 1 and query.after is None):
+            return False
+        found = held.last_time_up_to(last)
+        return found is not None and found >= within.start and (found >= self._since or found == held.newest)
+
+    def listed(self) -> None:
+        """Note that the store has told which items it has."""
+        self._is_listed = True
+
+    def is_over(self, recorder: ChannelRecorder, now: int) -> bool:
+        """Whether the host knows all items now. Then memory has left the earlier ones to the archive."""
+        if not (self._is_listed and self.is_fresh):
+            return self._is_listed
+        edge = span_of(tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)).newest
+        if edge is None:
+            return True
+        stop = self._stop
+        loss = (edge, self._since) if stop is None else (stop.lost_from, stop.lost_before)
+        return self._channel.leave_to_archive(edge, loss, now)

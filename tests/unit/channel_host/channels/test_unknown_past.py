@@ -1,0 +1,242 @@
+"""A host that takes a recorded channel over while the object store of its archive is away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, Interval, Match
+from stampede_rt_channel_host.archive.objects import former_owners, guarded_store
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.recordings import Recordings
+from stampede_rt_channel_host.core.archive.seq_starts import start_of
+from stampede_rt_channel_host.core.channel import Offer, Query, ReadAnswer, Run, make_run, run_to_end
+from stampede_rt_channel_host.core.group import Horizon
+from tests.support.channel_host.object_stores import FakeStore
+from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
+
+ALL = Query(interval=Interval(OLDEST, NOW))
+LATEST = Query(interval=Interval(Bound(None, 0), NOW), limit=1, newest_first=True)
+SINCE = 1000
+"""The instant of the take-over."""
+
+
+@pytest.fixture(autouse=True)
+def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
+
+
+def decode(body: bytes) -> Run:
+    seq, _, time = body.partition(b":")
+    return make_run(int(seq), [int(time or seq)], None, [7], body)
+
+
+async def left(path: Path, store: FakeStore) -> None:
+    """A host serves the channel, moves the items at 1, 2 and 3 to the store, and is lost with the item at 4."""
+    former = Host(path, store)
+    await former.serve(1)
+    for _ in range(3):
+        await former.write()
+        assert not await former.mover.move_all()
+    await former.write()
+    former.archive.folder.close()
+
+
+class Owner:
+    """The next owner of the channel."""
+
+    def __init__(self, one: Host, epoch: int = 2) -> None:
+        self.host, self.epoch = one, epoch
+        one.archive._decode = decode
+        self.recordings = Recordings()
+        self.recordings.archive = one.archive
+
+    async def serve(self) -> Owner:
+        self.hosted = await self.recordings.adopt(
+            record(self.epoch), None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
+        )
+        assert self.hosted.recording is not None
+        self.recording = self.hosted.recording
+        self.host.recorder = self.recording.recorder
+        return self
+
+    def now(self) -> int:
+        return self.host.clock
+
+    async def put(self, *times: int) -> None:
+        for time in times:
+            self.host.clock = max(self.host.clock + 1, time)
+            offer = Offer(times=[time], durations=None, lengths=[7])
+            self.hosted.core.put(offer, self.now(), lambda seq, kept, stamped, time=time: b"%d:%d" % (seq, time))
+            self.hosted.changed(self.now())
+        await self.host.archive.write_all()
+
+    async def find(self) -> None:
+        """The store is back, and the host looks at it."""
+        assert not await self.host.mover.move_all()
+
+    async def read(self, query: Query) -> ReadAnswer:
+        if self.recording.reaches(query, self.now()):
+            return (await self.recording.read(query, None, PieceScheduler(), self.now)).answer()
+        return self.hosted.channel.read(query, self.now())
+
+    async def times(self, query: Query) -> list[int]:
+        return [time for one in (await self.read(query)).slices for time in one.run.times[one.lo : one.hi]]
+
+    async def subscribed(self, start: Bound) -> tuple[list[int], int]:
+        """The times of the items that a subscription gets, and how many it dropped."""
+        where = self.recording.beginning({"start": start}, self.now())
+        cursor = run_to_end(self.hosted.channel.subscribing_all(self.now(), **where))
+        times: list[int] = []
+        for _ in range(20):
+            batch = await self.recording.since(cursor, 2**20, self.now)
+            batch = self.hosted.channel.since(cursor, self.now(), 2**20) if batch is None else batch
+            times += [time for one in batch.slices for time in one.slice.run.times[one.slice.lo : one.slice.hi]]
+        return times, cursor.dropped
+
+
+@pytest.mark.asyncio
+async def test_the_new_owner_serves_what_it_has_and_says_what_it_does_not_know_yet(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "connection refused"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        assert owner.hosted.channel.next_seq == start_of(2)
+        with pytest.raises(Unavailable, match="was away"):
+            await owner.read(LATEST)
+        await owner.put(SINCE + 1, SINCE + 2)
+        later = Bound(None, SINCE + 1)
+        assert await owner.times(LATEST) == [SINCE + 2]
+        assert await owner.times(Query(interval=Interval(later, NOW))) == [SINCE + 1, SINCE + 2]
+        assert await owner.subscribed(later) == ([SINCE + 1, SINCE + 2], 0)
+        for start in (OLDEST, Bound(None, 3), Bound(None, SINCE)):
+            with pytest.raises(Unavailable, match='within="memory"'):
+                await owner.read(Query(interval=Interval(start, NEWEST)))
+        with pytest.raises(Unavailable):
+            await owner.subscribed(OLDEST)
+        with pytest.raises(Unavailable):
+            owner.recording.past_reader()
+        assert await owner.times(Query(interval=Interval(Bound(None, SINCE), NOW), match=Match.START))
+
+
+@pytest.mark.asyncio
+async def test_a_read_through_a_group_waits_for_the_store_if_it_needs_it(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        await owner.put(SINCE + 1, SINCE + 2)
+        horizon = Horizon(SINCE + 2, lambda: "")
+        early, late = ALL, Query(interval=Interval(Bound(None, SINCE + 1), NOW))
+        assert owner.recording.reaches_in_group(early, horizon, owner.now())
+        with pytest.raises(Unavailable, match="was away"):
+            await owner.recording.read_in_group(early, horizon, None, PieceScheduler(), owner.now, waits=False)
+        assert not owner.recording.reaches_in_group(late, horizon, owner.now())
+
+
+@pytest.mark.asyncio
+async def test_when_the_store_is_back_reads_and_subscriptions_have_all_items_and_no_false_gap(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    before = dict(store.objects)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        await owner.put(SINCE + 1, SINCE + 2)
+        store.failure = ""
+        await owner.find()
+        whole = [1, 2, 3, SINCE + 1, SINCE + 2]
+        assert await owner.times(ALL) == whole
+        assert (await owner.read(ALL)).reason == "LOST"  # the item at 4
+        assert (await owner.read(Query(interval=Interval(Bound(None, 0), Bound(None, 2))))).reason is None
+        assert await owner.subscribed(OLDEST) == (whole, 0)
+        await owner.put(SINCE + 3)
+        assert await owner.times(ALL) == [*whole, SINCE + 3]
+        one.clock += 61 * 10**9
+        await owner.find()
+        assert one.local() == []
+        assert await owner.times(ALL) == [*whole, SINCE + 3]
+    assert {name: store.objects[name] for name in before} == before
+
+
+@pytest.mark.asyncio
+async def test_an_item_with_an_early_time_is_read_from_the_archive_once_the_store_is_back(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        await owner.put(2, SINCE + 1)
+        store.failure = ""
+        await owner.find()
+        assert await owner.times(ALL) == [1, 2, 2, 3, SINCE + 1]
+        assert [one.first_time for one in owner.hosted.channel.accepted_from(0)] == [SINCE + 1]
+
+
+@pytest.mark.asyncio
+async def test_a_store_without_items_of_the_channel_ends_the_wait_and_the_answers_say_lost(tmp_path: Path) -> None:
+    store = FakeStore()
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        await owner.put(SINCE + 1)
+        store.failure = ""
+        await owner.find()
+        answer = await owner.read(Query(interval=Interval(Bound(None, 0), NOW)))
+        assert [one.first_time for one in answer.slices] == [SINCE + 1]
+        assert answer.reason == "LOST"
+
+
+@pytest.mark.asyncio
+async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items_of_both_owners(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    first = Host(tmp_path / "b", store)
+    first.clock = SINCE
+    owner = await Owner(first).serve()
+    await owner.put(SINCE + 1)
+    first.recorder.files.close(None)
+    first.archive.folder.close()  # it is killed
+    async with host(tmp_path / "b", store) as one:
+        one.clock = 2 * SINCE
+        owner = await Owner(one, 3).serve()
+        assert owner.hosted.channel.next_seq == start_of(3)
+        await owner.put(2 * SINCE + 1)
+        store.failure = ""
+        await owner.find()
+        whole = [1, 2, 3, SINCE + 1, 2 * SINCE + 1]
+        assert await owner.times(ALL) == whole
+        assert await owner.subscribed(OLDEST) == (whole, 0)
+    async with host(tmp_path / "b", store) as one:  # the list on its disk tells the objects now
+        store.failure = "away"
+        one.clock = 3 * SINCE
+        owner = await Owner(one, 4).serve()
+        assert owner.hosted.channel.next_seq == start_of(3) + 1
+        store.failure = ""
+        await owner.find()
+        assert await owner.times(ALL) == whole
+
+
+@pytest.mark.asyncio
+async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_seqs(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        recordings = Recordings()
+        recordings.archive = one.archive
+        with pytest.raises(Unavailable, match="cannot be used"):
+            await recordings.prepare_move(record(2), 5)
