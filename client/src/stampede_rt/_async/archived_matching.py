@@ -31,6 +31,8 @@ ReadAsOf = Callable[[ReadQuery, int], Awaitable[Items]]
 KEYS_MAX = 2**18
 """The most keys of items that wait for a match, of all members together: about 35 MB."""
 KEYS_PER_PAGE = 2**13
+ITEMS_AT_ONCE = 16
+"""The most items of one instant that one read fetches for the next matches."""
 _NEWEST = ReadQuery(ALL_TIME, match=Match.START, limit=1, newest_first=True, payloads=False)
 
 
@@ -51,6 +53,7 @@ class ArchivedMember:
         self.loaded_to: int = MIN_INSTANT  # the caller has all keys up to this time
         self._start = self.loaded_to
         self._after: Item | None = None
+        self._fetched: dict[ItemKey, Item] = {}  # some items of one instant, as of the last read
 
     async def begin(self, as_of: int) -> None:
         """Find out how far the channel had come."""
@@ -97,9 +100,13 @@ class ArchivedMember:
 
     async def item(self, key: ItemKey, as_of: int, *, payloads: bool) -> Item | None:
         """Return an item; None if the archive does not have it any more."""
-        window = parse_interval(key[0], key[0])
-        found = await self.read_as_of(ReadQuery(window, match=Match.START, payloads=payloads), as_of)
-        return next((one for one in found if one.seq == key[1]), None)
+        if key not in self._fetched:
+            time, seq = key
+            before = Item(time, None, None, seq - 1, b"", {}, "", 0, 0)
+            window = parse_interval(time, time)
+            query = ReadQuery(window, match=Match.START, limit=ITEMS_AT_ONCE, after=before, payloads=payloads)
+            self._fetched = {(one.time, one.seq): one for one in await self.read_as_of(query, as_of)}
+        return self._fetched.get(key)
 
 
 class ArchivedMatching:
@@ -162,10 +169,14 @@ class ArchivedMatching:
             pass
 
     async def _load(self) -> bool:
-        """Load the next keys of the member whose keys end first. Returns False if there are no more."""
+        """Load the next keys of the member whose keys end first. Returns False if there are no more.
+
+        Raises Overloaded as `check_room`.
+        """
         due = min((one for one in self.members if not one.is_over), key=lambda one: one.loaded_to, default=None)
         if due is None:
             return False
+        self.check_room()
         time = self._matcher.next_time
         if due is not self._per and time is not None:
             due.skip_to(clamp(time - self._rule.tolerance_nanos))
@@ -176,8 +187,13 @@ class ArchivedMatching:
         return self._by_id[channel_id].has_passed(instant, self._rule.lateness_nanos)
 
     def add(self, channel_id: bytes, keys: Iterable[ItemKey]) -> None:
-        """Add keys of a member. Raises Overloaded beyond KEYS_MAX."""
+        """Add keys of a member. Call `check_room` before the read that returns them."""
         self.dropped += self._matcher.add(channel_id, keys)
+
+    def check_room(self) -> None:
+        """Check that there is room for further keys. Raises Overloaded beyond KEYS_MAX. Then nothing has changed, so a
+        repeated step takes no more memory.
+        """
         if len(self._matcher) > KEYS_MAX:
             behind = min(self.members, key=lambda one: (one.newest_time is not None, one.newest_time or 0)).channel
             raise Overloaded(

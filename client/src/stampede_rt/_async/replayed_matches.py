@@ -57,6 +57,7 @@ class ReplayedMatches(ArchivedMatches[ReplayedChannel]):
             return False
         instant, at = min(due)
         assert instant is not None, "only members with a change are due"
+        matching.check_room()
         member, feed = self._feeds[at]
         items = await feed.take()
         matching.as_of, member.advance = instant, feed.advance
