@@ -191,3 +191,19 @@ async def test_the_files_of_a_channel_that_cannot_be_opened_still_move_to_the_st
         assert not await one.mover.move_all()
         assert not await one.mover.move_all()
         assert one.local() == []
+
+
+@pytest.mark.asyncio
+async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: Path) -> None:
+    store = FakeStore()
+    one = Host(tmp_path, store)
+    recorder = await one.serve(1)
+    await one.write()
+    assert not await one.mover.move_all()
+    recorder.files.raise_epoch(2)  # the channel was opened before the move here was committed
+    assert not await one.mover.move_all()
+    one.archive.folder.close()  # the host is killed
+    store.failure = "away"
+    async with host(tmp_path, store) as again:
+        await again.serve(3)
+        assert again.channel.next_seq == 2

@@ -349,3 +349,30 @@ async def test_the_files_of_a_channel_that_stopped_cleanly_move_before_it_is_ser
         assert found.stop.incarnation == 1
         assert sum(one.items for one in found.segments) == 3
         again.archive.give_up(files)
+
+
+@pytest.mark.asyncio
+async def test_the_thread_of_writes_does_not_wait_for_the_store_when_a_former_owner_has_moved_its_last_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write(2)
+        recorder = await new.serve(2, next_seq=2)
+        await new.write()  # item 2 of the former owner is lost, and the new owner uses its seq
+        assert not await former.mover.move_all()
+        find_again, reads = recorder.files.find_again, []  # type: ignore[attr-defined]
+
+        def watched(*arguments: object) -> object:
+            before = len(store.calls)
+            found = find_again(*arguments)
+            reads.append(store.calls[before:])
+            return found
+
+        monkeypatch.setattr(recorder.files, "find_again", watched)
+        new.mover.expect_former(recorder)
+        new.mover._former.hurry()
+        await new.mover._find_again(recorder.files)  # type: ignore[arg-type]
+        assert reads == [[]]
+        assert new.read() == [1, 2]

@@ -72,6 +72,7 @@ class MovingFiles(SegmentFiles):
             self._end_segment()
         if limits is not None:
             self.drop_outdated(limits, now)
+        self.stored.note_epoch(self._epoch)
         local = self._local()
         self.waiting = local if self._file is None else local[:-1]
 

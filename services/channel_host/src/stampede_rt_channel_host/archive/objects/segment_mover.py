@@ -245,7 +245,9 @@ class SegmentMover:
     async def _find_again(self, files: MovingFiles) -> None:
         """Look for files of the former owner. Raises OSError."""
         epoch = files.epoch
-        found = await self.in_thread(lambda: files.stored.find(epoch))
+        local = (one.first_seq for one in files.segments if not files.stored.is_stored(one.number))
+        following = next(local, None)
+        found = await self.in_thread(lambda: files.stored.find(epoch, following))
         recorder = self._recorders.get(files)
         if recorder is None:  # the host has given the channel up meanwhile
             return

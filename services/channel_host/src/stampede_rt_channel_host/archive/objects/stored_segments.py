@@ -50,6 +50,7 @@ class StoredSegments(SegmentFolder):
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
         self._stored: dict[int, StoredSegment] = {}
+        self._indexes: dict[int, Sequence[PlacedBlock]] = {}  # of the few segments that overlap with the next one
         self._epoch = 0
         self._dropped_to = 0  # all segments up to this number have left the archive
 
@@ -58,8 +59,9 @@ class StoredSegments(SegmentFolder):
         """The id of the channel."""
         return bytes.fromhex(self.path.name)
 
-    def find(self, epoch: int) -> dict[int, StoredSegment]:
-        """List the segments in the store, by their numbers. `epoch`: of the channel now.
+    def find(self, epoch: int, following: int | None = None) -> dict[int, StoredSegment]:
+        """List the segments in the store, by their numbers. `epoch`: of the channel now. `following`: the first seq in
+        the folder.
 
         Raises StoreError, and LaterOwner if there are segments of a later epoch. Ignores objects that are no segments.
         Any thread may call it.
@@ -71,7 +73,19 @@ class StoredSegments(SegmentFolder):
                 f"the object store {self._store.url} has files of a later owner of the channel ({found[latest].name}); "
                 "open the channel again"
             )
+        self._index_overlaps([found[one] for one in sorted(found)], following)
         return found
+
+    def _index_overlaps(self, found: Sequence[StoredSegment], following: int | None) -> None:
+        """Read the indexes of the segments whose last items the next segment has, too. Then the thread of writes, which
+        leaves these items out, need not wait for the store. Raises StoreError.
+        """
+        firsts = [*(one.segment.first_seq for one in found[1:]), following]
+        for one, first in zip(found, firsts, strict=False):
+            is_cut = first is not None and one.segment.end_seq > first
+            if is_cut and one.segment.number not in self._indexes:
+                with suppress(FileNotFoundError):  # the limits have just removed the object
+                    self._indexes[one.segment.number] = self._indexed(one)
 
     def known(self, epoch: int, *, is_whole: bool) -> dict[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: the disk does not know all of them.
@@ -97,6 +111,11 @@ class StoredSegments(SegmentFolder):
         """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
         self._epoch = epoch
         self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}))
+
+    def note_epoch(self, epoch: int) -> None:
+        """Note the epoch of the channel on the disk, if the list there is of an earlier one. Raises OSError."""
+        if 0 < self._epoch < epoch:
+            self.note(epoch)
 
     def note_more(self, segments: Iterable[Segment]) -> None:
         """Note on the disk that the store has these segments, too. Raises OSError."""
@@ -212,7 +231,8 @@ class StoredSegments(SegmentFolder):
         if stored is None or self.file_of(segment.number).exists():
             found = super().blocks(segment, begin)
         else:
-            found = [one for one in self._indexed(stored) if one.offset >= begin]
+            indexed = self._indexes.get(segment.number) or self._indexed(stored)
+            found = [one for one in indexed if one.offset >= begin]
         return below(found, segment.length, segment.end_seq)
 
     def _indexed(self, stored: StoredSegment) -> Sequence[PlacedBlock]:
