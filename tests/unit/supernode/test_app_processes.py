@@ -27,7 +27,7 @@ from tests.support.supernode.processes import (
 )
 
 
-async def test_one_alone_serves_on_a_free_port_and_stops_with_code_0() -> None:
+async def test_a_single_supernode_serves_on_a_free_port_and_stops_with_code_0() -> None:
     address = f"127.0.0.1:{free_ports(1)[0]}"
     one = Supernode("supernode-1", address, ["--listen", address])
     try:
@@ -109,7 +109,7 @@ async def names_seen(watch: object, count: int) -> list[str]:
     return seen
 
 
-async def test_the_loss_of_all_three_at_once_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None:
+async def test_a_crash_of_all_three_supernodes_loses_no_acknowledged_command(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         assert (await register(cluster.supernodes[0], 1)).cluster_id
         opened = [await open_channel(one, f"cam/{one.name}") for one in cluster.supernodes]
@@ -122,7 +122,7 @@ async def test_the_loss_of_all_three_at_once_loses_nothing_that_was_acknowledged
         assert await cluster_id_of(cluster.supernodes[1]) == cluster_id
 
 
-async def test_a_frozen_leader_is_replaced_and_answers_with_nothing_stale_when_it_thaws(tmp_path: Path) -> None:
+async def test_a_frozen_leader_is_replaced_and_gives_no_stale_answers_when_it_continues(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         first, second = cluster.others(leader)
@@ -134,7 +134,7 @@ async def test_a_frozen_leader_is_replaced_and_answers_with_nothing_stale_when_i
             assert (await resolve(one, "cam")).channel == opened.channel
 
 
-async def test_a_lease_that_is_renewed_outlives_its_leader_and_one_that_is_not_ends(tmp_path: Path) -> None:
+async def test_a_renewed_lease_outlives_its_leader_and_an_unrenewed_one_ends(tmp_path: Path) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "2s") as cluster:
         leader = await cluster.leader()
         assert (await register(leader, 1)).lease_ttl_nanos == 2 * 10**9

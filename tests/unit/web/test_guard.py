@@ -53,7 +53,7 @@ async def ask(
 
 
 @pytest.mark.parametrize("host", ["localhost", "localhost:7581", "127.0.0.1:7581", "[::1]:7581", "[::1]", "127.9.9.9"])
-async def test_on_loopback_a_name_of_loopback_needs_no_login(host: str) -> None:
+async def test_on_loopback_a_request_with_a_loopback_host_name_needs_no_login(host: str) -> None:
     assert (await answer(host=host))[0] == 200
 
 
@@ -63,7 +63,7 @@ async def test_a_name_of_another_site_is_refused_on_loopback(host: str) -> None:
     assert (await answer(host=host))[0] == 403
 
 
-async def test_every_answer_has_the_headers_that_fence_scripts_also_a_refusal() -> None:
+async def test_every_response_has_the_headers_that_limit_scripts_even_a_refusal() -> None:
     for host in ("localhost", "evil.example"):
         _, headers = await answer(host=host)
         assert {name.lower(): value for name, value in HEADERS.items()}.items() <= headers.items()
@@ -92,7 +92,7 @@ async def test_a_login_that_is_too_long_is_refused() -> None:
     assert (await answer("/login", token=TOKEN, method="POST", body=b"token=" + b"x" * 2000))[0] == 413
 
 
-async def test_beyond_loopback_any_name_serves_because_the_login_guards() -> None:
+async def test_beyond_loopback_any_host_name_is_accepted_because_a_login_is_needed() -> None:
     assert (await answer("/login", token=TOKEN, loopback_only=False, host="rig.example"))[0] == 200
 
 

@@ -42,13 +42,13 @@ def test_a_jpeg_with_very_many_segments_has_no_known_size() -> None:
 
 
 @pytest.mark.parametrize("whole", [png(3, 4), jpeg(3, 4, segment(APP, b"Exif"))])
-def test_a_header_that_is_cut_has_no_size(whole: bytes) -> None:
+def test_a_truncated_header_has_no_size(whole: bytes) -> None:
     sizes = {pixels_of(whole[:length]) for length in range(2, len(whole))}
     assert sizes == {None, 12}
 
 
 @given(some.binary(max_size=200))
-def test_no_bytes_make_it_fail(payload: bytes) -> None:
+def test_the_size_of_any_bytes_is_found_without_an_error(payload: bytes) -> None:
     for start in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"):
         found = pixels_of(start + payload)
         assert found is None or found >= 0

@@ -58,7 +58,7 @@ def test_a_picture_whose_pixels_would_fill_the_browsers_memory_is_not_shown() ->
     assert preview_of("image/png", png)["text"] == "A picture of 900,000,000 pixels is too large for this page."
 
 
-def test_a_picture_needs_its_own_first_bytes_and_svg_is_text() -> None:
+def test_a_picture_is_recognised_by_its_first_bytes_and_svg_is_shown_as_text() -> None:
     jpeg = b"\xff\xd8\xff\xc0\0\x08\x08\0\x04\0\x05 rest"
     assert picture_of("image/jpeg", jpeg) == ("image/jpeg", jpeg)
     assert picture_of("image/jpeg", b"<script>") is None
@@ -88,7 +88,7 @@ def test_json_shows_its_numbers_by_name() -> None:
 @pytest.mark.parametrize(
     "payload", [b"[" * 100_000, b'"\\ud800"', b"1" * 5000, b"NaN"], ids=["deep", "surrogate", "long", "nan"]
 )
-def test_strange_json_still_has_a_preview(payload: bytes) -> None:
+def test_unusual_json_still_has_a_preview(payload: bytes) -> None:
     json.dumps(preview_of("application/json", payload), allow_nan=False).encode()
 
 

@@ -11,7 +11,7 @@ def window(start: int, width: int = 100) -> Window:
     return Window(start=start, end=start + 1_000_000, width=width)
 
 
-def test_a_window_is_read_once_and_again_after_a_while() -> None:
+def test_a_window_is_read_once_and_read_again_after_some_time() -> None:
     stretches, track = Stretches(), ItemTrack()
     assert stretches.is_due(window(1), now=0)
     assert stretches.track_of(window(1)) is None
@@ -31,7 +31,7 @@ def test_only_the_windows_that_were_read_last_are_kept() -> None:
     assert stretches.track_of(window(1)) is None
 
 
-def test_a_stretch_with_more_items_than_were_read_has_the_end_of_the_read() -> None:
+def test_a_window_with_more_items_than_the_limit_names_the_end_of_the_read_part() -> None:
     track = ItemTrack()
     track.prepend([TrackItem(2_000, ABSENT, 1, 10), TrackItem(3_000, ABSENT, 2, 10)])
     assert "ends" not in draw(track, window(1_000))

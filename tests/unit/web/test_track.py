@@ -51,7 +51,7 @@ def test_a_new_incarnation_is_marked_as_a_loss_and_its_seqs_begin_again() -> Non
     assert not track.has_missing
 
 
-def test_the_first_incarnation_is_no_loss() -> None:
+def test_the_first_incarnation_is_not_marked_as_a_loss() -> None:
     assert not track_of(item(10, 1)).marks
 
 

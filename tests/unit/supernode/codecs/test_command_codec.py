@@ -332,7 +332,7 @@ def test_a_result_is_decoded_as_it_was_encoded(result: Result) -> None:
     assert decode_result(encode_result(result)) == result
 
 
-def test_every_kind_of_command_has_one_row_for_its_codec_and_one_for_its_effect() -> None:
+def test_every_kind_of_command_has_one_row_in_the_table_of_codecs_and_one_in_the_table_of_effects() -> None:
     kinds = directory_command_pb2.DirectoryCommand.DESCRIPTOR.oneofs_by_name["kind"].fields
     outcomes = directory_command_pb2.DirectoryResult.DESCRIPTOR.oneofs_by_name["outcome"].fields
     assert sorted(row.kind for row in CODECS) == sorted(field.name for field in kinds)
@@ -396,7 +396,7 @@ def test_an_unreadable_entry_is_refused_and_later_entries_are_applied(entry: byt
     assert replica.read(lambda directory: directory.applied_index) == 4
 
 
-def test_an_unknown_way_to_be_full_is_refused() -> None:
+def test_an_unknown_value_of_on_full_is_refused() -> None:
     message = directory_command_pb2.DirectoryCommand(op_id=id_of(1))
     message.open_channel.name = "cam"
     message.open_channel.spec.on_full = 9  # type: ignore[assignment]

@@ -33,17 +33,17 @@ def registration(**fields: int | str) -> pb.RegisterHostRequest:
 
 
 @pytest.mark.parametrize(("known_as", "name"), [(None, "h1"), ("h1", "h1"), ("h1", None), (None, None)])
-def test_a_host_speaks_for_itself(known_as: str | None, name: str | None) -> None:
+def test_a_host_may_call_with_its_own_id(known_as: str | None, name: str | None) -> None:
     check_host_caller(H1, known_as=known_as, name=name)
 
 
 @pytest.mark.parametrize(("known_as", "name"), [(None, "h2"), ("h2", "h1"), ("h2", None), ("h1", "h2")])
-def test_a_host_cannot_speak_for_another(known_as: str | None, name: str | None) -> None:
+def test_a_host_may_not_call_with_the_id_of_another_host(known_as: str | None, name: str | None) -> None:
     with pytest.raises(PermissionDenied, match="cannot speak for host h2"):
         check_host_caller(H1, known_as=known_as, name=name)
 
 
-def test_without_certificates_every_caller_is_believed() -> None:
+def test_without_certificates_a_caller_may_use_any_host_id() -> None:
     check_host_caller(None, known_as="h2", name="h1")
 
 
@@ -53,7 +53,7 @@ def test_another_protocol_is_reported_with_both_versions() -> None:
     check_protocol(0, "0.0.1")
 
 
-async def test_only_another_protocol_keeps_a_host_out_and_not_another_release() -> None:
+async def test_a_host_of_another_release_may_register_but_not_one_of_another_protocol() -> None:
     async with running_node() as node:
         refused = await reason_of(node.stub.RegisterHost(registration(protocol_version=7, version="9.9"), timeout=5))
         assert refused.reason == "VERSION_MISMATCH"
@@ -64,7 +64,7 @@ async def test_only_another_protocol_keeps_a_host_out_and_not_another_release() 
 
 
 @pytest.mark.parametrize("service", [queue_directory_service_pb2, peer_service_pb2], ids=["queues", "peers"])
-def test_every_participant_may_ask_for_queues_and_peers_and_no_service_of_the_cluster_does(service: Any) -> None:
+def test_all_participants_may_call_the_services_of_queues_and_peers(service: Any) -> None:
     for described in service.DESCRIPTOR.services_by_name.values():
         for method in described.methods:
             allowed = roles_for(f"/{described.full_name}/{method.name}")
@@ -72,7 +72,7 @@ def test_every_participant_may_ask_for_queues_and_peers_and_no_service_of_the_cl
 
 
 @pytest.mark.parametrize(("caller", "refused"), [("host-1", False), ("host-2", True)])
-async def test_only_a_host_itself_registers_as_the_peer_that_it_is(
+async def test_only_a_host_itself_may_register_its_peer(
     monkeypatch: pytest.MonkeyPatch, caller: str, refused: bool
 ) -> None:
     async with running_node() as node:

@@ -44,13 +44,13 @@ def test_a_reader_that_lags_too_far_gets_an_error() -> None:
     assert read(ring, ring.position_after(2) or 0) == ([3, 4, 5, 6], 6)
 
 
-def test_an_index_of_which_some_changes_went_cannot_be_continued_from_before() -> None:
+def test_a_watch_cannot_continue_from_an_index_whose_later_changes_are_partly_dropped() -> None:
     ring = ring_of(1, 2, 2, 2, 2, 2, changes_max=3)
     assert ring.position_after(1) is None
     assert ring.position_after(2) == ring.end_position
 
 
-def test_nothing_before_a_restored_snapshot_can_be_read() -> None:
+def test_changes_before_a_restored_snapshot_cannot_be_read() -> None:
     ring = ring_of(floor=40)
     assert ring.position_after(39) is None
     assert ring.position_after(40) == 0

@@ -80,7 +80,7 @@ def test_queues_have_a_quota_of_their_own() -> None:
     assert not isinstance(log.apply(by("cam", open_queue("s"), 1)), Refused)
 
 
-def test_groups_have_a_quota_of_their_own_and_those_that_go_with_their_channel_make_room() -> None:
+def test_groups_have_a_quota_of_their_own_and_a_group_deleted_with_its_channel_makes_room() -> None:
     log = log_with_a_host()
     log.apply(by("cam", open_channel("c"), 1))
     channel = log.directory.tables.channel_ids["c"]
@@ -145,7 +145,7 @@ def test_below_their_feature_level_groups_and_peers_have_no_quota(monkeypatch: p
     assert log.directory.tables.peers.creators["cam"] == 0, "a replica of an earlier release does not count it"
 
 
-def test_a_snapshot_counts_as_the_state_that_it_is_of() -> None:
+def test_a_state_read_from_a_snapshot_has_the_same_counts() -> None:
     log = log_with_a_host()
     log.apply(by("cam", open_channel("c")))
     log.apply(by("cam", open_queue("q")))

@@ -62,7 +62,7 @@ async def is_there(node: Node) -> bool:
     return bool((await node.stub.ListChannels(pb.ListChannelsRequest())).channels)
 
 
-async def test_an_entry_that_was_under_way_does_not_bring_a_deleted_channel_back(node: Node) -> None:
+async def test_an_entry_proposed_before_the_deletion_does_not_create_the_channel_again(node: Node) -> None:
     request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
     node.log.holds = True
     first = node.stub.OpenChannel(request, timeout=10)
@@ -75,7 +75,7 @@ async def test_an_entry_that_was_under_way_does_not_bring_a_deleted_channel_back
     assert not await is_there(node)
 
 
-async def test_a_request_that_a_supernode_held_up_does_not_bring_a_deleted_channel_back(node: Node) -> None:
+async def test_a_request_that_a_supernode_delayed_does_not_create_a_deleted_channel_again(node: Node) -> None:
     request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
     held_up = node.log.reads_may_end
     held_up.clear()
@@ -92,7 +92,7 @@ async def test_a_request_that_a_supernode_held_up_does_not_bring_a_deleted_chann
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
-async def test_a_request_that_the_network_held_opens_nothing_once_its_repetition_was_answered(
+async def test_a_request_that_the_network_delayed_has_no_effect_after_its_repetition_was_answered(
     node: Node, kind: str
 ) -> None:
     """A fixed fault: the log had no entry for the repetition. The held request then opened the deleted thing again."""
@@ -155,7 +155,7 @@ def deletion_of(log: Log, opened: Result) -> Operation:
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
-def test_an_open_is_late_if_its_thing_was_deleted_after_the_request(log: Log, kind: str) -> None:
+def test_an_open_is_late_if_its_channel_was_deleted_after_the_request(log: Log, kind: str) -> None:
     member = log.apply(open_channel("member"))
     assert isinstance(member, ChannelOpened)
     openings: dict[str, Operation] = {
@@ -173,7 +173,7 @@ def test_an_open_is_late_if_its_thing_was_deleted_after_the_request(log: Log, ki
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
-def test_a_deletion_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
+def test_the_deletion_of_another_name_does_not_make_an_open_late(log: Log, kind: str) -> None:
     """A fixed fault: a client that made and deleted groups without a pause prevented all other clients from making
     groups.
     """
@@ -215,7 +215,7 @@ def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(
     assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), Refused)
 
 
-def test_an_open_is_late_if_its_answer_may_be_forgotten(log: Log) -> None:
+def test_an_open_is_late_if_its_kept_answer_may_have_been_dropped(log: Log) -> None:
     asked = log.directory.applied_index
     for _ in range(MARKS_KEPT):
         log.mark_time()

@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.kept_answers import (
 from tests.support.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
 
 
-def test_a_repeated_operation_gives_the_same_answer_although_other_ids_were_drawn_for_it() -> None:
+def test_a_repeated_operation_gets_the_same_answer_even_if_it_has_other_random_ids() -> None:
     log = Log()
     log.apply(register(1))
     first = log.apply(open_channel("cam"), op_id=id_of(1))
@@ -30,7 +30,7 @@ def test_a_repeated_operation_gives_the_same_answer_although_other_ids_were_draw
     assert again.created
 
 
-def test_a_repeated_deletion_does_not_hit_the_next_channel_of_that_name() -> None:
+def test_a_repeated_deletion_does_not_delete_a_new_channel_of_the_same_name() -> None:
     log = Log()
     log.apply(register(1))
     first = log.apply(open_channel("cam"))
@@ -42,7 +42,7 @@ def test_a_repeated_deletion_does_not_hit_the_next_channel_of_that_name() -> Non
     assert "cam" in log.directory.tables.channel_ids
 
 
-def test_a_refusal_is_not_remembered_since_it_changed_nothing() -> None:
+def test_a_refusal_is_not_kept_because_it_changed_nothing() -> None:
     log = Log()
     assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), Refused)
     log.apply(register(1))
@@ -71,7 +71,7 @@ def done(log: Log, number: int) -> Result:
     return log.apply(open_channel(f"cam/{number}"), op_id=request_id(number), as_of_index=as_of_index)
 
 
-def test_an_answer_is_kept_however_much_is_done_until_time_was_marked_often_enough() -> None:
+def test_an_answer_is_kept_for_a_number_of_time_marks_after_any_number_of_commands() -> None:
     log = Log()
     log.apply(register(1))
     first = done(log, 1)
@@ -95,7 +95,7 @@ def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
         assert log.apply(open_channel("cam"), op_id=id_of(77)) == done
 
 
-def test_forgetting_takes_a_bounded_part_of_each_command() -> None:
+def test_each_command_drops_a_bounded_number_of_old_answers() -> None:
     log = Log()
     log.apply(register(1))
     for number in range(2 * FORGOTTEN_BY_MARK):
@@ -109,7 +109,7 @@ def test_forgetting_takes_a_bounded_part_of_each_command() -> None:
     assert [before - after for before, after in itertools.pairwise(held)] == [FORGOTTEN_AT_ONCE - 1] * 3
 
 
-def test_a_command_that_was_under_way_while_time_was_marked_twice_is_refused_and_not_done() -> None:
+def test_a_command_that_two_time_marks_have_overtaken_is_refused_without_effect() -> None:
     log = Log()
     log.apply(register(1))
     asked = log.directory.applied_index
@@ -123,7 +123,7 @@ def test_a_command_that_was_under_way_while_time_was_marked_twice_is_refused_and
     assert isinstance(log.apply(open_channel("late"), as_of_index=log.directory.applied_index), ChannelOpened)
 
 
-def test_a_forgotten_command_is_not_done_again() -> None:
+def test_a_command_whose_answer_was_dropped_is_not_performed_again() -> None:
     """Tries all moments at which a repetition is taken in and applied, up to 40 s of marks after the first time."""
     for applied_after in range(2 * MARKS_KEPT):
         for taken_in_after in range(min(applied_after + 1, MARKS_KEPT - 2)):
@@ -142,7 +142,7 @@ def test_a_forgotten_command_is_not_done_again() -> None:
             assert "cam/1" not in log.directory.tables.channel_ids
 
 
-def test_another_leaders_mark_and_a_repeated_one_are_without_effect() -> None:
+def test_a_time_mark_of_another_leader_or_a_repeated_one_has_no_effect() -> None:
     log = Log()
     assert log.mark_time(tenure=2) == TimeMarked(marked=False)
     repeated = MarkTime(tenure=1, after_index=0)
@@ -150,7 +150,7 @@ def test_another_leaders_mark_and_a_repeated_one_are_without_effect() -> None:
     assert len(log.directory.kept_answers.marks) == 1
 
 
-def test_a_command_whose_answer_cannot_be_kept_is_refused_and_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_whose_answer_cannot_be_kept_is_refused_without_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept_answers, "BYTES_MAX", 4 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(register(1))
@@ -164,7 +164,7 @@ def test_a_command_whose_answer_cannot_be_kept_is_refused_and_not_done(monkeypat
     assert isinstance(done(log, 3), ChannelOpened)
 
 
-def test_marks_survive_a_snapshot() -> None:
+def test_a_snapshot_keeps_the_time_marks() -> None:
     log = Log()
     log.apply(register(1))
     done(log, 1)

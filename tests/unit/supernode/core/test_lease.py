@@ -47,7 +47,7 @@ def test_a_new_leader_grants_every_lease_its_full_ttl(table: LeaseTable) -> None
     assert table.due(TTL) == [(b"\x01", 1, 1), (b"\x02", 1, 1)]
 
 
-def test_a_renewal_prolongs_by_a_ttl_from_its_receipt(table: LeaseTable) -> None:
+def test_a_renewal_extends_a_lease_by_a_ttl_from_its_receipt(table: LeaseTable) -> None:
     assert table.renew(host(1), 3 * SECOND)
     assert pass_time(table, 0, TTL) == [(b"\x02", 1, 1)]
     table.follow([host(1)], TTL)
@@ -55,13 +55,15 @@ def test_a_renewal_prolongs_by_a_ttl_from_its_receipt(table: LeaseTable) -> None
     assert table.due(3 * SECOND + TTL) == [(b"\x01", 1, 1)]
 
 
-def test_a_renewal_received_earlier_does_not_shorten(table: LeaseTable) -> None:
+def test_a_renewal_received_earlier_does_not_shorten_the_lease(table: LeaseTable) -> None:
     assert table.renew(host(1), 3 * SECOND)
     assert table.renew(host(1), 1 * SECOND)
     assert pass_time(table, 0, TTL + SECOND) == [(b"\x02", 1, 1)]
 
 
-def test_once_an_end_is_proposed_renewals_are_refused_and_it_is_proposed_again(table: LeaseTable) -> None:
+def test_once_the_end_of_a_lease_is_proposed_renewals_are_refused_and_the_proposal_is_repeated(
+    table: LeaseTable,
+) -> None:
     assert len(pass_time(table, 0, TTL)) == 2
     assert not table.renew(host(1), TTL)
     assert len(table.due(TTL + 1)) == 2
@@ -82,7 +84,7 @@ def test_a_registration_seen_by_the_leader_gets_a_full_ttl_from_then(table: Leas
     assert table.due(9 * SECOND) == [(b"\x03", 1, 8)]
 
 
-def test_a_stalled_leader_ends_no_lease_for_its_own_pause(table: LeaseTable) -> None:
+def test_a_leader_that_was_paused_ends_no_lease_because_of_its_pause(table: LeaseTable) -> None:
     pass_time(table, 0, 2 * SECOND)
     frozen_until = 60 * SECOND
     assert table.due(frozen_until) == []
@@ -90,7 +92,7 @@ def test_a_stalled_leader_ends_no_lease_for_its_own_pause(table: LeaseTable) -> 
     assert len(table.due(frozen_until + TTL)) == 2
 
 
-def test_a_stall_does_not_call_back_an_end_that_is_proposed(table: LeaseTable) -> None:
+def test_a_pause_of_the_leader_does_not_cancel_the_proposed_end_of_a_lease(table: LeaseTable) -> None:
     pass_time(table, 0, TTL)
     assert len(table.due(60 * SECOND)) == 2
 
@@ -124,12 +126,12 @@ def test_the_last_clock_reading_of_a_holder_is_kept_beside_its_lease(table: Leas
     assert table.clock(host(1)) is None
 
 
-def test_a_clock_told_with_a_registration_does_not_lengthen_a_lease_that_is_known(table: LeaseTable) -> None:
+def test_a_clock_reading_with_a_registration_does_not_extend_a_known_lease(table: LeaseTable) -> None:
     table.note_clock(host(1), AHEAD, 3 * SECOND)
     assert (b"\x01", 1, 1) in pass_time(table, 0, TTL)
 
 
-def test_clocks_are_forgotten_with_the_tenure_and_noted_only_under_one(table: LeaseTable) -> None:
+def test_clock_readings_are_noted_only_during_a_tenure_and_end_with_it(table: LeaseTable) -> None:
     table.note_clock(host(1), AHEAD, SECOND)
     table.lead(8, [host(1)], SECOND, ttl_nanos=TTL)
     assert table.clock(host(1)) is None

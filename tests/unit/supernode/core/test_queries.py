@@ -74,7 +74,7 @@ def test_hosts_are_listed_by_name_and_dead_ones_only_on_request(log: Log) -> Non
     assert [host.name for host in host_page(tables, after, 2, include_dead=True).hosts] == ["c"]
 
 
-def test_a_full_last_page_is_known_to_be_the_last(log: Log) -> None:
+def test_a_last_page_that_is_full_has_no_token(log: Log) -> None:
     assert host_page(log.directory.tables, ("", b""), 3, include_dead=True).last_key is None
 
 

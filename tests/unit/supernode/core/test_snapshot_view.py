@@ -67,7 +67,7 @@ def test_a_later_snapshot_takes_only_the_channels_that_changed(log: Log) -> None
     assert len(view.changes) < len(log.directory.tables.changes._changes)
 
 
-def test_a_channel_that_was_made_again_is_the_new_one(log: Log) -> None:
+def test_the_snapshot_has_the_new_channel_after_a_deletion_and_another_open(log: Log) -> None:
     writer = SnapshotWriter()
     writer.begin(log.directory)()
     log.apply(delete(log.directory.tables.channel_ids["a"]))
@@ -87,7 +87,7 @@ def test_all_channels_are_written_when_there_were_too_many_changes(log: Log) -> 
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 
 
-def test_a_view_that_was_never_encoded_does_no_harm(log: Log) -> None:
+def test_an_unused_view_does_not_change_later_snapshots(log: Log) -> None:
     writer = SnapshotWriter()
     writer.begin(log.directory)()
     log.apply(open_channel("d", host="host-1"))

@@ -64,7 +64,7 @@ def test_the_refusal_of_a_restore_names_the_fault_of_the_folder(tmp_path: Path) 
         restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="c")
 
 
-async def test_a_forgotten_data_dir_is_named_as_soon_as_the_other_members_call(
+async def test_the_error_names_a_missing_data_dir_as_soon_as_another_member_calls(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     ports = free_ports(2)

@@ -45,7 +45,7 @@ async def test_a_cluster_is_founded_joined_and_left_and_no_id_is_used_again(tmp_
             await newcomer.close()
 
 
-async def test_a_backup_of_a_running_cluster_founds_another_one_that_knows_all_that_was_acknowledged(
+async def test_a_cluster_founded_from_a_backup_has_all_acknowledged_commands(
     tmp_path: Path,
 ) -> None:
     ports, backup = free_ports(2), tmp_path / "backup"
@@ -93,7 +93,7 @@ async def test_a_supernode_that_is_no_member_cannot_be_asked_for_a_snapshot(tmp_
         await one.close()
 
 
-async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_noticed(tmp_path: Path) -> None:
+async def test_a_folder_in_use_is_not_prepared_again_and_a_lost_disk_is_noticed(tmp_path: Path) -> None:
     [port] = free_ports(1)
     founder = await prepared("init", "a", port, tmp_path)
     again = ("init", "--data-dir", str(tmp_path / "a"), "--listen", f"127.0.0.1:{port}")
@@ -186,6 +186,6 @@ async def test_a_founder_that_lost_its_disk_is_refused_and_acknowledged_commands
         assert (await resolve(leader, "cam/kept")).channel.channel_id == opened.channel.channel_id
 
 
-async def test_an_empty_folder_is_refused_with_the_way_out(tmp_path: Path) -> None:
+async def test_the_error_for_an_empty_folder_names_a_remedy(tmp_path: Path) -> None:
     code, printed = await command("--listen", "127.0.0.1:0", "--data-dir", str(tmp_path / "empty"))
     assert (code, "stampede supernode init" in printed) == (1, True), printed

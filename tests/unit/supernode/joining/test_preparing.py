@@ -25,7 +25,7 @@ def reached(*_: Any) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("verb", [["init"], ["join", "--member", "127.0.0.1:7590", "--token", "c.1.t"]])
-def test_the_command_to_start_is_a_line_of_its_own(
+def test_the_command_that_starts_the_supernode_is_printed_on_a_line_of_its_own(
     verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(preparing, "reached", reached)
@@ -39,7 +39,7 @@ def test_the_command_to_start_is_a_line_of_its_own(
 
 
 @pytest.mark.parametrize("verb", [["init"], ["join", "--member", "127.0.0.1:7590", "--token", "c.1.t"]])
-def test_the_json_has_the_fields_that_the_page_names(
+def test_the_json_output_has_the_documented_fields(
     verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(preparing, "reached", reached)
@@ -48,7 +48,7 @@ def test_the_json_has_the_fields_that_the_page_names(
     require_fields(f"supernode {verb[0]}", capsys.readouterr().out)
 
 
-def test_an_address_for_other_machines_needs_a_certificate_or_a_permission_and_the_text_says_so(
+def test_an_address_beyond_loopback_needs_a_certificate_or_a_flag_and_the_error_names_both(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert preparing.prepare(["init", "--listen", "10.0.0.11:7590", "--data-dir", str(tmp_path / "s1")]) == 0

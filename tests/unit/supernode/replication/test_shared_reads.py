@@ -40,7 +40,7 @@ async def test_callers_that_arrive_during_a_confirmed_read_share_the_next_one() 
     assert len(rig.begun) == 2
 
 
-async def test_a_shared_read_lasts_as_long_as_the_most_patient_of_its_callers() -> None:
+async def test_a_shared_read_lasts_until_the_latest_deadline_of_its_callers() -> None:
     rig = Rig()
     first = await rig.ask()
     short, patient = await rig.ask(0.01), await rig.ask(60.0)
@@ -72,7 +72,7 @@ async def test_a_closed_log_fails_all_waiting_reads_and_begins_no_other() -> Non
     assert len(rig.begun) == 1
 
 
-async def test_no_more_wait_than_are_allowed() -> None:
+async def test_the_number_of_waiting_readers_is_limited() -> None:
     rig = Rig(waiting_max=2)
     waiting = [await rig.ask() for _ in range(3)]
     with pytest.raises(LogUnavailable, match="slow down"):

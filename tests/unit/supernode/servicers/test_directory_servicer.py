@@ -104,7 +104,7 @@ async def test_repeating_a_request_id_repeats_the_answer(node: Node) -> None:
 
 
 @pytest.mark.parametrize("outcome", list(ProposalOutcome))
-async def test_an_update_survives_a_proposal_that_fails_and_is_done_once(node: Node, outcome: ProposalOutcome) -> None:
+async def test_an_update_whose_first_proposal_fails_is_performed_once(node: Node, outcome: ProposalOutcome) -> None:
     node.log.outcomes.extend([outcome, outcome])
     opened = await node.open("cam")
     assert opened.created
@@ -227,7 +227,7 @@ async def test_an_update_without_a_proper_request_id_is_refused(node: Node, meth
         ("DeregisterHost", pb.DeregisterHostRequest(host_id=b"x" * 100_000)),
     ],
 )
-async def test_a_request_without_a_meaning_is_refused_as_an_argument(node: Node, method: str, request_: Any) -> None:
+async def test_a_request_with_an_unknown_value_gets_invalid_argument(node: Node, method: str, request_: Any) -> None:
     if "request_id" in request_.DESCRIPTOR.fields_by_name:
         request_.request_id = id_of(1)
     if isinstance(request_, pb.OpenChannelRequest):

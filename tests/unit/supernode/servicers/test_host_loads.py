@@ -38,7 +38,7 @@ async def test_the_loads_of_all_hosts_take_one_entry_and_unchanged_loads_take_no
         assert node.replica.read(lambda directory: directory.applied_index) == after, "the change is too small"
 
 
-async def test_a_new_channel_counts_until_a_host_has_measured_with_it() -> None:
+async def test_a_new_channel_adds_an_estimated_load_until_its_host_has_measured_it() -> None:
     async with running_node() as node:
         await node.register(1)
         await renew(node, 1, 100)

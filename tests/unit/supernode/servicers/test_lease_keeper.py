@@ -21,7 +21,7 @@ async def node() -> AsyncIterator[Node]:
         yield node
 
 
-async def test_a_lease_that_is_renewed_lives_and_one_that_is_not_ends(node: Node) -> None:
+async def test_a_lease_lasts_only_while_it_is_renewed(node: Node) -> None:
     for _ in range(4):
         await node.pass_seconds(3)
         assert (await node.renew(1)).tenure == 1
@@ -90,7 +90,7 @@ async def test_a_renewal_is_acknowledged_only_after_a_read_confirmed_since(node:
     assert (await renewal).tenure == 1
 
 
-async def test_a_leader_replaced_while_it_confirms_acknowledges_nothing(node: Node) -> None:
+async def test_a_leader_that_is_replaced_during_a_confirmed_read_acknowledges_no_renewal(node: Node) -> None:
     node.log.reads_may_end.clear()
     node.log.read_waits.clear()
     renewal = asyncio.ensure_future(node.renew(1))
@@ -101,7 +101,7 @@ async def test_a_leader_replaced_while_it_confirms_acknowledges_nothing(node: No
     assert (await reason_of(renewal)).reason == "NO_QUORUM"
 
 
-async def test_once_its_end_is_proposed_a_lease_is_not_renewed_even_if_the_proposal_fails(node: Node) -> None:
+async def test_once_the_end_of_a_lease_is_proposed_it_cannot_be_renewed_even_if_the_proposal_fails(node: Node) -> None:
     await node.pass_seconds(4)
     node.log.outcomes.append(ProposalOutcome.REFUSED)
     node.clock.advance(2 * 10**9)
@@ -122,7 +122,7 @@ async def test_a_failure_to_take_over_is_tried_again(node: Node, monkeypatch: py
     assert (await node.renew(1)).tenure == 2
 
 
-async def test_a_leader_marks_the_time_for_as_long_as_anything_is_remembered(node: Node) -> None:
+async def test_a_leader_writes_time_marks_as_long_as_answers_are_kept(node: Node) -> None:
     def marks() -> tuple[int, int]:
         return node.replica.read(lambda directory: (len(directory.kept_answers.marks), len(directory.kept_answers)))
 
@@ -137,7 +137,7 @@ async def test_a_leader_marks_the_time_for_as_long_as_anything_is_remembered(nod
     assert node.replica.read(lambda directory: directory.applied_index) == index
 
 
-async def test_a_new_leader_marks_no_time_that_it_has_not_seen_pass(node: Node) -> None:
+async def test_a_new_leader_writes_its_first_time_mark_after_a_whole_interval(node: Node) -> None:
     await node.pass_seconds(9)
     node.log.tenure = 2
     await node.leases.tick()

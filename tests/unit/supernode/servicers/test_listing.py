@@ -39,7 +39,7 @@ async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0)
 
 
 @pytest.mark.parametrize("size", [1, 99, 250, 499, 500, 0])
-async def test_pages_of_every_size_hold_all_shown_things_once_and_their_tokens_name_shown_things(size: int) -> None:
+async def test_pages_of_every_size_have_each_visible_thing_once_and_tokens_name_only_visible_things(size: int) -> None:
     """A fixed fault: the token held the last name that the listing had read, so that pages of one thing told all hidden
     names.
     """
@@ -54,13 +54,13 @@ async def test_pages_of_every_size_hold_all_shown_things_once_and_their_tokens_n
     assert got == [name for name in NAMES if not name.startswith("hidden")]
 
 
-async def test_one_confirmed_read_and_one_position_hold_for_the_whole_page() -> None:
+async def test_a_page_needs_one_confirmed_read_and_is_of_one_log_position() -> None:
     calls = Calls()
     page = await listed("", 0, calls)
     assert (calls.confirmed, page.applied_index) == (1, 1), "the first: later changes come by a watch"
     assert calls.reads == len(NAMES) / listing.JUDGED_PER_TURN + 0.5
 
 
-async def test_a_listing_ends_with_its_callers_time() -> None:
+async def test_a_listing_ends_at_the_deadline_of_its_caller() -> None:
     with pytest.raises(Overloaded, match="narrower pattern"):
         await listed("", 0, seconds=0.0)

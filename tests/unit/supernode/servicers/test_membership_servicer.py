@@ -37,7 +37,7 @@ def token(**changes: Any) -> str:
     return TOKENS.make(REQUEST_ID, NEW, **fields)
 
 
-def test_a_token_lets_in_until_it_is_over() -> None:
+def test_a_join_token_is_valid_until_its_end() -> None:
     assert TOKENS.check(token(), NEW, now_unix_nano=999) == TOKENS.check(token(), NEW, now_unix_nano=1)
     with pytest.raises(PermissionDenied, match="has ended"):
         TOKENS.check(token(), NEW, now_unix_nano=1000)
@@ -49,7 +49,7 @@ def test_a_text_that_is_no_token_is_refused(text: str) -> None:
         TOKENS.check(text, NEW, now_unix_nano=1)
 
 
-def test_a_token_of_another_key_id_or_address_or_with_a_later_end_is_refused() -> None:
+def test_a_join_token_with_another_key_id_address_or_end_is_refused() -> None:
     later, other_id, elsewhere = token().replace("3e8", "3e9"), replace(NEW, member_id="x"), replace(NEW, address="x:1")
     for text, tokens, newcomer in (
         (token(), JoinTokens(b"x"), NEW),
@@ -72,7 +72,7 @@ async def test_the_key_of_join_tokens_is_random_and_survives_in_snapshots() -> N
     assert {len(key) for key in keys} == {32}
 
 
-def test_a_join_token_names_its_log() -> None:
+def test_a_join_token_names_the_cluster_id_of_its_log() -> None:
     assert log_cluster_of(token()) == "log"
     assert log_cluster_of(token(log_cluster_id="")) == ""
     for text in ("", "sj3", token().rpartition(".")[0], token().replace("sj3", "sj1"), token().replace(".6c", ".6x")):
@@ -80,7 +80,7 @@ def test_a_join_token_names_its_log() -> None:
             log_cluster_of(text)
 
 
-def test_a_token_is_good_for_a_day_at_most() -> None:
+def test_a_join_token_is_valid_for_at_most_a_day() -> None:
     assert valid_until(5, None) == 5 + 3600 * 10**9
     for nanos in (0, VALID_NANOS_MAX + 1):
         with pytest.raises(InvalidArgument, match="24 h"):
@@ -114,7 +114,9 @@ async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
 
 
 @pytest.mark.parametrize(("name", "why"), [("gone", "was a member before"), ("s2", "is a member already")])
-async def test_no_token_is_made_for_an_id_that_can_never_join(rig: tuple[Node, Any], name: str, why: str) -> None:
+async def test_no_join_token_is_made_for_the_id_of_a_former_or_present_member(
+    rig: tuple[Node, Any], name: str, why: str
+) -> None:
     node, stub = rig
     node.log.retired = {"gone"}
     node.log.other = Member(member_id="s2", address="s2:1")
@@ -150,7 +152,7 @@ async def test_a_new_member_that_cannot_be_admitted_gets_the_reason(
     assert error.reason == reason
 
 
-async def test_a_newcomer_whose_release_knows_less_than_the_clusters_level_is_not_let_in(rig: tuple[Node, Any]) -> None:
+async def test_a_new_member_whose_release_is_below_the_clusters_level_is_refused(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     node.replica.read(lambda directory: setattr(directory, "feature_level", 3))
     for highest in (0, 2):
@@ -201,7 +203,7 @@ async def test_a_snapshot_begins_with_its_facts_and_has_the_backup_on_request(ri
     assert sum(len(part.data) for part in parts) == facts.size_bytes
 
 
-async def test_without_a_majority_only_a_stale_snapshot_can_be_had(rig: tuple[Node, Any]) -> None:
+async def test_without_a_majority_only_a_stale_snapshot_can_be_taken(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     node.log.quorum = False
     error = await reason_of(stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10).read())
@@ -210,7 +212,7 @@ async def test_without_a_majority_only_a_stale_snapshot_can_be_had(rig: tuple[No
     assert facts.log_index == node.log.index
 
 
-async def test_a_few_snapshots_are_asked_for_at_once_and_no_more(rig: tuple[Node, Any]) -> None:
+async def test_the_number_of_calls_that_take_snapshots_is_limited(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     node.log.reads_may_end.clear()
     waiting = [stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10) for _ in range(SNAPSHOTS_MAX)]
@@ -230,7 +232,7 @@ async def first_refused(pending: list[asyncio.Future[Any]]) -> StampedeError:
 FOUNDING = Founding(supernode_id="a", address="h:1", members={"a": "h:1"}, log_cluster_id="c", token="t")
 
 
-def test_a_founding_comes_back_as_it_was_written_and_only_its_user_can_read_it(tmp_path: Path) -> None:
+def test_a_founding_file_is_read_as_it_was_written_and_only_its_user_can_read_it(tmp_path: Path) -> None:
     write_founding(tmp_path / "a", FOUNDING)
     assert read_founding(tmp_path / "a") == FOUNDING
     assert (tmp_path / "a" / "supernode.json").stat().st_mode & 0o077 == 0
@@ -238,7 +240,7 @@ def test_a_founding_comes_back_as_it_was_written_and_only_its_user_can_read_it(t
         check_unused(tmp_path / "a")
 
 
-def test_once_started_the_store_must_be_there(tmp_path: Path) -> None:
+def test_a_supernode_that_was_started_once_needs_its_store(tmp_path: Path) -> None:
     write_founding(tmp_path, FOUNDING)
     assert FOUNDING.replication_settings(tmp_path).create
     assert not note_started(tmp_path, FOUNDING).replication_settings(tmp_path).create

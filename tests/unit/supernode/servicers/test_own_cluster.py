@@ -29,7 +29,7 @@ def judged(own: OwnCluster, callers: str) -> type[StampedeError] | None:
     return None if error is None else type(error)
 
 
-def test_no_caller_is_served_while_the_state_is_of_the_restored_cluster_or_of_none() -> None:
+def test_no_caller_is_served_before_the_restored_cluster_has_its_new_id() -> None:
     replica = DirectoryReplica()
     own = OwnCluster(replica)
     assert judged(own, "x") is Unavailable
@@ -41,7 +41,7 @@ def test_no_caller_is_served_while_the_state_is_of_the_restored_cluster_or_of_no
     assert (judged(own, "x"), judged(own, "y")) == (WrongCluster, None)
 
 
-def test_callers_of_a_cluster_whose_place_it_took_are_served() -> None:
+def test_callers_of_the_cluster_that_this_one_replaced_are_served() -> None:
     replica = DirectoryReplica()
     own = OwnCluster(replica)
     own.learn("y")
@@ -58,7 +58,7 @@ def test_a_cluster_that_was_founded_by_a_list_learns_its_id_from_the_directory()
     assert (own.id(), judged(own, "x"), judged(own, "y")) == ("x", None, WrongCluster)
 
 
-async def test_only_pings_of_another_clusters_caller_are_answered_and_calls_that_name_none_are_served() -> None:
+async def test_a_caller_of_another_cluster_may_only_ping_and_one_that_names_no_cluster_is_served() -> None:
     async with running_node() as node:
         other, own = cluster_metadata("another"), cluster_metadata(node.replica.read(lambda one: one.cluster_id))
         pong = await node.stub.Ping(pb.DirectoryServicePingRequest(), metadata=other, timeout=10)

@@ -59,7 +59,7 @@ async def seconds_with_the_host(node: Node, seconds: int, *peers: int) -> None:
         await node.pass_seconds(1)
 
 
-async def test_a_peer_registers_is_found_and_leaves(node: Node) -> None:
+async def test_a_peer_can_register_be_found_and_leave(node: Node) -> None:
     registered = await node.peers.RegisterPeer(
         entering(7, "planner", host_id=id_of(1), zone="lab", version="1.2", attributes={"role": "driver"})
     )
@@ -82,7 +82,7 @@ async def test_a_peer_registers_is_found_and_leaves(node: Node) -> None:
     assert (error.reason, error.metadata["peer"]) == ("QUEUE_NOT_FOUND", "planner")
 
 
-async def test_a_second_peer_of_a_live_name_is_refused_unless_it_brings_the_proof(node: Node) -> None:
+async def test_a_second_peer_with_the_name_of_a_live_one_needs_the_proof(node: Node) -> None:
     first = await node.peers.RegisterPeer(entering(7, "planner", proof=PROOF))
     error = await reason_of(node.peers.RegisterPeer(entering(8, "planner", proof=OTHER_PROOF)))
     assert (error.reason, error.metadata["peer"]) == ("PEER_EXISTS", "planner")
@@ -138,7 +138,7 @@ async def test_a_new_leader_grants_peers_a_full_lease(node: Node) -> None:
     await node.peers.RenewPeerLease(renewal(7))
 
 
-async def test_a_leader_follows_the_peers_that_change_and_all_of_them_a_few_in_a_turn(
+async def test_a_leader_updates_leases_after_changes_of_peers_a_few_in_each_turn(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With 100,000 peers, each peer that came or left once cost the leader 0.1 s."""
@@ -173,7 +173,7 @@ async def test_a_leader_follows_the_peers_that_change_and_all_of_them_a_few_in_a
     assert len(noted) == 31
 
 
-async def test_only_the_leader_renews(node: Node) -> None:
+async def test_only_the_leader_renews_leases_of_peers(node: Node) -> None:
     await node.peers.RegisterPeer(entering(7))
     node.log.leader_id = "s2"
     error = await reason_of(node.peers.RenewPeerLease(renewal(7)))
@@ -246,7 +246,7 @@ async def test_a_watch_from_a_forgotten_index_is_refused(node: Node) -> None:
     assert (await reason_of(watch.read())).reason == "WATCH_RESTART"
 
 
-async def test_a_mailbox_without_a_host_is_refused_and_a_peer_without_a_name_needs_none() -> None:
+async def test_a_peer_with_a_name_needs_a_host_for_its_mailbox_and_one_without_a_name_does_not() -> None:
     async with running_node() as node:
         assert (await reason_of(node.peers.RegisterPeer(entering(7, "planner")))).reason == "NO_HOST"
         registered = await node.peers.RegisterPeer(entering(7))

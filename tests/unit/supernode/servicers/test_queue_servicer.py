@@ -53,7 +53,7 @@ async def test_a_queue_is_opened_resolved_changed_listed_and_deleted(node: Node)
     assert (await reason_of(node.queues.ResolveQueue(resolve(name="jobs")))).reason == "QUEUE_NOT_FOUND"
 
 
-async def test_a_queue_that_is_there_is_opened_without_an_entry_in_the_log(node: Node) -> None:
+async def test_an_existing_queue_is_opened_without_an_entry_in_the_log(node: Node) -> None:
     first = await node.queues.OpenQueue(open_request(1, "jobs", max_items=5))
     index = node.log.index
     second = await node.queues.OpenQueue(open_request(2, "jobs", create=False))
@@ -64,7 +64,7 @@ async def test_a_queue_that_is_there_is_opened_without_an_entry_in_the_log(node:
     assert node.log.index == index
 
 
-async def test_a_queue_is_made_once_although_its_first_proposal_is_not_heard_of(node: Node) -> None:
+async def test_a_queue_is_created_once_even_if_the_outcome_of_the_first_proposal_is_unknown(node: Node) -> None:
     node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
     assert (await node.queues.OpenQueue(open_request(1, "jobs"))).created
     assert len((await node.queues.ListQueues(pb.ListQueuesRequest())).queues) == 1
@@ -145,7 +145,7 @@ async def _changes(watch: Any, count: int) -> AsyncIterator[directory_pb2.Direct
             yield change
 
 
-async def test_an_unknown_way_to_be_full_is_refused(node: Node) -> None:
+async def test_an_unknown_value_of_on_full_is_refused(node: Node) -> None:
     request = open_request(1, "jobs")
     request.spec.on_full = 9  # type: ignore[assignment]
     error = await reason_of(node.queues.OpenQueue(request))

@@ -61,7 +61,7 @@ async def test_a_group_is_opened_resolved_changed_listed_and_deleted(node: Node)
     assert error.reason == "GROUP_NOT_FOUND"
 
 
-async def test_a_group_that_is_there_is_opened_without_an_entry_in_the_log(node: Node) -> None:
+async def test_an_existing_group_is_opened_without_an_entry_in_the_log(node: Node) -> None:
     left, right = await two_channels(node)
     first = await node.groups.OpenGroup(open_request(1, "pair", left, right))
     index = node.log.index
@@ -75,7 +75,7 @@ async def test_a_group_that_is_there_is_opened_without_an_entry_in_the_log(node:
     assert node.log.index == index
 
 
-async def test_a_group_is_made_once_although_its_first_proposal_is_not_heard_of(node: Node) -> None:
+async def test_a_group_is_created_once_even_if_the_outcome_of_the_first_proposal_is_unknown(node: Node) -> None:
     left, _ = await two_channels(node)
     node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
     opened = await node.groups.OpenGroup(open_request(1, "pair", left))
@@ -161,7 +161,7 @@ async def test_a_copy_is_added_listed_and_removed(node: Node) -> None:
     assert list((await resolved(node, "left")).proxy_host_ids) == []
 
 
-async def test_a_lease_that_ends_hands_the_channel_to_the_replica_in_sync(node: Node) -> None:
+async def test_when_the_lease_of_its_owner_ends_a_channel_passes_to_the_replica_in_sync(node: Node) -> None:
     left, _ = await two_channels(node)
     before = await resolved(node, "left")
     await node.replicas.AddReplica(add_request(1, left, kind=WARM, acknowledged=True))
@@ -183,7 +183,7 @@ async def test_an_unsupported_kind_is_refused(node: Node, kind: Any) -> None:
     assert (await reason_of(node.replicas.AddReplica(add_request(1, left, kind=kind)))).reason == "INVALID_ARGUMENT"
 
 
-async def test_a_queue_is_not_found_and_no_subject_is_no_argument(node: Node) -> None:
+async def test_an_unknown_queue_is_not_found_and_a_request_needs_a_subject(node: Node) -> None:
     queue = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(queue_id=id_of(1)))
     assert (await reason_of(node.replicas.ListReplicas(queue))).reason == "QUEUE_NOT_FOUND"
     nothing = await reason_of(node.replicas.ListReplicas(replicas_pb.ListReplicasRequest()))

@@ -104,7 +104,7 @@ async def test_a_response_has_the_index_up_to_which_everything_was_sent(
     stream.cancel()
 
 
-async def test_patterns_and_hosts_are_filtered(node: Node) -> None:
+async def test_a_watch_filters_by_pattern_and_by_host(node: Node) -> None:
     with_hosts, without = begin(node, include_hosts=True, name_glob="mic"), begin(node, name_glob="mic")
     await with_hosts.read()
     await without.read()
@@ -117,7 +117,7 @@ async def test_patterns_and_hosts_are_filtered(node: Node) -> None:
     without.cancel()
 
 
-async def test_an_index_that_is_not_kept_or_not_reached_must_start_again() -> None:
+async def test_a_watch_from_a_dropped_or_future_index_is_refused() -> None:
     async with running_node() as node:
         node.replica.prepare_restore(node.replica.begin_snapshot()())()
         for index in (node.log.index + 1, 10**9):

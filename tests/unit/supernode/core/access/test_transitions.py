@@ -40,7 +40,7 @@ def changes(log: Log) -> list[int]:
     return [one.index for one in page.changes if isinstance(one.subject, AccessChange)]
 
 
-def test_rules_are_a_set_and_each_change_is_a_version() -> None:
+def test_rules_are_a_set_and_each_change_raises_the_version() -> None:
     log = Log()
     added = log.apply(AddAccessRule(rule=PUT))
     assert isinstance(added, AccessRuleAdded)
@@ -104,7 +104,7 @@ def test_a_restored_cluster_keeps_its_rules_and_signs_with_a_key_of_its_own() ->
     assert log.directory.access.rules.rules == (PUT,)
 
 
-def test_while_a_member_of_an_earlier_release_is_left_no_replica_makes_rules_or_keeps_owners() -> None:
+def test_below_the_feature_level_of_rules_the_directory_stores_neither_rules_nor_owners() -> None:
     replica = DirectoryReplica()
     commands: list[Operation] = [begin_tenure(1), register(1), AddAccessRule(rule=PUT), owned_peer("robot")]
     results = [applied(replica, index, one) for index, one in enumerate(commands, start=1)]

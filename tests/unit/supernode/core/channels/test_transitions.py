@@ -45,7 +45,7 @@ def test_opening_again_gives_the_same_channel_and_does_not_create(log: Log) -> N
     assert (first.channel.epoch, first.channel.incarnation, first.channel.policy_version) == (1, 77, 1)
 
 
-def test_create_false_refuses_an_absent_channel_and_names_the_way_out(log: Log) -> None:
+def test_create_false_refuses_an_absent_channel_and_names_a_remedy(log: Log) -> None:
     result = refused(log, "cam/left", create=False)
     assert result.reason == "CHANNEL_NOT_FOUND"
     assert "cam/left" in result.message
@@ -68,11 +68,11 @@ def test_a_channel_at_another_live_host_than_the_named_one_is_refused(log: Log) 
     assert opened(log, "cam/left", host="two").host.name == "two", "a lost owner is no contradiction"
 
 
-def test_without_a_live_host_there_is_no_place() -> None:
+def test_without_a_live_host_no_channel_can_be_opened() -> None:
     assert refused(Log(), "cam/left").reason == "NO_HOST"
 
 
-def test_a_stated_field_that_contradicts_is_refused_naming_both_values(log: Log) -> None:
+def test_a_stated_field_that_contradicts_is_refused_and_the_error_names_both_values(log: Log) -> None:
     opened(log, "cam/left", max_age_nanos=10)
     result = refused(log, "cam/left", max_age_nanos=11)
     assert result.reason == "CHANNEL_EXISTS"
@@ -121,7 +121,9 @@ def test_an_open_that_states_the_present_settings_agrees(log: Log) -> None:
         {"content_type": "x" * 256},
     ],
 )
-def test_a_policy_out_of_range_is_refused_naming_channel_and_field(log: Log, policy: dict[str, object]) -> None:
+def test_a_policy_out_of_range_is_refused_and_the_error_names_channel_and_field(
+    log: Log, policy: dict[str, object]
+) -> None:
     result = refused(log, "cam/left", **policy)
     assert result.reason == "INVALID_ARGUMENT"
     assert "cam/left" in result.message
@@ -129,7 +131,7 @@ def test_a_policy_out_of_range_is_refused_naming_channel_and_field(log: Log, pol
 
 
 @pytest.mark.parametrize("policy", [{"max_age_nanos": 1}, {"consumers": 1}])
-def test_blocking_is_allowed_where_something_makes_room(log: Log, policy: dict[str, object]) -> None:
+def test_blocking_is_allowed_if_age_or_consumers_can_make_room(log: Log, policy: dict[str, object]) -> None:
     assert opened(log, "cam/left", on_full="block", **policy).created
 
 
@@ -160,14 +162,14 @@ def test_a_channel_of_a_lost_host_gets_a_new_owner_epoch_and_incarnation(log: Lo
     assert id_of(1) not in log.directory.tables.hosts, "nothing remembers a host that owns nothing and is gone"
 
 
-def test_the_incarnation_changes_even_if_chance_proposes_the_old_one(log: Log) -> None:
+def test_the_incarnation_changes_even_if_the_random_number_equals_the_old_one(log: Log) -> None:
     before = opened(log, "cam/left", host="one", incarnation=1).channel
     log.apply(deregister(1))
     after = opened(log, "cam/left", incarnation=1).channel
     assert after.incarnation not in (0, before.incarnation)
 
 
-def test_a_channel_prefers_the_successor_that_bears_its_former_owners_name(log: Log) -> None:
+def test_a_channel_prefers_a_new_host_with_the_name_of_its_former_owner(log: Log) -> None:
     opened(log, "cam/left", host="two")
     opened(log, "cam/right", host="two")
     log.apply(deregister(2))
@@ -176,7 +178,7 @@ def test_a_channel_prefers_the_successor_that_bears_its_former_owners_name(log: 
     assert opened(log, "cam/left").host.host_id == id_of(3)
 
 
-def test_an_update_changes_the_stated_fields_only_and_checks_the_whole(log: Log) -> None:
+def test_an_update_changes_only_the_stated_fields_and_checks_the_whole_policy(log: Log) -> None:
     channel = opened(log, "cam/left", max_items=5).channel
     result = log.apply(update(channel.channel_id, channel.epoch, max_age_nanos=7))
     assert isinstance(result, ChannelUpdated)

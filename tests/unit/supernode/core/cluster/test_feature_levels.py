@@ -77,14 +77,14 @@ def test_a_command_is_accepted_when_the_feature_level_has_risen() -> None:
     assert result.channel.policy.max_items == CAPPED.max_items
 
 
-def test_a_release_that_meets_a_higher_feature_level_stops() -> None:
+def test_a_supernode_stops_at_a_feature_level_above_that_of_its_release() -> None:
     older = DirectoryReplica()
     driven(older, *START)
     with pytest.raises(ReleaseTooOld, match=f"knows feature level {HIGHEST_LEVEL}.* at level {NEW_LEVEL}; start"):
         older.apply(4, RAISE)
 
 
-def test_a_release_that_knows_less_than_a_snapshot_does_not_open_it() -> None:
+def test_a_supernode_does_not_open_a_snapshot_above_the_level_of_its_release() -> None:
     newer = NewerReplica()
     driven(newer, *START, RAISE)
     snapshot = newer.begin_snapshot()()
@@ -131,7 +131,7 @@ def test_a_later_tenure_does_not_raise_the_level_by_itself() -> None:
     assert newer.feature_level == 1
 
 
-def test_a_state_from_before_there_were_levels_is_at_the_first() -> None:
+def test_a_snapshot_without_a_feature_level_is_at_the_first_level() -> None:
     assert Directory(feature_level=0).feature_level == 1
 
 
@@ -161,7 +161,7 @@ async def test_the_leader_raises_the_feature_level_only_when_all_members_have_re
     assert log.index == index, "it is raised once"
 
 
-async def test_a_follower_raises_nothing() -> None:
+async def test_a_follower_does_not_raise_the_feature_level() -> None:
     newer = NewerReplica()
     keeper, log, _ = await keeper_over(newer)
     log.leader_id = "s2"
@@ -169,7 +169,7 @@ async def test_a_follower_raises_nothing() -> None:
     assert newer.feature_level == 1
 
 
-async def test_the_refusal_names_the_command_the_level_and_the_older_members_and_the_log_gets_nothing(
+async def test_a_refused_command_is_not_in_the_log_and_the_error_names_its_level_and_the_older_members(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("stampede_rt_supernode.servicers.submission.encode_command", encode_newer)

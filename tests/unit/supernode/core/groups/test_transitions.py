@@ -69,20 +69,20 @@ def test_a_creator_of_another_group_of_that_name_is_refused(log: Log, spec: dict
     assert "other members or settings" in refused.message
 
 
-def test_a_group_is_opened_without_a_set_up_only_if_it_is_there(log: Log) -> None:
+def test_a_group_can_be_opened_without_settings_only_if_it_exists(log: Log) -> None:
     assert refusal(log, open_group("pair", None, create=False)).reason == "GROUP_NOT_FOUND"
     assert refusal(log, open_group("pair", None)).reason == "INVALID_ARGUMENT"
     made = group(log, "pair", channel(log, "left"))
     assert log.apply(open_group("pair", None, create=False)) == GroupOpened(group=made, created=False)
 
 
-def test_members_must_exist(log: Log) -> None:
+def test_the_members_of_a_new_group_must_exist(log: Log) -> None:
     assert refusal(log, open_group("pair", (id_of(99),))).reason == "CHANNEL_NOT_FOUND"
     made = group(log, "pair", channel(log, "left"))
     assert refusal(log, update_group(made.group_id, add=(id_of(99),))).reason == "CHANNEL_NOT_FOUND"
 
 
-def test_a_set_up_that_makes_no_sense_is_refused(log: Log) -> None:
+def test_invalid_settings_of_a_group_are_refused(log: Log) -> None:
     left = channel(log, "left")
     for operation in (
         open_group("pair", ()),
@@ -204,7 +204,7 @@ def test_groups_are_listed_by_pattern_by_channel_and_in_pages(log: Log) -> None:
     assert names("a*", of=right, after="a/1") == (["a/2"], None)
 
 
-def test_a_snapshot_without_groups_and_copies_has_the_form_of_before(log: Log) -> None:
+def test_a_snapshot_without_groups_and_copies_has_the_bytes_of_earlier_releases(log: Log) -> None:
     left = channel(log, "left")
 
     def version() -> int:
@@ -219,7 +219,7 @@ def test_a_snapshot_without_groups_and_copies_has_the_form_of_before(log: Log) -
     assert version() == 1
 
 
-def test_groups_share_the_ids_of_their_channels_with_the_channels(log: Log) -> None:
+def test_a_group_does_not_copy_the_ids_of_its_channels(log: Log) -> None:
     """A fixed fault: each group kept copies. A caller that made and deleted groups filled the memory of the supernode
     with copies.
     """

@@ -238,14 +238,14 @@ def test_a_channel_that_cannot_be_beside_another_is_refused(host: str, beside: s
     assert text in refused.message
 
 
-def test_below_its_feature_level_nothing_opens_beside_another() -> None:
+def test_below_the_feature_level_no_channel_opens_beside_another() -> None:
     log = log_with_hosts(2, level=LOADS_LEVEL - 1)
     log.apply(open_channel("left", host="host-1"))
     assert opened_beside(log, "right", "left") == "host-2"
 
 
 @given(hosts=st.integers(2, 5), busy=st.integers(100, 900))
-def test_a_host_that_always_reports_no_load_does_not_get_everything(hosts: int, busy: int) -> None:
+def test_a_host_that_always_reports_no_load_does_not_get_all_channels(hosts: int, busy: int) -> None:
     log = log_with_hosts(hosts)
     opens = 300
     found: Counter[str] = Counter()
@@ -259,7 +259,7 @@ def test_a_host_that_always_reports_no_load_does_not_get_everything(hosts: int, 
     assert others > 0
 
 
-def test_a_host_that_owns_far_more_gets_channels_if_the_others_have_no_room() -> None:
+def test_a_host_with_far_more_channels_gets_another_only_if_the_other_hosts_have_no_room() -> None:
     log = log_with_hosts(2)
     for number in range(SHARE_FREE + 1):
         log.apply(open_channel(f"c/{number}", host="host-1"))

@@ -41,7 +41,7 @@ def test_a_private_host_gets_only_channels_whose_callers_name_it() -> None:
     assert opened(log, "mine", host="host-1").host.name == "host-1"
 
 
-def test_a_private_host_gets_no_replica_by_itself() -> None:
+def test_a_private_host_gets_a_replica_only_if_the_caller_names_the_host() -> None:
     log = log_of(a="m1", b_private="m2")
     channel_id = opened(log, "cam", host="host-1").channel.channel_id
     refused = log.apply(add_replica(channel_id, warm=True))
@@ -63,7 +63,7 @@ def test_replicas_go_to_other_machines_first(busy: int) -> None:
     assert second == id_of(2) if busy else id_of(4)
 
 
-def test_hosts_whose_machines_are_not_known_count_as_before() -> None:
+def test_hosts_with_unknown_machines_are_chosen_only_by_their_numbers_of_channels() -> None:
     log = log_of(a="", b="", c="")
     channel_id = opened(log, "cam", host="host-1").channel.channel_id
     assert replica_at(log, channel_id) == id_of(2)

@@ -37,7 +37,7 @@ def now(log: Log, channel: ChannelRecord) -> ChannelRecord:
     return log.directory.tables.channels[channel.channel_id]
 
 
-def test_a_recorded_channel_is_placed_on_a_host_with_an_archive_although_others_are_less_loaded() -> None:
+def test_a_recorded_channel_is_placed_on_a_host_with_an_archive_even_if_others_are_less_loaded() -> None:
     log = log_at(ARCHIVE_LEVEL)
     for registration in (register(1), with_archive(2), register(3)):
         log.apply(registration)
@@ -87,7 +87,7 @@ def test_only_recorded_channels_keep_their_incarnation_when_the_archive_has_all_
     assert (now(log, recorded).first_incarnation, now(log, plain).first_incarnation) == (recorded.incarnation, 0)
 
 
-def test_below_the_level_of_archives_no_replica_believes_in_them() -> None:
+def test_below_the_feature_level_of_archives_the_directory_ignores_archives() -> None:
     log = log_at(LOADS_LEVEL - 1)
     log.apply(with_archive(1))
     assert log.directory.tables.hosts[id_of(1)].load is None

@@ -34,7 +34,7 @@ def now(log: Log, channel: ChannelRecord) -> ChannelRecord:
     return log.directory.tables.channels[channel.channel_id]
 
 
-def test_no_host_enters_before_the_cluster_is_founded() -> None:
+def test_no_host_can_register_before_the_cluster_is_founded() -> None:
     log = Log(founded=False)
     result = log.apply(register(1))
     assert isinstance(result, Refused)
@@ -89,7 +89,7 @@ def test_a_host_may_take_another_name_and_frees_the_old_one(log: Log) -> None:
     assert list(log.directory.tables.host_ids) == ["new", "old"]
 
 
-def test_a_host_that_leaves_is_remembered_while_it_owns_channels(log: Log) -> None:
+def test_the_record_of_a_host_that_has_left_stays_while_the_host_owns_channels(log: Log) -> None:
     registered(log, register(1, name="one"))
     channel = channel_at(log, "one", "cam")
     assert isinstance(log.apply(deregister(1)), HostDeregistered)
@@ -105,7 +105,7 @@ def test_only_the_same_process_can_deregister_a_host(log: Log) -> None:
     assert result.reason == "LEASE_EXPIRED"
 
 
-def test_the_first_leader_names_the_cluster_for_good_and_one_that_restored_it_names_it_anew(log: Log) -> None:
+def test_the_first_leader_sets_the_cluster_id_and_only_the_first_leader_after_a_restore_changes_it(log: Log) -> None:
     first = log.directory.cluster_id
     log.apply(begin_tenure(8))
     assert log.directory.cluster_id == first
@@ -133,7 +133,7 @@ def lost(log: Log, number: int, *, name: str = "", boot: int = 1) -> HostRecord:
     return log.directory.tables.hosts[host.host_id]
 
 
-def test_a_host_that_was_lost_is_remembered_with_when_and_one_that_left_is_not(log: Log) -> None:
+def test_the_directory_keeps_the_time_of_the_loss_of_a_lost_host_but_no_record_of_one_that_left(log: Log) -> None:
     log.time_unix_nano = 77
     assert lost(log, 1).lease_ended_unix_nano == 77
     registered(log, register(2))
@@ -157,7 +157,7 @@ def test_a_host_with_the_name_of_a_lost_host_takes_its_place(log: Log) -> None:
     assert set(log.directory.tables.hosts) == {id_of(2)}
 
 
-def test_only_so_many_lost_hosts_are_remembered_and_every_replica_forgets_the_same(
+def test_the_number_of_lost_hosts_is_limited_and_all_replicas_forget_the_same_ones(
     log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt_supernode.core.tables.LOST_HOSTS_MAX", 2)

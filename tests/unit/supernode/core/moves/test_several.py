@@ -76,7 +76,7 @@ def test_each_move_of_an_entry_succeeds_or_fails_by_itself(log: Log) -> None:
     assert (channel(log, "b").epoch, kinds(log, "b")) == (1, [])
 
 
-def test_moves_that_are_committed_twice_happen_once(log: Log) -> None:
+def test_several_moves_that_are_committed_twice_happen_once(log: Log) -> None:
     assert committed(log, 2, a=1, b=1) == committed(log, 2, a=1, b=1) == ["a", "b"]
     assert channel(log, "a").epoch == 2
 
@@ -86,7 +86,7 @@ def test_no_move_to_a_lost_host_is_committed(log: Log) -> None:
     assert committed(log, 2, a=1, b=1) == []
 
 
-def test_a_release_ends_the_heirs_of_the_named_channels_only(log: Log) -> None:
+def test_a_release_removes_only_the_heirs_of_the_named_channels(log: Log) -> None:
     committed(log, 2, a=1, b=1, c=1)
     ids = [channel(log, name).channel_id for name in NAMES]
     assert free(log, 2, a=2, b=2) == ids[:2]
@@ -102,7 +102,7 @@ def test_only_the_owner_at_the_present_epoch_releases(log: Log) -> None:
     assert kinds(log, "a") == [(ReplicaKind.MOVE, id_of(1))]
 
 
-def test_a_former_owner_that_is_a_replica_stays_one(log: Log) -> None:
+def test_a_release_does_not_remove_a_former_owner_that_is_a_replica(log: Log) -> None:
     channel_id = channel(log, "a").channel_id
     log.apply(add_replica(channel_id, 2, warm=True, acknowledged=True))
     log.apply(set_in_sync(channel_id, 2))

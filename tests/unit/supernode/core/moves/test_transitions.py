@@ -95,7 +95,7 @@ def test_the_former_owner_continues_the_incarnation_if_the_new_owner_is_lost_at_
 
 
 @pytest.mark.parametrize("acknowledged", [True, False])
-def test_a_former_owner_that_takes_the_place_of_a_replica_is_one_of_the_same_kind(log: Log, acknowledged: bool) -> None:
+def test_a_former_owner_that_replaces_a_replica_becomes_one_of_the_same_kind(log: Log, acknowledged: bool) -> None:
     before = cam(log)
     log.apply(add_replica(before.channel_id, 2, warm=True, acknowledged=acknowledged))
     log.apply(set_in_sync(before.channel_id, 2))
@@ -129,7 +129,7 @@ def test_the_loss_of_the_former_owner_does_not_move_the_channel(log: Log) -> Non
     assert (cam(log).host_id, copies(log)) == (id_of(2), ())
 
 
-def test_proxies_follow_the_new_owner_and_its_own_proxy_ends(log: Log) -> None:
+def test_after_a_move_the_new_owner_feeds_the_proxies_and_is_no_longer_one_itself(log: Log) -> None:
     channel_id = cam(log).channel_id
     log.apply(add_replica(channel_id, 2))
     log.apply(add_replica(channel_id, 3, source=2))

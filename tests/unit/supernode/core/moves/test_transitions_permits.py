@@ -47,7 +47,7 @@ def test_the_host_with_the_permit_gets_the_channel(log: Log) -> None:
     assert isinstance(commit(log, 2, b""), MoveCommitted), "a repeated commit changes nothing"
 
 
-def test_no_other_host_gets_it(log: Log) -> None:
+def test_a_permit_of_one_host_moves_the_channel_to_no_other_host(log: Log) -> None:
     for permit in (b"", b"x", permit_for(log, 2), permit_for(log, 3, key=3), permit_for(log, 3, epoch=2)):
         assert denied(commit(log, 3, permit))
     owner = log.directory.tables.channel_named("cam")
@@ -61,7 +61,7 @@ def test_the_owner_ends_a_move_without_a_permit_and_ends_its_permits_with_it(log
     assert denied(commit(log, 2, permit, epoch=2))
 
 
-def test_an_owner_that_has_started_again_has_another_key(log: Log) -> None:
+def test_a_restarted_owner_has_another_key(log: Log) -> None:
     permit = permit_for(log, 2, epoch=2)
     log.apply(register(1, boot=2, move_key=b"n" * 32))
     assert denied(commit(log, 2, permit, epoch=2))
@@ -80,7 +80,7 @@ def test_below_the_level_of_moves_no_replica_keeps_a_key() -> None:
     assert log.directory.tables.hosts[id_of(1)].move_key == b""
 
 
-def test_a_queue_needs_a_permit_too(log: Log) -> None:
+def test_a_move_of_a_queue_also_needs_a_permit(log: Log) -> None:
     (queue_id,) = log.directory.tables.queues.by_id
     for permit, is_right in ((b"", False), (move_permit(KEYS[1], queue_id, 1, id_of(2)), True)):
         done = log.apply(CommitQueueMove(

@@ -68,7 +68,7 @@ def test_queues_go_to_the_host_with_the_fewest_channels_and_queues(log: Log) -> 
     assert refusal(log, open_queue("x", host="none")).reason == "HOST_NOT_FOUND"
 
 
-def test_without_a_live_host_no_queue_is_made() -> None:
+def test_without_a_live_host_no_queue_can_be_opened() -> None:
     assert refusal(Log(), open_queue("jobs")).reason == "NO_HOST"
 
 
@@ -121,7 +121,7 @@ def test_an_unset_field_of_a_policy_is_set_if_this_changes_nothing_for_others(
         {"dead_letter_queue_id": b"short"},
     ],
 )
-def test_a_set_up_that_no_queue_can_have_is_refused(log: Log, spec: dict[str, Any]) -> None:
+def test_invalid_settings_of_a_queue_are_refused(log: Log, spec: dict[str, Any]) -> None:
     (field,) = spec
     refused = refusal(log, open_queue("jobs", **spec))
     assert (refused.reason, refused.metadata["field"]) == ("INVALID_ARGUMENT", field)
@@ -147,7 +147,7 @@ def test_a_dead_letter_queue_must_exist_and_be_no_mailbox(log: Log) -> None:
     assert queue(log, "jobs", dead_letter_queue_id=dead.queue_id).spec.dead_letter_queue_id == dead.queue_id
 
 
-def test_dead_letters_cannot_go_round_in_a_circle(log: Log) -> None:
+def test_dead_letter_queues_cannot_form_a_cycle(log: Log) -> None:
     first = queue(log, "a")
     second = queue(log, "b", dead_letter_queue_id=first.queue_id)
     third = queue(log, "c", dead_letter_queue_id=second.queue_id)
@@ -157,14 +157,14 @@ def test_dead_letters_cannot_go_round_in_a_circle(log: Log) -> None:
     assert refusal(log, open_queue("a", dead_letter_queue_id=third.queue_id)).reason == "INVALID_ARGUMENT"
 
 
-def test_a_row_of_dead_letter_queues_has_a_bound(log: Log) -> None:
+def test_the_length_of_a_chain_of_dead_letter_queues_is_limited(log: Log) -> None:
     last = queue(log, "q0")
     for number in range(transitions.DEAD_LETTER_STEPS_MAX):
         last = queue(log, f"q{number + 1}", dead_letter_queue_id=last.queue_id)
     assert "more than 16" in refusal(log, open_queue("one-more", dead_letter_queue_id=last.queue_id)).message
 
 
-def test_the_dead_letter_queue_of_another_is_not_deleted_until_nothing_leads_to_it(log: Log) -> None:
+def test_a_queue_cannot_be_deleted_while_another_uses_it_as_its_dead_letter_queue(log: Log) -> None:
     dead = queue(log, "dead")
     jobs = queue(log, "jobs", dead_letter_queue_id=dead.queue_id)
     refused = refusal(log, delete_queue(dead.queue_id))

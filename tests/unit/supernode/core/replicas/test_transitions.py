@@ -80,7 +80,7 @@ def test_the_directory_chooses_the_host_with_the_fewest_channels_and_copies(log:
     assert refusal(log, add_replica(channel_id)).reason == "NO_HOST"
 
 
-def test_a_copy_that_makes_no_sense_is_refused(log: Log) -> None:
+def test_an_invalid_copy_of_a_channel_is_refused(log: Log) -> None:
     channel_id = cam(log).channel_id
     added(log, add_replica(channel_id, 2))
     for operation, reason in (
@@ -113,7 +113,7 @@ def test_the_copies_that_a_removed_proxy_fed_are_fed_by_the_owner(log: Log) -> N
     assert cam(log).proxy_host_ids == (id_of(3),)
 
 
-def test_the_flag_is_set_by_the_owner_of_the_epoch_for_one_boot_of_the_copy(log: Log) -> None:
+def test_the_owner_of_the_present_epoch_sets_the_in_sync_flag_for_one_boot_of_the_copys_host(log: Log) -> None:
     channel_id = cam(log).channel_id
     added(log, add_replica(channel_id, 2, warm=True))
     added(log, add_replica(channel_id, 3))
@@ -155,7 +155,7 @@ def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
     assert late.reason == "WRONG_EPOCH", "the former owner cannot acknowledge without the replica any more"
 
 
-def test_a_replica_that_puts_do_not_wait_for_takes_over_with_a_new_incarnation(log: Log) -> None:
+def test_a_replica_for_which_no_put_waits_takes_over_with_a_new_incarnation(log: Log) -> None:
     before = cam(log)
     warm_in_sync(log, 2, acknowledged=False)
     warm_in_sync(log, 3)
@@ -186,7 +186,7 @@ def test_a_copy_is_removed_with_the_registration_of_its_host(log: Log, end: Call
     assert cam(log).host_id == id_of(1), "there is nobody to take over"
 
 
-def test_a_change_of_the_flag_that_a_later_one_has_overtaken_is_refused(log: Log) -> None:
+def test_a_change_of_the_in_sync_flag_that_arrives_after_a_later_one_is_refused(log: Log) -> None:
     warm_in_sync(log, 2)
     channel_id = cam(log).channel_id
     log.apply(replace(set_in_sync(channel_id, 2, False), change_number=7))
@@ -196,7 +196,7 @@ def test_a_change_of_the_flag_that_a_later_one_has_overtaken_is_refused(log: Log
     assert [one.in_sync for one in copies(log)] == [False]
 
 
-def test_replicas_end_when_puts_wait_for_them_no_more_or_for_the_first_time(log: Log) -> None:
+def test_replicas_are_removed_when_the_ack_of_the_channel_begins_or_ceases_to_need_them(log: Log) -> None:
     added(log, add_replica(cam(log).channel_id, 3))
     for replicas, ack in ((1, "replica"), (0, "host")):
         warm_in_sync(log, 2)
@@ -205,7 +205,7 @@ def test_replicas_end_when_puts_wait_for_them_no_more_or_for_the_first_time(log:
         assert cam(log).proxy_host_ids == (id_of(3),)
 
 
-def test_replicas_for_which_no_put_waits_end_when_the_channel_wants_none(log: Log) -> None:
+def test_a_channel_with_replicas_0_removes_replicas_for_which_no_put_waits(log: Log) -> None:
     log.apply(update(cam(log).channel_id, 1, replicas=1))
     warm_in_sync(log, 2, acknowledged=False)
     added(log, add_replica(cam(log).channel_id, 3))
@@ -242,7 +242,7 @@ def test_a_channel_that_is_placed_on_the_host_of_a_copy_has_no_copy_there(log: L
     assert copies(log)[0].source_host_id == id_of(2)
 
 
-def test_copies_go_with_their_channel(log: Log) -> None:
+def test_a_deleted_channel_has_no_copies(log: Log) -> None:
     channel_id = cam(log).channel_id
     added(log, add_replica(channel_id, 2))
     log.apply(delete(channel_id))
@@ -261,7 +261,7 @@ def load(host: int, *, bytes_per_second: int = 0, subscriptions: int = 0) -> Rep
     )
 
 
-def test_loads_come_the_least_loaded_first_and_go_with_age_and_tenure() -> None:
+def test_copies_are_listed_by_load_and_their_loads_end_with_time_and_tenure() -> None:
     loads, hosts = ReplicaLoads(), [id_of(1), id_of(2), id_of(3)]
     loads.lead(1)
     loads.note([load(1, bytes_per_second=5), load(2, subscriptions=2), load(3, subscriptions=1)], 0)

@@ -110,7 +110,7 @@ def test_after_a_move_to_a_replica_the_hosts_have_changed_places(log: Log) -> No
     assert copies(log) == [(id_of(1), True)]
 
 
-def test_a_new_owner_numbers_its_changes_of_the_flags_anew(log: Log) -> None:
+def test_a_new_owner_numbers_its_changes_of_the_in_sync_flags_from_1(log: Log) -> None:
     """The numbers are of the owner's own clock, which may be far behind that of the former owner."""
     add(log, 2)
     add(log, 3)
@@ -135,14 +135,14 @@ def test_a_replica_is_kept_after_a_move_to_another_host(log: Log) -> None:
     assert copies(log) == [(id_of(2), True)]
 
 
-def test_an_open_without_a_change_keeps_the_flags(log: Log) -> None:
+def test_an_open_without_a_change_keeps_the_in_sync_flags(log: Log) -> None:
     add(log, 2)
     log.apply(open_queue("jobs"))
     (replica,) = log.directory.tables.replicas.of(jobs(log).queue_id)
     assert (replica.in_sync, replica.change_number) == (True, 7)
 
 
-def test_a_queue_that_waits_for_no_replicas_has_none(log: Log) -> None:
+def test_a_queue_whose_acks_wait_for_no_replica_has_no_replicas(log: Log) -> None:
     add(log, 2)
     log.apply(update_queue(jobs(log).queue_id, replicas=0, ack="host"))
     assert copies(log) == []
@@ -163,7 +163,7 @@ def test_the_copies_of_a_deleted_queue_and_of_a_lost_host_are_removed(log: Log) 
     assert not log.directory.tables.replicas.channel_ids_at(id_of(2))
 
 
-def test_a_copy_of_a_queue_that_makes_no_sense_is_refused(log: Log) -> None:
+def test_an_invalid_copy_of_a_queue_is_refused(log: Log) -> None:
     queue_id = jobs(log).queue_id
     proxy = replace(add_replica(queue_id, 2), is_of_queue=True)
     warm = replace(add_replica(queue_id, 2, warm=True, acknowledged=True), is_of_queue=True)

@@ -22,7 +22,7 @@ UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
     ("reason", "failure"),
     [(name, ProposalFailure.NOT_TAKEN) for name in NOT_TAKEN] + [(name, ProposalFailure.UNKNOWN) for name in UNKNOWN],
 )
-def test_every_failure_reason_of_the_library_maps_to_the_fate_of_the_command(
+def test_every_failure_reason_of_the_library_maps_to_an_outcome_of_the_command(
     reason: str, failure: ProposalFailure
 ) -> None:
     lone, heard = LoneNode(), []
@@ -31,14 +31,14 @@ def test_every_failure_reason_of_the_library_maps_to_the_fate_of_the_command(
     assert heard == [failure]
 
 
-def test_a_reason_that_nothing_should_give_stops_the_replica() -> None:
+def test_an_unexpected_failure_reason_stops_the_replica() -> None:
     lone = LoneNode()
     lone.node._applyCommand = lambda command, callback, kind: callback(None, FAIL_REASON.UNKNOWN_OUTCOME + 1)
     with pytest.raises(AssertionError, match="with reason 8"):
         lone.node.propose(b"c", lambda answer: None)
 
 
-def test_every_private_name_is_one_of_the_library() -> None:
+def test_every_private_name_that_the_adapter_uses_exists_in_the_library() -> None:
     node = LoneNode().node
     for name, alias in vars(LibraryNode).items():
         if hasattr(alias, "_name"):
@@ -52,7 +52,7 @@ class OldMachine(ListMachine):
         return False
 
 
-def test_a_leader_answers_a_forwarded_command_that_its_state_does_not_take() -> None:
+def test_a_leader_answers_a_forwarded_command_that_its_state_machine_refuses() -> None:
     lone = LoneNode(machine=OldMachine())
     lone.lead()
     said = lone.receive("b", ForwardedCommand(request_id=7, command=b"\x00new"))
@@ -60,7 +60,7 @@ def test_a_leader_answers_a_forwarded_command_that_its_state_does_not_take() -> 
     assert ("b", refusal) in said + lone.tick()
 
 
-def test_a_forwarded_command_that_the_leader_does_not_take_is_certainly_not_in_the_log() -> None:
+def test_a_forwarded_command_that_the_leader_refuses_is_certainly_not_in_the_log() -> None:
     lone, heard = LoneNode(), []
     lone.receive("b", append(1, (1, 0), []))
     lone.node.propose(b"new", heard.append)

@@ -23,21 +23,21 @@ def installed_source() -> bytes:
     return Path(spec.origin).read_bytes()
 
 
-def test_the_installed_library_is_the_pinned_one() -> None:
+def test_the_installed_library_has_the_pinned_version() -> None:
     check_pin(found_version=PINNED_VERSION, source=installed_source())
 
 
-def test_another_version_is_refused() -> None:
+def test_another_version_of_the_library_is_refused() -> None:
     with pytest.raises(LibraryMismatch, match=r"install that version"):
         check_pin(found_version="0.3.18", source=installed_source())
 
 
-def test_a_changed_file_is_refused() -> None:
+def test_a_changed_file_of_the_library_is_refused() -> None:
     with pytest.raises(LibraryMismatch, match=r"PySyncObj 0\.3\.17"):
         check_pin(found_version=PINNED_VERSION, source=installed_source() + b"\n")
 
 
-def test_the_copy_reads_our_clock_and_cannot_unpickle() -> None:
+def test_the_adapted_library_uses_the_given_clock_and_cannot_unpickle() -> None:
     library = load_library(clock=lambda: 42.0, random_source=random.Random(0))
     assert library.monotonicTime() == 42.0
     with pytest.raises(RuntimeError, match="never unpickles"):
@@ -46,7 +46,7 @@ def test_the_copy_reads_our_clock_and_cannot_unpickle() -> None:
         library.pickle.dumps(())
 
 
-def test_the_ordinary_module_is_left_as_it_was() -> None:
+def test_the_ordinary_module_of_the_library_is_unchanged() -> None:
     import pysyncobj.syncobj as ordinary
 
     load_library(clock=lambda: 42.0, random_source=random.Random(0))

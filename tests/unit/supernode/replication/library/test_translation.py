@@ -33,11 +33,11 @@ def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
     assert from_library(to_library(message)) == message
 
 
-def test_a_kind_that_is_never_sent_does_not_leave_the_library() -> None:
+def test_a_message_of_a_kind_that_is_never_sent_is_not_passed_on() -> None:
     with pytest.raises(KeyError):
         from_library({"type": "set_version", "version": 1})
 
 
-def test_a_message_that_is_not_the_librarys_does_not_enter_it() -> None:
+def test_a_foreign_message_is_not_passed_to_the_library() -> None:
     with pytest.raises(KeyError):
         to_library(ReadIndexRequest(request_id=1))

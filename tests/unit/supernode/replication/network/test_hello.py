@@ -31,7 +31,7 @@ def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal
     return refusal_of(hello, of_s1, roster=ROSTER, stores=stores, promise=Promise(3, 7), feature_level=cluster)
 
 
-def test_a_release_that_knows_the_clusters_level_or_more_is_heard() -> None:
+def test_a_member_whose_release_knows_the_clusters_level_is_accepted() -> None:
     assert refused(knows=2, cluster=2) is None
     assert refused(knows=3, cluster=2) is None
 
@@ -52,7 +52,7 @@ class Links3(PeerLinks):
         self._on_refused(member_id, f"{refusal.code.name}: {refusal.why}", self.done.append)
 
 
-def test_an_older_release_is_refused_and_the_refusal_of_one_member_does_not_end_it() -> None:
+def test_a_member_of_an_older_release_is_refused_and_one_refusal_does_not_stop_it() -> None:
     refusal, links = refused(knows=1, cluster=2), Links3(leader_id="s3")
     assert refusal is not None
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION
@@ -63,7 +63,7 @@ def test_an_older_release_is_refused_and_the_refusal_of_one_member_does_not_end_
 
 
 @pytest.mark.parametrize(("refusing", "leader_id"), [(["s1"], "s1"), (["s1", "s3"], None)])
-def test_the_word_of_the_leader_or_of_most_ends_an_old_release_with_a_vote_and_a_folder_as_good_as_before(
+def test_refusals_by_the_leader_or_most_members_stop_an_old_release_and_leave_its_folder_usable(
     refusing: list[str], leader_id: str | None
 ) -> None:
     links = Links3(leader_id)
@@ -75,7 +75,7 @@ def test_the_word_of_the_leader_or_of_most_ends_an_old_release_with_a_vote_and_a
     assert not links.refusals.by
 
 
-def test_refusals_of_two_members_for_two_reasons_do_not_add_up() -> None:
+def test_refusals_for_different_reasons_are_counted_separately() -> None:
     links = Links3()
     links.hear("s1", refused(knows=1, cluster=2))
     links.hear("s3", refused(term=0))
@@ -86,7 +86,7 @@ def test_refusals_of_two_members_for_two_reasons_do_not_add_up() -> None:
 
 
 @pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])
-def test_another_version_of_the_protocol_is_refused_before_anything_else_is_looked_at(version: int) -> None:
+def test_another_version_of_the_protocol_is_refused_before_any_other_check(version: int) -> None:
     refusal = refused(knows=0, protocol_version=version, store_id="", term=0)
     assert refusal is not None
     assert f"speaks version {PROTOCOL_VERSION} of the log's protocol, not {version}" in refusal.why

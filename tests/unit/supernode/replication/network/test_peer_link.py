@@ -90,7 +90,7 @@ async def opened_stream(channel: grpc.aio.Channel) -> Any:
     return call
 
 
-async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_more() -> None:
+async def test_a_members_stream_ends_when_a_newer_one_replaces_it() -> None:
     inbox = Inbox()
     stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
     servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_supernode.replication.network.reports import AGAIN_SECONDS, REPORTS_MAX, ReportLimiter
 
 
-def test_two_reasons_that_take_turns_are_said_once_each() -> None:
+def test_two_alternating_reasons_are_logged_once_each() -> None:
     reports = ReportLimiter()
     said = [reports.is_due(("s3", reason), now) for now in range(10) for reason in ("refused", "nobody there")]
     assert said == [True, True] + 18 * [False]
@@ -18,7 +18,7 @@ def test_a_lasting_problem_is_reported_again_after_a_while() -> None:
     assert reports.is_due("down", AGAIN_SECONDS)
 
 
-def test_no_more_than_some_are_kept() -> None:
+def test_the_number_of_kept_problems_is_limited() -> None:
     reports = ReportLimiter()
     for number in range(3 * REPORTS_MAX):
         assert reports.is_due(number, 0.0)

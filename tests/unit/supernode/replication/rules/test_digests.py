@@ -61,7 +61,7 @@ def test_a_snapshot_of_this_release_is_compared_where_it_ends() -> None:
 
 
 @pytest.mark.parametrize("ahead", [0, 1, 2])
-def test_a_state_from_a_snapshot_without_a_digest_goes_on_from_the_leaders_and_has_the_same_one_then(
+def test_after_a_snapshot_without_a_digest_a_member_continues_from_the_leaders_digest(
     ahead: int,
 ) -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
@@ -77,7 +77,7 @@ def test_a_state_from_a_snapshot_without_a_digest_goes_on_from_the_leaders_and_h
     assert restored.digest() == leader_at(5).digest(), "its own snapshots carry one"
 
 
-def test_a_difference_after_the_first_following_digest_is_found() -> None:
+def test_a_difference_after_the_first_digest_is_found() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.digests.compare(*leader_at(2).digest())
     follower.apply(3, UNKNOWN)
@@ -85,7 +85,7 @@ def test_a_difference_after_the_first_following_digest_is_found() -> None:
     assert follower.digests.diverged_at == 3
 
 
-def test_a_digest_of_where_the_state_is_no_more_is_not_taken_over() -> None:
+def test_a_digest_of_an_earlier_position_than_that_of_the_state_is_ignored() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.apply(3, COMMANDS[2])
     follower.digests.compare(*leader_at(2).digest())
@@ -124,7 +124,7 @@ def polled(asked: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPol
         ({"a": OTHER, "b": OTHER, "x": OTHER}, 3, b""),
     ],
 )
-def test_the_state_of_more_than_half_of_all_voters_is_right_under_any_leader(
+def test_the_state_of_a_majority_of_voters_counts_as_right_under_any_leader(
     answers: dict[str, bytes], voters: int, of_most: bytes
 ) -> None:
     assert polled(ONE, answers, voters=voters).of_most("abcdef"[:voters])[1] == of_most
@@ -138,14 +138,14 @@ def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() ->
     assert poll.agreeing(OTHER) == ["a"]
 
 
-def test_a_doubt_is_dropped_with_its_member_and_once_it_agrees() -> None:
+def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
     poll = polled(ONE, {"a": OTHER, "b": OTHER}, voters=3)
     assert poll.doubts == {"a": 7, "b": 7}
     poll.answered("b", (7, ONE), "bcd")
     assert poll.doubts == {}, "one has left, the other one was started again"
 
 
-def test_a_digest_position_is_asked_for_until_all_connected_members_answered_or_a_limit() -> None:
+def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or_up_to_a_limit() -> None:
     poll = DigestPoll()
     assert poll.of_most("ab") == NO_DIGEST
     poll.ask(0.0, (5, b""), "ab")
@@ -166,7 +166,7 @@ def test_a_digest_position_is_asked_for_until_all_connected_members_answered_or_
     assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
 
 
-def test_a_member_answers_for_the_position_that_was_named_last_once_it_is_there() -> None:
+def test_a_member_sends_the_digest_of_the_position_that_was_named_last_once_it_has_reached_it() -> None:
     digests = Digests(lambda digest: None)
     digests.note(5, ONE)
     digests.compare(7, ONE)

@@ -66,7 +66,7 @@ class Leader(LoneNode):
         (1, (1, 1, 1), None, 1),
     ],
 )
-def test_a_newcomer_must_know_the_clusters_level_and_the_one_to_which_it_is_about_to_rise(
+def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_one(
     level: int, members_know: tuple[int, int, int], newcomer: int | None, needed: int | None
 ) -> None:
     own, b, c = members_know
@@ -84,7 +84,7 @@ def test_a_newcomer_must_know_the_clusters_level_and_the_one_to_which_it_is_abou
         assert leader.changes.is_idle, "others can come"
 
 
-def test_a_member_of_unknown_level_prevents_the_rise_and_an_older_newcomer_may_join() -> None:
+def test_while_the_level_of_a_member_is_unknown_the_clusters_level_stays_and_older_releases_may_join() -> None:
     assert isinstance(Leader(level=1, knows=2, told={"b": 2}).let_in(1), int)
     assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
 

@@ -56,7 +56,7 @@ def test_a_new_leader_counts_only_members_that_have_answered_it_as_alive(removed
 
 
 @pytest.mark.parametrize("removed", ["a", "b"])
-def test_a_leader_that_heard_from_all_members_refuses_for_good(removed: str) -> None:
+def test_a_leader_that_has_heard_from_all_members_refuses_the_removal_for_good(removed: str) -> None:
     leader = Leader("b")
     leader.let_pass(ALIVE_SECONDS, "b")
     [outcome] = leader.remove(removed)
@@ -66,7 +66,7 @@ def test_a_leader_that_heard_from_all_members_refuses_for_good(removed: str) -> 
     assert leader.changes.is_idle
 
 
-def test_a_new_leader_removes_as_soon_as_enough_have_answered() -> None:
+def test_a_new_leader_removes_a_member_as_soon_as_enough_members_have_answered() -> None:
     leader = Leader("b")
     leader.remove("b")
     leader.hear("c")
@@ -90,7 +90,7 @@ def test_a_leader_of_five_hands_over_for_its_removal_while_three_of_the_others_a
     assert leader.changes.hands_over
 
 
-def test_the_successor_is_one_that_has_answered_in_this_term() -> None:
+def test_the_leader_hands_over_to_a_member_that_has_answered_in_this_term() -> None:
     leader = Leader()
     leader.changes.hand_over(HandOver(lambda left: None))
     leader.changes.advance()
@@ -100,7 +100,7 @@ def test_the_successor_is_one_that_has_answered_in_this_term() -> None:
     assert [to for to, message in leader.said() if isinstance(message, TimeoutNow)] == ["c"]
 
 
-def test_a_newcomer_that_went_silent_becomes_a_voter_only_after_it_answers_again() -> None:
+def test_a_new_member_that_fell_silent_becomes_a_voter_only_after_it_answers_again() -> None:
     leader = Leader("b", "c")
     leader.changes.add(MemberChange(Member(member_id="new", address="new:1"), False, lambda outcome: None))
     leader.node.transport.deliver(Connected("new"))

@@ -60,7 +60,7 @@ def test_a_slow_new_member_is_refused_with_the_reason_after_a_total_time(leader:
     assert leader.changes.is_idle
 
 
-def test_a_new_member_that_was_too_slow_makes_room_for_another_one(
+def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     leader: Leader,
 ) -> None:
     leader.add(SLOW)

@@ -57,7 +57,7 @@ def test_a_command_that_was_certainly_not_accepted_is_tried_again_until_its_dead
     assert [type(outcome) for outcome in library.outcomes] == [LogUnavailable]
 
 
-def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again() -> None:
+def test_a_command_with_an_unknown_outcome_is_ambiguous_and_not_tried_again() -> None:
     library = Library()
     library.propose()
     library.advance(1.0)
@@ -87,7 +87,7 @@ def test_an_abandoned_command_is_never_submitted() -> None:
     assert library.handed == []
 
 
-def test_closing_ends_every_command_with_its_known_fate() -> None:
+def test_closing_ends_every_command_with_its_known_outcome() -> None:
     library = Library(submitted_max=1)
     library.propose()
     library.propose()

@@ -48,7 +48,7 @@ def pre_votes(said: list[tuple[str, Message]]) -> list[bool]:
 
 
 @ON_BOTH
-def test_a_piece_of_a_snapshot_commits_nothing_that_the_log_happens_to_hold(rules: type) -> None:
+def test_a_piece_of_a_snapshot_does_not_commit_entries_of_the_log(rules: type) -> None:
     lone = LoneNode(rules)
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)]))
     lone.receive("c", piece(5, snapshot_pieces(last=9, term=5)[0], commit=9))
@@ -56,7 +56,7 @@ def test_a_piece_of_a_snapshot_commits_nothing_that_the_log_happens_to_hold(rule
 
 
 @ON_BOTH
-def test_a_late_append_deletes_nothing_that_agrees_with_it(rules: type) -> None:
+def test_a_late_append_deletes_no_entries_that_agree_with_it(rules: type) -> None:
     lone = LoneNode(rules)
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1), (5, 1)]))
     lone.receive("b", append(1, (2, 1), [(3, 1)]))
@@ -99,7 +99,7 @@ class LeftByTwoSteps(MemoryStore):
 
 
 @ON_BOTH
-def test_a_log_that_does_not_meet_its_snapshot_is_never_thrown_away_silently(rules: type) -> None:
+def test_a_gap_between_snapshot_and_log_is_reported_and_the_log_is_kept(rules: type) -> None:
     lone = LoneNode(rules, store=LeftByTwoSteps())
     if rules is PreVoteElections:
         with pytest.raises(AssertionError, match="does not begin where"):
@@ -130,7 +130,7 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
 
 
 @ON_BOTH
-def test_a_stranger_is_not_followed(rules: type) -> None:
+def test_a_node_does_not_follow_a_leader_that_is_not_a_member(rules: type) -> None:
     lone = LoneNode(rules)
     stranger = type(next(iter(lone.node.other_voters)))("stranger")
     lone.node.receive(stranger, append(7, (1, 0), []))

@@ -73,7 +73,7 @@ def test_elections_continue_from_the_last_adopted_term() -> None:
     assert lone.lead() == TERMS_AHEAD_MAX + 2
 
 
-def test_a_claim_to_lead_does_not_end_the_leader() -> None:
+def test_a_false_claim_to_lead_does_not_depose_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()
     with pytest.raises(PeerAtFault, match="but this member leads in that term"):
@@ -81,7 +81,7 @@ def test_a_claim_to_lead_does_not_end_the_leader() -> None:
     assert lone.node.is_leader
 
 
-def test_an_acknowledgement_beyond_the_log_counts_for_nothing() -> None:
+def test_an_acknowledgement_beyond_the_end_of_the_log_is_ignored() -> None:
     lone = LoneNode()
     term = lone.lead()
     with pytest.raises(PeerAtFault, match="acknowledged up to 98, past 2"):
@@ -90,7 +90,7 @@ def test_an_acknowledgement_beyond_the_log_counts_for_nothing() -> None:
     assert (lone.node.is_leader, lone.node.commit_index) == (True, 1)
 
 
-def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader() -> None:
+def test_a_caller_that_is_not_a_member_neither_votes_nor_deposes_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()
     lone.node.transport.deliver(Introduced("x", X))
@@ -116,7 +116,7 @@ def test_a_member_without_a_known_leader_accepts_messages_of_unknown_members() -
     assert "x" not in lone.node.peers
 
 
-def test_a_member_that_a_stranger_names_is_a_stranger() -> None:
+def test_a_member_that_only_a_non_member_names_is_not_accepted() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
@@ -128,7 +128,7 @@ def test_a_member_that_a_stranger_names_is_a_stranger() -> None:
     assert set(lone.node.peers) == {"b", "c", "x"}
 
 
-def test_few_unknown_members_are_remembered() -> None:
+def test_a_node_remembers_only_a_few_unknown_members() -> None:
     lone = LoneNode()
     for number in range(1000):
         name = f"x{number}"
@@ -147,7 +147,7 @@ def test_many_hostile_promises_do_not_remove_the_promise_of_a_member() -> None:
     assert len(lone.log.promises) <= 64
 
 
-def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> None:
+def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_becomes_a_candidate() -> None:
     lone = LoneNode()
     lone.node.on_disputed("b", "an older copy")
     assert lone.receive("c", vote_request(1, pre_vote=True)) == []
@@ -160,7 +160,7 @@ def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> N
     assert [type(message) for _, message in lone.receive("c", vote_request(2))] == [VoteReply]
 
 
-def test_a_refusal_by_a_stranger_disputes_nothing() -> None:
+def test_a_refusal_by_a_non_member_has_no_effect() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
@@ -189,7 +189,7 @@ def test_only_the_leaders_answers_to_open_requests_count() -> None:
     assert lone.node.callers_waiting_count() == 1
 
 
-def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() -> None:
+def test_false_positions_of_a_leader_keep_a_bounded_number_of_callers_waiting() -> None:
     lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | ProposalFailure]
     lone.receive("b", append(1, (1, 0), []))
     most = lone.node.conf.commandsQueueSize
@@ -199,7 +199,7 @@ def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() ->
     assert outcomes == [ProposalFailure.UNKNOWN] * 10
 
 
-def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answer_only() -> None:
+def test_a_member_that_asks_repeatedly_waits_only_for_the_last_answer() -> None:
     lone = LoneNode()
     for number in range(1000):
         lone.node.transport.deliver(Received("b", ReadIndexRequest(request_id=number)))
@@ -207,7 +207,7 @@ def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answ
     assert [message.request_id for _, message in lone.said()] == [999]
 
 
-def test_a_removed_member_that_a_hostile_leader_has_named_again_ends_no_process() -> None:
+def test_a_hostile_leader_that_names_a_removed_member_again_stops_no_process() -> None:
     lone = LoneNode()
     ab, abc = (
         Configuration.of([Member(member_id=name, address=f"{name}:1") for name in names], retired)

@@ -116,7 +116,7 @@ def test_waiting_requests_get_an_error_when_the_replica_closes() -> None:
     assert [str(one) for one in alone.outcomes] == ["this replica is closing"]
 
 
-def test_changes_of_the_members_that_wait_when_the_replica_closes_are_answered() -> None:
+def test_waiting_changes_of_members_are_answered_when_the_replica_closes() -> None:
     alone = Alone(MemoryStore())
     alone.propose(b"a")
     newcomer = Member(member_id="n", address="n:1")
@@ -127,7 +127,7 @@ def test_changes_of_the_members_that_wait_when_the_replica_closes_are_answered()
     assert sorted(str(one) for one in answers) == ["False", "this replica is closing"]
 
 
-def test_only_so_many_requests_may_wait() -> None:
+def test_the_number_of_waiting_requests_is_limited() -> None:
     alone = Alone(MemoryStore())
     for _ in range(SNAPSHOT_REQUESTS_MAX):
         alone.ask()
@@ -135,7 +135,7 @@ def test_only_so_many_requests_may_wait() -> None:
         alone.ask()
 
 
-def test_a_lone_replica_pauses_for_long_only_while_no_call_waits_for_it() -> None:
+def test_a_single_replica_makes_long_pauses_only_while_no_call_waits() -> None:
     alone = Alone(MemoryStore())
     timing = RaftTiming()
     assert alone.replica.pause_seconds() == timing.tick_seconds  # it does not lead yet

@@ -66,7 +66,7 @@ def test_a_new_store_is_empty(reopen: Reopen) -> None:
     assert log.commit_index == 1
 
 
-def test_synced_entries_survive_and_the_rest_does_not(reopen: Reopen) -> None:
+def test_a_crash_keeps_only_the_synced_entries(reopen: Reopen) -> None:
     log = with_entries(reopen(), 3)
     log.set_term(4, "b")
     log.commit_index = 2
@@ -78,7 +78,7 @@ def test_synced_entries_survive_and_the_rest_does_not(reopen: Reopen) -> None:
     assert (again.term, again.voted_for, again.commit_index) == (4, "b", 2)
 
 
-def test_the_commit_index_alone_costs_no_write(reopen: Reopen) -> None:
+def test_a_change_of_only_the_commit_index_is_not_written(reopen: Reopen) -> None:
     log = with_entries(reopen(), 3)
     assert log.sync()
     log.commit_index = 3
@@ -94,7 +94,7 @@ def test_a_replaced_tail_of_the_log_does_not_return(reopen: Reopen) -> None:
     assert [tuple(entry)[1:] for entry in RaftLog(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
 
 
-def test_a_store_opens_after_a_snapshot_that_ends_in_another_entry_of_the_same_term(reopen: Reopen) -> None:
+def test_a_store_opens_after_a_snapshot_that_ends_at_another_entry_of_the_same_term(reopen: Reopen) -> None:
     log = with_entries(reopen(), 8)
     log.sync()
     previous, last = log[4], Entry(b"\x00forged", 6, 1)
@@ -103,7 +103,7 @@ def test_a_store_opens_after_a_snapshot_that_ends_in_another_entry_of_the_same_t
     assert RaftLog(reopen())[:] == [previous, last]
 
 
-def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> None:
+def test_the_snapshot_and_the_trimmed_log_are_written_in_one_transaction(reopen: Reopen) -> None:
     log = with_entries(reopen(), 8)
     log.sync()
     previous, last = log[4], log[5]
@@ -118,7 +118,7 @@ def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> No
     assert after.snapshot == StoredSnapshot.of(6, b"state")
 
 
-def test_a_snapshot_in_pieces_counts_from_its_trailer_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_snapshot_in_pieces_is_valid_from_its_last_piece_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 2)
     log = with_entries(reopen(), 8)
     adopt(log, StoredSnapshot.of(3, b"older"), log[1], log[2])
@@ -150,7 +150,7 @@ def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
     assert RaftLog(reopen()).snapshot == StoredSnapshot.of(6, b"state")
 
 
-def test_a_gap_is_refused(reopen: Reopen) -> None:
+def test_a_gap_between_entries_is_refused(reopen: Reopen) -> None:
     log = with_entries(reopen(), 3)
     with pytest.raises(AssertionError, match="does not follow"):
         log.append(b"\x00", 5, 1)

@@ -73,7 +73,7 @@ HEADER = BackupHeader(member_id="a", cluster_id="c", log_index=4, time_unix_nano
 FOUNDER = Member(member_id="new", address="new:1")
 
 
-def test_a_backup_is_restored_with_all_former_members_retired(tmp_path: Path) -> None:
+def test_after_a_restore_all_former_member_ids_are_retired(tmp_path: Path) -> None:
     record = snapshot_of([b"one", b"two"])
     backup = make_backup(HEADER, record)
     (tmp_path / "backup").write_bytes(b"".join(backup.parts()))

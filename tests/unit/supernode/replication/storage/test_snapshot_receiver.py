@@ -59,7 +59,7 @@ class Slow:
         self.lone.open_snapshot()
 
 
-def test_while_it_is_decoded_the_leader_is_answered_and_need_not_send_it_again() -> None:
+def test_while_a_snapshot_is_decoded_the_leader_gets_answers_and_does_not_send_the_snapshot_again() -> None:
     slow = Slow()
     slow.receive_all()
     for _ in range(3):
@@ -72,7 +72,7 @@ def test_while_it_is_decoded_the_leader_is_answered_and_need_not_send_it_again()
     assert (reply.success, reply.next_index) == (True, 11)
 
 
-def test_pieces_that_the_leader_has_sent_meanwhile_are_sent_again() -> None:
+def test_pieces_that_arrive_while_a_snapshot_is_decoded_are_sent_again_later() -> None:
     slow = Slow()
     slow.receive_all()
     slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
@@ -81,7 +81,7 @@ def test_pieces_that_the_leader_has_sent_meanwhile_are_sent_again() -> None:
     assert (reply.success, reply.reset, reply.next_index) == (False, True, 10)
 
 
-def test_entries_that_overtake_it_are_kept() -> None:
+def test_entries_that_arrive_before_the_snapshot_is_decoded_are_kept() -> None:
     slow = Slow()
     slow.receive_all()
     slow.lone.receive("c", append(6, (1, 0), [(index, 5) for index in range(2, 13)], commit=12))
@@ -91,7 +91,7 @@ def test_entries_that_overtake_it_are_kept() -> None:
     assert not slow.lone.node.keeper.is_opening
 
 
-def test_a_second_one_does_not_disturb_the_first() -> None:
+def test_a_second_snapshot_does_not_disturb_the_first() -> None:
     slow = Slow()
     slow.receive_all()
     slow.receive_all(last=20)
@@ -102,7 +102,7 @@ def test_a_second_one_does_not_disturb_the_first() -> None:
     assert slow.lone.held() == [(19, 5), (20, 5)]
 
 
-def test_no_snapshot_of_its_own_is_begun_meanwhile() -> None:
+def test_while_a_member_decodes_a_snapshot_it_begins_no_snapshot_of_its_own() -> None:
     slow = Slow()
     slow.receive_all()
     slow.lone.node.request_snapshot()
@@ -138,7 +138,7 @@ def test_each_step_writes_one_piece_and_the_last_one_opens_it(monkeypatch: pytes
     assert slow.lone.machine.entries[-1] == (9, b"9/5")
 
 
-def test_a_failure_to_decode_it_rises_before_anything_is_acknowledged() -> None:
+def test_a_snapshot_that_cannot_be_decoded_raises_an_error_before_any_acknowledgement() -> None:
     failed: Future[object] = Future()
     failed.set_exception(ValueError("this state cannot be read"))
     lone = LoneNode(run_in_background=lambda work, /: failed)  # type: ignore[arg-type,return-value]
@@ -155,7 +155,7 @@ class Older(ListMachine):
         raise ReleaseTooOld(1, 2)
 
 
-def test_a_snapshot_above_the_level_of_this_release_ends_this_member_and_does_not_put_its_sender_at_fault() -> None:
+def test_a_snapshot_above_the_level_of_this_release_stops_this_member_and_does_not_blame_the_sender() -> None:
     lone = LoneNode(machine=Older())
     for chunk in snapshot_pieces(last=9, term=5):
         lone.receive("b", piece(5, chunk, commit=9))

@@ -60,14 +60,14 @@ def damage_found(folder: Path) -> str:
     return str(caught.value)
 
 
-def test_an_empty_folder_is_refused_where_a_store_must_be(tmp_path: Path) -> None:
+def test_an_empty_folder_is_refused_if_a_store_must_exist(tmp_path: Path) -> None:
     assert not holds_store(tmp_path)
     with pytest.raises(StoreRefused, match="holds no replicated log"):
         open_store(tmp_path, create=False)
     assert not holds_store(tmp_path)
 
 
-def test_an_existing_store_opens_without_leave_to_create(tmp_path: Path) -> None:
+def test_an_existing_store_opens_without_permission_to_create_one(tmp_path: Path) -> None:
     fill(tmp_path)
     assert holds_store(tmp_path)
     store = open_store(tmp_path, create=False)
@@ -83,7 +83,7 @@ def test_another_members_folder_is_refused(tmp_path: Path, other: dict[str, str]
 
 
 @pytest.mark.parametrize("mode", [0o755, 0o700])
-def test_only_its_own_user_reads_a_store(tmp_path: Path, mode: int) -> None:
+def test_only_the_user_of_the_supernode_can_read_a_store(tmp_path: Path, mode: int) -> None:
     tmp_path.chmod(mode)
     before = os.umask(0o022)
     try:
@@ -158,7 +158,7 @@ def flip_a_bit_in_the_middle(path: Path) -> None:
     path.write_bytes(data)
 
 
-def test_a_store_left_by_a_crash_opens_with_everything(tmp_path: Path) -> None:
+def test_a_store_opens_with_all_committed_entries_after_a_crash(tmp_path: Path) -> None:
     copy_as_after_a_crash(tmp_path / "a", tmp_path / "b")
     store = open_store(tmp_path / "b")
     assert len(store.load().entries) == 60
@@ -170,7 +170,7 @@ def test_a_flipped_bit_in_the_write_ahead_log_is_found(tmp_path: Path) -> None:
     assert re.search(r"holds \d+ commits, but held 60 before", damage_found(tmp_path / "b"))
 
 
-def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_path: Path) -> None:
+def test_without_the_watermark_a_flipped_bit_would_silently_lose_entries(tmp_path: Path) -> None:
     flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
     (tmp_path / "b" / WATERMARK_NAME).unlink()
     store = open_store(tmp_path / "b")
@@ -178,7 +178,7 @@ def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_p
     store.close()
 
 
-def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
+def test_a_commit_fails_on_a_full_disk(tmp_path: Path) -> None:
     store = open_store(tmp_path)
     log = RaftLog(store)
     store._db.execute("PRAGMA max_page_count = 10")
@@ -216,7 +216,9 @@ def test_a_missing_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
     assert "snapshot fails its checksum" in damage_found(tmp_path)
 
 
-def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pieces_of_older_snapshots_are_deleted_a_few_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 1)
     store = open_store(tmp_path)
     log = RaftLog(store)
@@ -242,7 +244,7 @@ def test_a_store_of_another_format_is_not_changed_and_the_error_gives_advice(tmp
         open_store(tmp_path)
 
 
-def test_missing_last_entries_are_found_before_they_are_committed(tmp_path: Path) -> None:
+def test_missing_last_entries_are_noticed_before_any_new_commit(tmp_path: Path) -> None:
     fill(tmp_path)
     edit(tmp_path, "DELETE FROM entry WHERE log_index > 3")
     assert "holds 1 to 3, and held 1 to 5" in damage_found(tmp_path)
@@ -265,7 +267,7 @@ def test_an_entry_of_an_earlier_term_between_later_ones_is_found(tmp_path: Path)
         "UPDATE hard_state SET promises = 7",
     ],
 )
-def test_a_value_of_another_kind_is_damage_and_no_defect(tmp_path: Path, statement: str) -> None:
+def test_a_value_of_another_type_is_reported_as_damage_and_not_as_a_defect(tmp_path: Path, statement: str) -> None:
     fill(tmp_path)
     schema = (
         "UPDATE sqlite_master SET sql = replace(replace(replace(sql, 'INTEGER NOT NULL', 'ANY'), 'BLOB NOT NULL', "
@@ -301,7 +303,7 @@ def test_a_database_without_term_and_entries_is_not_mistaken_for_a_new_one(tmp_p
     store.close()
 
 
-def test_promises_of_others_outlive_the_process(tmp_path: Path) -> None:
+def test_a_store_keeps_the_promises_of_other_members_over_a_restart(tmp_path: Path) -> None:
     fill(tmp_path)
     log = RaftLog(open_store(tmp_path))
     log.note_promise("b", 3, 0)
@@ -310,7 +312,7 @@ def test_promises_of_others_outlive_the_process(tmp_path: Path) -> None:
     assert open_and_close(tmp_path).promises == {"b": Promise(3, 7)}
 
 
-def test_no_flipped_bit_is_applied_and_none_ends_in_a_defect(tmp_path: Path) -> None:
+def test_a_flipped_bit_is_always_reported_as_damage(tmp_path: Path) -> None:
     copy_as_after_a_crash(tmp_path / "a", tmp_path / "crashed")
     fill(tmp_path / "closed")
     random_source = random.Random(5)

@@ -51,7 +51,7 @@ def start(replica: Any, *, tick_seconds: float) -> tuple[TickThread, list[BaseEx
     return thread, failures, failed
 
 
-def test_a_wake_up_has_a_step_done_without_waiting_for_the_tick() -> None:
+def test_a_wake_up_performs_a_step_before_the_next_tick() -> None:
     replica = Stepping()
     thread, _, _ = start(replica, tick_seconds=60.0)
     assert replica.stepped.acquire(timeout=5)
@@ -61,7 +61,7 @@ def test_a_wake_up_has_a_step_done_without_waiting_for_the_tick() -> None:
     assert replica.closed.is_set()
 
 
-def test_it_ticks_by_itself() -> None:
+def test_the_thread_ticks_at_regular_intervals() -> None:
     replica = Stepping()
     thread, _, _ = start(replica, tick_seconds=0.001)
     assert all(replica.stepped.acquire(timeout=5) for _ in range(5))
@@ -87,7 +87,7 @@ def test_by_default_a_failure_ends_the_process_with_its_reason() -> None:
     assert "the replicated log failed and the process ends: OSError('the disk is full')" in ended.stderr
 
 
-def test_a_failure_whose_text_another_program_wrote_forges_no_line() -> None:
+def test_the_text_of_a_failure_cannot_forge_a_log_line() -> None:
     script = (
         "from stampede_rt_runtime.logs import set_up_logging\n"
         "from stampede_rt_supernode.replication.threads.tick_thread import end_process\n"
@@ -125,7 +125,7 @@ class Hanging(Stepping):
         return False
 
 
-def test_a_step_that_hangs_is_reported_once_and_so_is_its_end(
+def test_a_step_that_hangs_is_logged_once_and_its_end_too(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(tick_thread, "STUCK_SECONDS", 0.05)
@@ -149,7 +149,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         threading.Event().wait(0.005)
 
 
-def test_a_process_that_was_stopped_for_long_does_not_blame_its_disk(
+def test_a_process_that_was_suspended_does_not_report_a_slow_disk(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     looks = threading.Semaphore(0)

@@ -141,12 +141,12 @@ def test_a_configuration_is_decoded_as_it_was_encoded() -> None:
         pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="a:1")], retired_ids=["a"]),
     ],
 )
-def test_a_configuration_that_no_leader_writes_is_refused(broken: pb.RaftConfiguration) -> None:
+def test_an_impossible_configuration_is_refused(broken: pb.RaftConfiguration) -> None:
     with pytest.raises(MalformedMessage):
         check_command(b"\x02" + broken.SerializeToString())
 
 
-def test_a_snapshot_whose_entries_are_no_neighbours_is_refused() -> None:
+def test_a_snapshot_whose_last_entries_are_not_consecutive_is_refused() -> None:
     record = encode_snapshot(previous=Entry(b"\x00", 3, 1), last=Entry(b"\x00", 5, 2), configuration=MEMBERS, state=b"")
     with pytest.raises(MalformedMessage, match="neighbours"):
         decode_snapshot(record)
