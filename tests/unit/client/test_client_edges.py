@@ -56,7 +56,7 @@ def test_a_name_that_is_empty_is_refused_and_not_left_out() -> None:
 
 
 @pytest.mark.parametrize("name", ["a", "A", "LSL/EEG_Amp-1", "cam/left", "0-9._/-", "a" * 128])
-def test_names_within_the_grammar_are_taken(name: str) -> None:
+def test_names_within_the_grammar_are_accepted(name: str) -> None:
     assert parse_name(name) == name
 
 
@@ -98,7 +98,7 @@ def test_a_value_that_is_no_flag_is_refused(flag: str) -> None:
         ReadQuery(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
 
 
-def test_the_last_duration_lies_before_now() -> None:
+def test_last_with_a_duration_is_the_interval_before_now() -> None:
     with pytest.raises(InvalidArgument, match="leave the minus out"):
         last("-5s")
 
@@ -110,7 +110,7 @@ def test_anything_with_a_buffer_is_a_payload_but_text_is_not() -> None:
 
 
 @pytest.mark.parametrize("attributes", [{"a": 1}, {1: "a"}, ["a"], "a", {"a": "\ud800"}])
-def test_attributes_are_text(attributes: object) -> None:
+def test_attributes_must_be_text(attributes: object) -> None:
     with pytest.raises(InvalidArgument, match="attributes"):
         check_attributes(attributes)  # type: ignore[arg-type]
 
@@ -160,7 +160,7 @@ def test_a_run_holds_as_many_items_as_fit_and_the_next_run_continues_their_numbe
 
 
 @pytest.mark.parametrize("reason", [name.removeprefix("ERROR_REASON_") for name in error_pb2.ErrorReason.keys()[1:]])
-def test_every_reason_survives_the_wire_with_its_facts(reason: str) -> None:
+def test_every_reason_and_its_metadata_are_the_same_after_encoding_and_decoding(reason: str) -> None:
     error = errors.error_for(reason, "what happened", {"channel": "cam"})
     found = status.from_error_message(status.to_error_message(error))
     assert (type(found), found.reason, found.message, found.metadata) == (
@@ -173,7 +173,7 @@ def test_every_reason_survives_the_wire_with_its_facts(reason: str) -> None:
     assert reason == "INTERNAL" or status.code_for(reason).name != "INTERNAL"
 
 
-def test_the_users_secret_is_sent_to_this_machine_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_users_secret_is_sent_only_to_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     secret = tmp_path / "stampede" / "secret"

@@ -34,11 +34,11 @@ def said_by(code: str) -> str:
 @pytest.mark.parametrize(
     "module", ["stampede_rt", "stampede_rt.cli.main", "stampede_rt.values.timeline", "stampede_rt.errors"]
 )
-def test_parts_that_need_no_connection_load_no_grpc(module: str) -> None:
+def test_modules_that_need_no_connection_do_not_load_grpc(module: str) -> None:
     assert said_by(f"import {module}") == ""
 
 
-def test_the_surface_is_there_once_it_is_asked_for() -> None:
+def test_the_public_names_are_loaded_on_first_use() -> None:
     code = """
 import stampede_rt as st
 print("connect" in dir(st), "Mailbox" in st.__all__)
@@ -49,7 +49,7 @@ print(connect is st.connect, st.errors.TooOld is TooOld, hasattr(st, "nothing"),
     assert said.splitlines()[-2:] == ["True True", "True True False True"], said
 
 
-def test_the_awaited_surface_comes_without_the_blocking_one() -> None:
+def test_the_asyncio_client_does_not_load_the_blocking_one() -> None:
     said = said_by("from stampede_rt import aio; print([name for name in sys.modules if 'stampede_rt._sync' in name])")
     assert said.splitlines()[-1] == "[]", said
 
@@ -83,7 +83,7 @@ class Interrupted:
         return None
 
 
-def test_an_interrupt_while_the_command_is_being_loaded_ends_it_in_silence(
+def test_an_interrupt_while_the_command_loads_ends_it_without_a_message(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert find_spec("stampede_rt.cli.commands") is not None

@@ -53,7 +53,7 @@ def test_a_defect_of_the_service_is_not_retryable(error: grpc.aio.AioRpcError) -
     assert not told.retryable
 
 
-def test_an_error_that_a_service_answered_shows_no_traceback_of_grpc() -> None:
+def test_the_error_of_a_service_has_no_traceback_of_grpc() -> None:
     refused = failed(grpc.StatusCode.PERMISSION_DENIED, "no", st.PermissionDenied("rule 3 denies it"))
     broken = failed(UNKNOWN, "Unexpected <class 'KeyError'>: 'x'")
     shown = {}

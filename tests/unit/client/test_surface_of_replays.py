@@ -76,7 +76,9 @@ def lacks(kind: str, live: type, replayed: type) -> list[str]:
 
 
 @pytest.mark.parametrize(("kind", "live", "replayed"), PAIRS)
-def test_a_replayed_handle_has_all_that_the_live_one_has_or_a_reason(kind: str, live: type, replayed: type) -> None:
+def test_a_replayed_handle_has_each_name_of_the_live_one_or_a_reason_for_its_absence(
+    kind: str, live: type, replayed: type
+) -> None:
     assert lacks(kind, live, replayed) == []
 
 
@@ -89,7 +91,7 @@ def test_each_exception_names_a_live_name_and_is_on_the_page(kind: str) -> None:
         assert why in str(not_replayed(kind, name, object()))
 
 
-def test_a_method_that_a_replay_forgot_is_noticed() -> None:
+def test_a_method_that_a_replay_lacks_is_noticed() -> None:
     class Less(ReplayedGroup):
         newest = None  # type: ignore[assignment]
 

@@ -38,7 +38,7 @@ async def followed() -> AsyncIterator[tuple[Told, AccessControl, AccessFollower,
         yield told, control, AccessFollower(control), channel
 
 
-async def test_a_later_version_is_asked_for_once_and_an_earlier_one_never() -> None:
+async def test_a_front_end_asks_for_a_later_version_once_and_for_an_earlier_one_never() -> None:
     async with followed() as (told, control, follower, channel):
         for version in (7, 7, 6, 0):
             await follower.heard("c", version, channel)
@@ -58,7 +58,7 @@ async def test_a_cluster_that_takes_the_place_of_another_has_versions_of_its_own
         assert (told.asked, control.version) == (1, 7)
 
 
-async def test_a_supernode_that_does_not_tell_is_asked_again() -> None:
+async def test_a_front_end_asks_again_if_a_supernode_does_not_answer() -> None:
     async with followed() as (told, control, follower, channel):
         told.version = 0
         await follower.heard("c", 7, channel)

@@ -27,7 +27,7 @@ def known(roster: SupernodeRoster) -> dict[str, Supernode]:
     return {one.supernode_id: one for one in roster.known()}
 
 
-def test_at_first_the_seeds_are_probed_and_callers_are_told_nothing() -> None:
+def test_at_first_a_front_end_probes_the_seeds_and_lists_no_supernode() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     assert roster.targets() == ("s1:1", "s2:1")
     assert roster.known() == []
@@ -135,7 +135,7 @@ def test_a_failure_is_remembered_until_the_next_answer() -> None:
     assert known(roster)["s1"].healthy
 
 
-def test_news_of_a_forgotten_member_changes_nothing() -> None:
+def test_a_probe_of_a_removed_member_changes_nothing() -> None:
     roster = SupernodeRoster(("s1:1",))
     roster.answered("gone:1", answer("gone"))
     roster.failed("gone:1", "refused")

@@ -81,7 +81,7 @@ async def test_a_caller_gets_the_supernodes_the_cluster_and_the_clock() -> None:
     assert answer.version
 
 
-async def test_a_caller_of_another_protocol_version_is_told_both() -> None:
+async def test_the_error_for_another_protocol_version_names_both_versions() -> None:
     async with supernode(FakeSupernode()) as server, frontend(server.address) as bind:
         with pytest.raises(VersionMismatch, match="protocol version 2, this cluster 1") as caught:
             await bind(protocol_version=2)
@@ -96,7 +96,7 @@ async def test_a_caller_that_comes_before_the_supernode_waits_for_it() -> None:
             assert (await waiting).supernodes[0].healthy
 
 
-async def test_a_caller_hears_of_a_lost_quorum_when_no_supernode_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_caller_gets_no_quorum_when_no_supernode_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_frontend.servicer.WAIT_SECONDS_MAX", 0.1)
     async with frontend(NOBODY) as bind:
         with pytest.raises(Unavailable, match=f"no supernode answers this front-end .*{NOBODY}") as caught:

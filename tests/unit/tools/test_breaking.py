@@ -84,7 +84,7 @@ def test_accepting_makes_a_breaking_change_the_contract(contract: tuple[Path, Pa
     assert guard(source, stable) == 0
 
 
-def test_a_missing_image_is_an_error_with_the_way_out(
+def test_the_error_for_a_missing_image_names_a_remedy(
     contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, stable = contract
@@ -140,7 +140,7 @@ def test_a_file_that_is_not_served_yet_may_change_and_is_named_each_time(
     assert guard(source, stable) == 0
 
 
-def test_the_mark_alone_takes_nothing_out_of_the_accepted_contract(contract: tuple[Path, Path]) -> None:
+def test_adding_the_mark_does_not_remove_a_file_from_the_accepted_contract(contract: tuple[Path, Path]) -> None:
     source, stable = contract
     source.with_name("other.proto").write_text('syntax = "proto3";\npackage thing.v1;\nmessage Other {}\n')
     marked = FIRST_PROTO.replace("package thing.v1;", f"package thing.v1;\n{breaking.UNSERVED}")

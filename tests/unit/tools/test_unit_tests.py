@@ -36,7 +36,7 @@ def test_a_test_is_found_by_the_name_of_its_module_or_folder(test: str) -> None:
         ("host/core/test_indexes.py", "names no module of its folder"),
     ],
 )
-def test_a_test_in_a_wrong_room_is_named_with_the_way_out(test: str, why: str) -> None:
+def test_the_error_for_a_test_in_a_wrong_folder_names_the_right_one(test: str, why: str) -> None:
     (line,) = complaints([test], SOURCES)
     assert line.startswith(f"tests/unit/{test} {why}")
 

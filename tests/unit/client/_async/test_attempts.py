@@ -112,7 +112,7 @@ async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock
 
 
 @pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])
-async def test_an_error_that_cannot_pass_is_raised_at_once(clock: Clock, error: Any) -> None:
+async def test_a_permanent_error_is_raised_at_once(clock: Clock, error: Any) -> None:
     place = Place()
     with pytest.raises(type(error)):
         await attempt(place, Operation(error), 10)
@@ -129,22 +129,22 @@ async def tries(quota: str, clock: Clock) -> tuple[int, float]:
 
 
 @pytest.mark.parametrize("quota", ["channels", "queues"])
-async def test_a_quota_that_only_a_deletion_frees_is_met_once(quota: str, clock: Clock) -> None:
+async def test_a_call_beyond_a_quota_that_only_a_deletion_frees_is_not_repeated(quota: str, clock: Clock) -> None:
     assert await tries(quota, clock) == (1, 0)
 
 
 @pytest.mark.parametrize("quota", ["streams", "subscriptions"])
-async def test_a_quota_of_open_streams_is_tried_again_for_a_moment_alone(quota: str, clock: Clock) -> None:
+async def test_a_call_beyond_the_quota_of_open_streams_is_repeated_only_for_a_moment(quota: str, clock: Clock) -> None:
     count, time_s = await tries(quota, clock)
     assert count < 12
     assert time_s <= OPEN_STREAMS_S + 0.02
 
 
-async def test_a_quota_that_time_frees_is_tried_again_as_long_as_the_caller_waits(clock: Clock) -> None:
+async def test_a_call_beyond_a_quota_that_time_frees_is_repeated_until_its_deadline(clock: Clock) -> None:
     assert (await tries("changes-per-second", clock))[1] == pytest.approx(10)
 
 
-async def test_an_operation_whose_channel_has_moved_goes_on_at_the_new_host_at_once_and_then_with_pauses(
+async def test_an_operation_follows_the_first_move_of_its_channel_at_once_and_later_ones_after_pauses(
     clock: Clock,
 ) -> None:
     place, moved = Place(), error_for("MOVED", "the channel has moved", {})
@@ -154,7 +154,7 @@ async def test_an_operation_whose_channel_has_moved_goes_on_at_the_new_host_at_o
     assert clock.now_s > 100.0
 
 
-async def test_a_cached_channel_that_is_gone_is_looked_for_once_and_then_the_error_counts(clock: Clock) -> None:
+async def test_a_deleted_channel_is_looked_up_once_more_before_the_error_is_raised(clock: Clock) -> None:
     place, calls = Place(), 0
     place.names_a_lost_channel = True
 

@@ -92,7 +92,7 @@ def items(*seqs: int, incarnation: int = 7) -> list[st.Item]:
     return [st.Item(seq, None, None, seq, b"", {}, "", 0, incarnation) for seq in seqs]
 
 
-async def test_the_place_is_renewed_without_using_anything_up_until_the_connection_is_closed(
+async def test_a_consumer_place_is_renewed_until_the_connection_is_closed_without_consuming_items(
     session: Any, state: ChannelState
 ) -> None:
     assert await consume(session, state, items(1, 2)) == 2
@@ -108,7 +108,7 @@ async def test_the_place_is_renewed_without_using_anything_up_until_the_connecti
     assert session.host.requests[-1].HasField("lease_nanos")
 
 
-async def test_several_handles_of_a_channel_keep_one_place(session: Any, state: ChannelState) -> None:
+async def test_several_handles_of_a_channel_share_one_consumer_place(session: Any, state: ChannelState) -> None:
     await consume(session, state, [])
     await consume(session, ChannelState(INFO, Policy(), create=False), items(1))
     assert len(session.attached) == len(session.consumer_places) == 1
@@ -124,7 +124,7 @@ async def test_a_renewal_that_fails_for_a_while_is_tried_again(session: Any, sta
     await session.attached[0].end()
 
 
-async def test_a_place_that_is_lost_is_not_renewed_and_may_be_taken_again(session: Any, state: ChannelState) -> None:
+async def test_a_lost_consumer_place_is_not_renewed_and_can_be_taken_again(session: Any, state: ChannelState) -> None:
     await consume(session, state, [])
     session.host.refusals = [st.ChannelFull("all places are taken")]
     async with asyncio.timeout(45):
@@ -135,26 +135,28 @@ async def test_a_place_that_is_lost_is_not_renewed_and_may_be_taken_again(sessio
     await session.attached[0].end()
 
 
-async def test_a_host_that_is_gone_does_not_hold_up_the_end(session: Any, state: ChannelState) -> None:
+async def test_a_connection_closes_without_waiting_for_a_lost_host(session: Any, state: ChannelState) -> None:
     await consume(session, state, [])
     session.host.refusals = [st.Unavailable("gone") for _ in range(10)]
     await session.attached[0].end()
 
 
-async def test_many_items_go_in_requests_of_a_size_that_hosts_take(session: Any, state: ChannelState) -> None:
+async def test_many_consumed_items_are_sent_in_requests_within_the_limit_of_hosts(
+    session: Any, state: ChannelState
+) -> None:
     assert await consume(session, state, items(*range(1, SEQS_MAX + 3))) == SEQS_MAX + 2
     assert [len(request.seqs) for request in session.host.requests] == [SEQS_MAX, 2]
     await session.attached[0].end()
 
 
-async def test_items_of_two_incarnations_are_told_apart(session: Any, state: ChannelState) -> None:
+async def test_consumed_items_of_two_incarnations_are_kept_apart(session: Any, state: ChannelState) -> None:
     await consume(session, state, [*items(1), *items(2, incarnation=8), *items(3)])
     told = [(request.incarnation, list(request.seqs)) for request in session.host.requests]
     assert told == [(7, [1, 3]), (8, [2])]
     await session.attached[0].end()
 
 
-async def test_only_items_are_taken(session: Any, state: ChannelState) -> None:
+async def test_consume_accepts_only_items(session: Any, state: ChannelState) -> None:
     with pytest.raises(st.InvalidArgument, match="give items"):
         await consume(session, state, [b"payload"])  # type: ignore[list-item]
     assert not session.host.requests

@@ -73,7 +73,7 @@ async def test_items_that_have_left_the_archive_do_not_hide_the_later_ones(archi
 
 @pytest.mark.parametrize("fails_at", range(1, 9))
 @pytest.mark.asyncio
-async def test_a_read_that_failed_loses_and_doubles_nothing(archive: Archive, fails_at: int) -> None:
+async def test_a_failed_read_neither_loses_nor_repeats_items(archive: Archive, fails_at: int) -> None:
     pages, found = pages_of(archive), list[int]()
     archive.fails_at = fails_at
     try:

@@ -162,7 +162,7 @@ async def test_a_gap_that_ends_inside_a_held_message_counts_all_items_that_never
     assert (await repaired(subscription), subscription.dropped) == ([*range(5, 20)], 4)
 
 
-async def test_a_gap_that_the_host_tells_again_is_counted_once(session: Session) -> None:
+async def test_a_gap_that_the_host_reports_again_is_counted_once(session: Session) -> None:
     subscription, stream = await followed(session)
     stream.responses.append(gap_of(1, 5))  # under way when the reader asks
     stream.answers = [gap_of(1, 7)]
@@ -195,7 +195,7 @@ async def test_a_step_that_is_cancelled_during_the_joining_ends_the_stream(
     assert (len(session.streams), subscription._receiving is None) == (2, False)
 
 
-async def test_a_step_that_is_cancelled_during_a_question_ends_the_stream(session: Session) -> None:
+async def test_a_step_that_is_cancelled_during_a_repair_ends_the_stream(session: Session) -> None:
     subscription, stream = await followed(session)
     asking = asyncio.create_task(repaired(subscription))
     while not any(request.HasField("repair_next_seq") for request in stream.requests):
@@ -206,7 +206,7 @@ async def test_a_step_that_is_cancelled_during_a_question_ends_the_stream(sessio
     assert (stream.cancelled, subscription._receiving) == (True, None)
 
 
-async def test_other_tasks_have_turns_although_datagrams_come_as_fast_as_the_reader_takes_them(
+async def test_other_tasks_run_even_if_datagrams_arrive_as_fast_as_the_reader_takes_them(
     session: Session,
 ) -> None:
     subscription, stream = await followed(session)
@@ -250,7 +250,7 @@ async def test_a_reader_ends_with_its_connection_although_datagrams_still_come(s
         await anext(subscription)
 
 
-async def test_a_dropped_subscription_needs_no_collector(session: Session) -> None:
+async def test_a_dropped_subscription_is_freed_without_the_garbage_collector(session: Session) -> None:
     subscription, _ = await followed(session)
     alive = weakref.ref(subscription)
     gc.collect()

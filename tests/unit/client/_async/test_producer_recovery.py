@@ -124,7 +124,7 @@ async def test_one_message_with_several_refusals_wakes_a_flush_that_waits() -> N
     assert producer.accepted == 3
 
 
-async def test_a_host_that_takes_and_answers_nothing_ends_a_put_with_its_time() -> None:
+async def test_a_put_to_a_host_that_does_not_answer_ends_at_its_timeout() -> None:
     """The host's process lives, so the connection lives, too; its event loop hangs."""
     place = Place()
     producer = await three_in_flight(place)
@@ -163,7 +163,7 @@ async def _streams(place: Place, count: int) -> None:
 
 
 @pytest.mark.parametrize("unacked", [0, 1], ids=["the first stream", "a later one"])
-async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over_and_harms_no_other(
+async def test_a_put_that_is_cancelled_while_its_stream_opens_sends_nothing_and_disturbs_no_other_put(
     unacked: int,
 ) -> None:
     """A fixed fault: the host rejected all later puts on the stream, because it had not received the first message."""
@@ -187,7 +187,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over
     assert b"cancelled" not in b"".join(put.run.payloads for sent in stream.sent for put in sent.puts)
 
 
-async def test_the_next_call_sends_the_runs_that_a_final_failure_left() -> None:
+async def test_after_a_final_failure_the_next_call_sends_the_unacknowledged_runs() -> None:
     """A fixed fault: every later call reported the failure, and the client never sent runs without an ack again."""
     place = Place()
     producer = await three_in_flight(place)
@@ -241,7 +241,7 @@ async def test_the_timeout_of_a_flush_holds_while_all_room_is_taken() -> None:
             await producer.flush(0.01)
 
 
-def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
+def test_the_retry_window_of_a_host_covers_all_runs_that_a_producer_may_send_again() -> None:
     """The client's bound on runs in flight and the host's window belong together."""
     from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX
     from stampede_rt.wire.delivered import RUN_ITEMS_MAX
@@ -256,7 +256,7 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     assert known.first_seq == 1
 
 
-async def test_runs_that_gather_while_one_waits_for_its_ack_go_out_together() -> None:
+async def test_runs_that_gather_while_one_waits_for_its_ack_are_sent_together() -> None:
     place = Place()
     producer = producer_at(place)
     for number in range(60):
@@ -272,7 +272,7 @@ async def test_runs_that_gather_while_one_waits_for_its_ack_go_out_together() ->
     assert items == 60
 
 
-async def test_large_items_are_joined_up_to_a_mebibyte_and_larger_ones_go_alone() -> None:
+async def test_large_items_are_joined_up_to_a_mebibyte_and_larger_ones_are_sent_separately() -> None:
     place = Place()
     producer = producer_at(place)
     for size in [300_000] * 7 + [JOINED_BYTES_MAX, 5]:
@@ -302,7 +302,7 @@ async def test_a_request_has_a_bounded_number_of_runs() -> None:
     assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, *[REQUEST_RUNS_MAX] * 3, 11]
 
 
-async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_requests_in_their_order() -> None:
+async def test_after_a_break_sent_and_gathered_runs_are_sent_in_full_requests_in_order() -> None:
     place = Place()
     producer = producer_at(place)
     for number in range(50):

@@ -63,7 +63,7 @@ async def test_a_channel_that_is_bound_anew_at_its_host_keeps_the_stream() -> No
     assert len(opened.streams) == 1
 
 
-async def test_a_stream_gives_way_to_a_faster_one_once_it_is_idle() -> None:
+async def test_a_faster_stream_replaces_one_that_has_become_idle() -> None:
     streams, opened = PutStreams(), Opened()
     with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as first:  # type: ignore[arg-type]
         opened.streams[0].is_outdated = True

@@ -77,7 +77,7 @@ async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_onc
     assert (one.reconnects, one.connected) == (1, True)
 
 
-async def test_it_gives_up_when_its_time_is_over_and_the_next_call_has_the_whole_time_again(clock: Clock) -> None:
+async def test_reconnecting_ends_at_its_time_limit_and_the_next_call_has_the_whole_limit_again(clock: Clock) -> None:
     one = made("2s")
     await one.open(Opening())
     for _ in range(2):
@@ -89,7 +89,7 @@ async def test_it_gives_up_when_its_time_is_over_and_the_next_call_has_the_whole
     await one.open(Opening())
 
 
-async def test_it_does_not_try_again_while_its_connection_closes(clock: Clock) -> None:
+async def test_reconnecting_ends_when_its_connection_closes(clock: Clock) -> None:
     one = made(held=True)
     one._session.closing = True
     opening = Opening(st.Unavailable("this connection is closed"))
@@ -98,7 +98,7 @@ async def test_it_does_not_try_again_while_its_connection_closes(clock: Clock) -
     assert (len(opening.allowed_s), clock.slept) == (1, [])
 
 
-async def test_with_a_time_limit_of_zero_it_tries_once(clock: Clock) -> None:
+async def test_reconnecting_with_a_time_limit_of_zero_tries_once(clock: Clock) -> None:
     one = made("0s", held=True)
     opening = Opening(st.Unavailable("down"), st.Unavailable("down"))
     with pytest.raises(st.Unavailable):

@@ -162,7 +162,7 @@ async def seq_of(get: Any) -> int:
     return int(message.seq)
 
 
-async def test_as_much_is_asked_for_as_is_waited_for() -> None:
+async def test_a_taker_asks_for_one_message_for_each_waiting_caller() -> None:
     host = Host()
     taker = taker_at(host)
     first = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -219,7 +219,7 @@ async def test_the_next_stream_serves_a_waiting_caller_after_the_drain_for_anoth
     assert await seq_of(waiting) == 1
 
 
-async def test_a_message_that_came_as_its_wait_was_cancelled_is_given_back() -> None:
+async def test_a_message_that_arrives_while_its_wait_is_cancelled_is_given_back() -> None:
     host = Host()
     taker = taker_at(host)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -280,7 +280,7 @@ async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_fo
     assert await seq_of(poll) == 1
 
 
-async def test_prefetched_messages_are_extended_while_others_are_taken_and_go_back_when_none_is() -> None:
+async def test_prefetched_messages_are_extended_while_the_program_takes_messages_and_given_back_otherwise() -> None:
     """A fixed fault: the leases of prefetched messages ended while their taker worked on the messages before them."""
     host = Host()
     taker = taker_at(host, prefetch=3)
@@ -295,7 +295,7 @@ async def test_prefetched_messages_are_extended_while_others_are_taken_and_go_ba
     assert (host.extended, host.given_back) == ([3], [3])
 
 
-async def test_waiting_callers_go_on_after_their_stream_broke() -> None:
+async def test_waiting_callers_continue_after_a_break_of_their_stream() -> None:
     host = Host()
     taker = taker_at(host)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -347,7 +347,7 @@ async def test_a_stream_that_opens_after_its_handle_was_closed_is_drained(monkey
     assert host.given_back == [4]
 
 
-async def test_all_waiting_callers_hear_that_their_queue_is_gone() -> None:
+async def test_all_waiting_callers_get_the_error_that_their_queue_is_deleted() -> None:
     host = Host()
     taker = taker_at(host)
     gets = [asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(2)]
@@ -359,7 +359,7 @@ async def test_all_waiting_callers_hear_that_their_queue_is_gone() -> None:
     assert host.attached == []
 
 
-async def test_prefetched_messages_whose_leases_have_ended_are_passed_over() -> None:
+async def test_a_taker_skips_prefetched_messages_whose_leases_have_ended() -> None:
     host = Host()
     taker = taker_at(host, prefetch=4)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -387,7 +387,7 @@ async def test_prefetched_messages_are_given_back_at_the_end() -> None:
         await taker.get(FOR_EVER)
 
 
-async def test_a_connection_that_closes_says_that_it_is_closed_and_not_its_handle() -> None:
+async def test_after_the_close_of_a_connection_the_error_names_the_connection_and_not_the_handle() -> None:
     host = Host()
     taker = taker_at(host)
     host.closing = True
@@ -396,7 +396,7 @@ async def test_a_connection_that_closes_says_that_it_is_closed_and_not_its_handl
         await taker.get(FOR_EVER)
 
 
-async def test_more_messages_than_were_granted_are_refused_and_none_is_kept() -> None:
+async def test_if_a_host_sends_more_messages_than_granted_all_of_them_are_refused() -> None:
     host = Host()
     taker = taker_at(host, prefetch=8)
     get = asyncio.ensure_future(taker.get(FOR_EVER))

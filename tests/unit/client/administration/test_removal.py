@@ -88,7 +88,7 @@ def removed(failures: list[Failure], monkeypatch: pytest.MonkeyPatch) -> Stamped
 
 
 @pytest.mark.parametrize("first", [answered(AMBIGUOUS), BROKEN, LATE])
-def test_a_removal_that_may_be_in_the_log_is_reported_as_unknown(
+def test_a_removal_that_may_be_in_the_log_is_reported_with_an_unknown_outcome(
     first: Failure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error = removed([first, answered(NO_LEADER)], monkeypatch)
@@ -98,7 +98,7 @@ def test_a_removal_that_may_be_in_the_log_is_reported_as_unknown(
 
 
 @pytest.mark.parametrize("first", [answered(NO_QUORUM), answered(NO_LEADER), REFUSED])
-def test_a_removal_that_no_supernode_took_is_not_reported_as_unknown(
+def test_a_removal_that_no_supernode_received_is_not_reported_with_an_unknown_outcome(
     first: Failure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error = removed([first, answered(NO_LEADER)], monkeypatch)

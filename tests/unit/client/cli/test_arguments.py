@@ -15,6 +15,6 @@ def test_a_timeout_is_a_duration_or_a_number_of_seconds(text: str, seconds: floa
 
 
 @pytest.mark.parametrize("text", ["", "soon", "1 fortnight", "inf", "nan", "-1"])
-def test_a_timeout_without_meaning_is_refused(text: str) -> None:
+def test_an_invalid_timeout_is_refused(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError):
         timeout_seconds(text)

@@ -30,7 +30,7 @@ def test_drops_are_zero_after_a_slow_reader_has_left() -> None:
     assert rates_of({"a": ("h1", slow)}, {"a": ("h1", gone)})[0].dropped == 0
 
 
-def test_a_new_channel_and_one_that_has_begun_anew_have_no_rates_yet() -> None:
+def test_a_new_channel_and_one_with_a_new_incarnation_have_no_rates_yet() -> None:
     anew = replace(STATS, incarnation=8, accepted=5, newest=None)
     for before in ({}, {"a": ("h1", STATS)}):
         (row,) = rates_of(before, {"a": ("h2", anew)})

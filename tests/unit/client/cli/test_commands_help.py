@@ -75,7 +75,7 @@ def modules_of(*words: str) -> int:
     return int(done.stderr)
 
 
-def test_help_loads_few_modules_so_that_it_comes_at_once() -> None:
+def test_help_loads_few_modules_so_that_it_is_fast() -> None:
     assert modules_of("--help") < HELP_MODULES_MAX
     assert modules_of("get", "--help") < VERB_MODULES_MAX
 

@@ -64,7 +64,7 @@ def test_an_address_of_its_own_uses_no_context_and_the_variable_chooses_for_one_
         applied(folder, STAMPEDE_CONTEXT="none")
 
 
-def test_a_kept_secret_is_for_its_owner_alone_and_is_never_printed(
+def test_only_its_owner_can_read_a_kept_secret_and_it_is_never_printed(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     source = tmp_path / "in"
@@ -115,7 +115,7 @@ def contexts_of(text: str) -> bytes:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("words", [["context", "use", "x"], ["context", "ls"], ["ls"]])
-def test_a_file_of_contexts_that_a_person_has_damaged_is_refused_with_the_reason(
+def test_a_damaged_file_of_contexts_is_refused_with_the_reason(
     folder: Path, text: bytes, why: str, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_contexts(folder, text)
@@ -161,7 +161,7 @@ def test_a_user_without_a_home_folder_has_no_contexts_and_no_secret(monkeypatch:
         (["rm", "x"], "there is no context 'x'"),
     ],
 )
-def test_wrong_use_changes_nothing(
+def test_a_verb_with_wrong_arguments_changes_no_context(
     folder: Path, words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["context", *words]) == 2

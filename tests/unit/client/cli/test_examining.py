@@ -16,7 +16,7 @@ def answer(address: str) -> PartAnswer:
     return PartAnswer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
 
 
-def test_a_copy_of_a_member_at_another_members_address_does_not_speak_for_the_member() -> None:
+def test_the_answer_of_a_copy_at_another_members_address_does_not_count_for_the_member() -> None:
     listed = {"s1:1": "s1", "s2:1": "s2"}
     assert _refused_by(answer("s2:1"), listed) == {}
     assert _refused_by(answer("s1:1"), listed) == REFUSED

@@ -28,9 +28,7 @@ def answer(name: str, cluster_id: str | None) -> PartAnswer:
         ((None, None, None), ""),
     ],
 )
-def test_the_cluster_of_most_supernodes_is_the_one_that_is_looked_at(
-    clusters: tuple[str | None, ...], strangers: str
-) -> None:
+def test_doctor_examines_the_cluster_of_most_supernodes(clusters: tuple[str | None, ...], strangers: str) -> None:
     answers = [answer(name, cluster_id) for name, cluster_id in zip("abc", clusters, strict=True)]
     own_id = _cluster_of_most(answers)
     assert "".join(one.seen.name for one in answers if _of_others(one, own_id)) == strangers

@@ -98,7 +98,7 @@ def test_a_second_ctrl_c_ends_the_work_at_once() -> None:
     assert ended(program) == (130, "")
 
 
-def test_work_goes_on_where_ctrl_c_is_ignored() -> None:
+def test_work_continues_if_ctrl_c_is_ignored() -> None:
     program = """
     def work():
         ctrl_c()
@@ -111,7 +111,7 @@ def test_work_goes_on_where_ctrl_c_is_ignored() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_command_that_unwinds_gets_one_keyboard_interrupt(number: signal.Signals) -> None:
+def test_a_command_that_is_ending_gets_only_one_keyboard_interrupt(number: signal.Signals) -> None:
     program = f"""
     try:
         with interrupts.unwinding(signal.SIGINT, signal.SIGTERM):

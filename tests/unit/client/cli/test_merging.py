@@ -30,7 +30,7 @@ def all_of(merge: TimeMerge, now_s: float) -> list[MergedItem]:
     return found
 
 
-def test_an_item_waits_for_a_channel_without_items_but_not_longer_than_said() -> None:
+def test_an_item_waits_for_a_channel_without_items_at_most_for_the_stated_time() -> None:
     merge = merge_of("a", "b")
     merge.offer("a", item(5))
     assert merge.take(0.9) is None
@@ -38,14 +38,14 @@ def test_an_item_waits_for_a_channel_without_items_but_not_longer_than_said() ->
     assert merge.take(1.0) == ("a", item(5), False)
 
 
-def test_a_quiet_channel_does_not_slow_down_the_others() -> None:
+def test_a_quiet_channel_does_not_delay_the_others() -> None:
     merge = merge_of("a", "quiet")
     for time in range(10):
         merge.offer("a", item(time))
     assert [one.item.time for one in all_of(merge, 1.5)] == list(range(10))
 
 
-def test_an_item_before_a_printed_one_is_late_and_comes_at_once() -> None:
+def test_an_item_with_an_earlier_time_than_a_printed_one_is_late_and_printed_at_once() -> None:
     merge = merge_of("a", "b")
     merge.offer("a", item(5))
     assert [one.late for one in all_of(merge, 1.0)] == [False]
@@ -62,7 +62,7 @@ def test_a_channel_that_has_ended_is_not_waited_for() -> None:
     assert [one.item.time for one in all_of(merge, 0.0)] == [1, 7]
 
 
-def test_a_channel_has_room_for_so_many_items_and_bytes_and_always_for_one() -> None:
+def test_each_channel_has_room_for_a_limited_number_of_items_and_bytes_and_always_for_one_item() -> None:
     merge = merge_of("many", "long")
     for time in range(CHANNEL_ITEMS_MAX):
         assert merge.has_room("many")
@@ -74,7 +74,7 @@ def test_a_channel_has_room_for_so_many_items_and_bytes_and_always_for_one() -> 
 
 
 @given(some.dictionaries(some.sampled_from("abcd"), some.lists(some.integers(0, 50), max_size=30), min_size=1))
-def test_channels_in_the_order_of_time_come_out_in_the_order_of_time_and_none_is_late(
+def test_channels_in_order_of_time_are_printed_in_order_of_time_without_late_items(
     times: dict[str, list[int]],
 ) -> None:
     merge = merge_of(*times)

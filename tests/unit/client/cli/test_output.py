@@ -20,5 +20,5 @@ SECOND = 1_000_000_000
         (Policy(max_items=10, replicas=1), "10 items, 1 replica (ack host)"),
     ],
 )
-def test_a_policy_tells_the_default_if_it_states_no_limit(policy: Policy, text: str) -> None:
+def test_the_text_of_a_policy_without_limits_names_the_default(policy: Policy, text: str) -> None:
     assert policy_text(policy) == text

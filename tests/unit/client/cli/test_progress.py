@@ -12,7 +12,7 @@ def test_a_bar_shows_the_done_share() -> None:
     assert progress_line(7.0, "", 80).startswith("[########################] 100%")
 
 
-def test_without_a_known_whole_the_line_is_the_text_within_the_width() -> None:
+def test_without_a_known_total_the_progress_line_is_the_text_within_the_width() -> None:
     assert progress_line(None, "x" * 100, 40) == "x" * 39
 
 

@@ -70,7 +70,7 @@ def test_ctrl_c_ends_the_wait_for_a_payload_and_nothing_is_put() -> None:
 
 
 @pytest.mark.parametrize(("typed", "lines"), [("a\n\nb", [b"a", b"", b"b"]), ("", []), ("\n", [b""])])
-def test_lines_are_those_up_to_the_end_of_the_input(typed: str, lines: list[bytes]) -> None:
+def test_all_lines_up_to_the_end_of_the_input_are_read(typed: str, lines: list[bytes]) -> None:
     assert ended("run(lambda: print(list(read_lines())) or 0)", typed, closed=True) == (0, f"{lines}\n")
 
 

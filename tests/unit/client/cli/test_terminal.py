@@ -27,7 +27,7 @@ def item(payload: bytes, **fields: object) -> Item:
     return Item(**{name: (known | fields).get(name) for name in Item._fields})
 
 
-def test_text_that_prints_is_left_as_it_is() -> None:
+def test_printable_text_is_unchanged() -> None:
     assert escaped("Grüße, 世界 \\n") == "Grüße, 世界 \\n"
 
 
@@ -53,7 +53,7 @@ def test_a_line_of_text_is_shown_with_its_newline_escaped() -> None:
     assert preview(b"text\n", 5, "") == "text\\n"
 
 
-def test_bytes_that_are_no_text_are_counted() -> None:
+def test_bytes_that_are_no_text_are_shown_as_their_number() -> None:
     assert preview(b"\xff\xd8", 2, "image/jpeg") == "[2 bytes image/jpeg]"
     assert preview(b"\0\1", 2, "") == "[2 bytes]"
 
@@ -76,7 +76,7 @@ def test_a_table_is_wrapped_to_the_terminals_width() -> None:
     assert " ".join(" ".join(lines).split()).count("consumers") == 1
 
 
-def test_a_table_of_many_columns_becomes_lines_of_a_head_and_a_value_in_a_narrow_terminal() -> None:
+def test_in_a_narrow_terminal_a_table_of_many_columns_becomes_lines_of_name_and_value() -> None:
     heads = ["CHANNEL", "HOST", "KEEPS", "EPOCH", "CREATED BY", "HELD", "HELD BYTES", "ACCEPTED"]
     row = ["cam/left", "h1", "10 s, 300 items and 256.0 MiB", "1", "@10.0.0.3", "300", "1234567890", "123456"]
     lines = table_lines([heads, row, row], [False] * 3 + [True] * 5, 40)

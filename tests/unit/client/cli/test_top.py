@@ -29,7 +29,7 @@ def test_a_filter_is_typed_erased_kept_and_cleared() -> None:
     assert pressed("/a\x00\x07b").filter == "ab"
 
 
-def test_a_narrower_terminal_shows_fewer_columns_and_always_half_a_name_or_32_characters() -> None:
+def test_a_narrower_terminal_shows_fewer_columns_and_at_least_half_of_each_name_or_32_characters() -> None:
     former: set[str] = set()
     for terminal in range(24, 200):
         heads = fitting_heads(terminal, longest_name=60)
@@ -42,5 +42,5 @@ def test_a_narrower_terminal_shows_fewer_columns_and_always_half_a_name_or_32_ch
     assert fitting_heads(40, 60) == ("ITEMS/S",)
 
 
-def test_short_names_leave_their_room_to_more_columns() -> None:
+def test_short_names_leave_room_for_more_columns() -> None:
     assert len(fitting_heads(100, 8)) > len(fitting_heads(100, 40))

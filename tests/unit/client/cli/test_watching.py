@@ -43,7 +43,7 @@ def told(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list
     return [rows.get() for _ in range(rows.qsize())]
 
 
-def test_after_a_restart_the_watch_reports_the_differences_to_the_list_and_goes_on() -> None:
+def test_after_a_restart_a_watch_reports_the_differences_and_continues() -> None:
     *rows, error = told(
         ([channel("kept"), channel("gone"), channel("moved")], [
             Change(index=5, kind="added", subject=channel("late")), WatchRestart("begin anew")
@@ -60,7 +60,7 @@ def test_after_a_restart_the_watch_reports_the_differences_to_the_list_and_goes_
     assert isinstance(error, Unavailable)
 
 
-def test_watches_hear_of_a_lost_host_but_not_of_a_reported_load() -> None:
+def test_a_watch_reports_a_lost_host_but_not_a_changed_load() -> None:
     def host(alive: bool, channels: int) -> HostInfo:
         return HostInfo(host_id=b"h", name="host", endpoints=("a:1",), alive=alive, channels=channels, version="")
 

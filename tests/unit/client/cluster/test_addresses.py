@@ -13,7 +13,7 @@ from stampede_rt.cluster.connecting import parse_target
 @pytest.mark.parametrize(
     "target", ["localhost:7580", "LOCALHOST:7580", "127.0.0.1:1", "127.8.0.1:1", "[::1]:1", "unix:/x"]
 )
-def test_a_place_on_this_machine_alone_is_known_as_such(target: str) -> None:
+def test_a_loopback_address_is_recognised(target: str) -> None:
     assert is_loopback(target)
 
 

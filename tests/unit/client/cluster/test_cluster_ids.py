@@ -39,7 +39,7 @@ def test_only_the_successor_of_a_cluster_and_one_in_memory_after_another_take_ov
     assert may_change_to(own, to, former) is may
 
 
-def test_a_caller_stays_with_its_cluster_as_long_as_that_one_answers() -> None:
+def test_a_caller_stays_with_its_cluster_as_long_as_this_cluster_answers() -> None:
     successor = ClusterSeen("y", ("x",))
     assert cluster_among("x", [successor, ClusterSeen("x")]) == "x"
     assert cluster_among("x", [ClusterSeen("z"), successor]) == "y"
@@ -47,7 +47,7 @@ def test_a_caller_stays_with_its_cluster_as_long_as_that_one_answers() -> None:
     assert cluster_among("", [ClusterSeen(""), ClusterSeen("z")]) == "z"
 
 
-def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
+def test_a_call_names_the_callers_cluster_once_the_caller_knows_it() -> None:
     metadata = CallMetadata(lambda: "s")
     assert metadata() == (("authorization", "Bearer s"),)
     metadata.cluster_id = "x"
@@ -56,14 +56,14 @@ def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
     assert (named_cluster(None), cluster_metadata("")) == ("", ())
 
 
-def test_the_refusal_names_both_clusters_and_the_way_out_and_shows_no_endless_id() -> None:
+def test_the_refusal_names_both_clusters_and_a_remedy_and_cuts_a_long_id() -> None:
     error = wrong_cluster("this supernode", "y", "x" * 1000)
     for part in ("of cluster y", f"of cluster {'x' * 64};", "remove the file cluster-id"):
         assert part in error.message
     assert error.metadata == {"cluster_id": "y"}
 
 
-def test_a_supernode_of_another_cluster_counts_like_a_silent_one() -> None:
+def test_a_supernode_of_another_cluster_counts_as_one_that_does_not_answer() -> None:
     answering = Unavailable("no majority of the supernodes answered", reason="NO_QUORUM")
     told = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
     assert told is answering
@@ -71,7 +71,7 @@ def test_a_supernode_of_another_cluster_counts_like_a_silent_one() -> None:
     assert "1 of 3 supernodes answer, 2 must answer (b is of another cluster, c is of another cluster)" in told.message
 
 
-def test_a_client_whose_supernodes_all_belong_to_another_cluster_is_told_so() -> None:
+def test_the_error_says_that_all_supernodes_belong_to_another_cluster() -> None:
     failures: dict[str, StampedeError] = {"a": STRANGER, "b": STRANGER}
     assert why_unserved(failures, 2) is STRANGER
     assert why_unserved({"a": STRANGER}, 1) is STRANGER

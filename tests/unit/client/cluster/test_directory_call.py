@@ -41,7 +41,7 @@ def test_a_round_asks_each_supernode_once_in_order() -> None:
     assert asked(call, dict.fromkeys("abc", unreached())) == ["a", "b", "c"]
 
 
-def test_the_leader_that_a_supernode_names_is_asked_next_and_once() -> None:
+def test_a_call_asks_the_leader_that_a_supernode_names_next_and_only_once() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["a", "b", "c"], 2.5)
     names_c = NotLeader("c leads", metadata={"leader_endpoint": "c"})
@@ -49,7 +49,7 @@ def test_the_leader_that_a_supernode_names_is_asked_next_and_once() -> None:
     assert asked(call, {"a": names_c, "b": names_c, "c": names_a}) == ["a", "c", "b"]
 
 
-def test_a_call_follows_only_so_many_hints_from_one_supernode_to_the_next() -> None:
+def test_a_call_follows_a_limited_number_of_leader_hints() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["0"], 2.5)
     names = {str(one): NotLeader("not me", metadata={"leader_endpoint": str(one + 1)}) for one in range(200)}
@@ -64,7 +64,7 @@ def test_an_attempt_has_its_share_of_the_time_that_is_left() -> None:
     assert call.next_attempt(10.0) is None
 
 
-def test_an_answer_that_no_supernode_would_change_ends_the_call() -> None:
+def test_an_error_that_all_supernodes_would_give_ends_the_call() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["a", "b"], 2.5)
     call.next_attempt(0.0)
@@ -72,7 +72,7 @@ def test_an_answer_that_no_supernode_would_change_ends_the_call() -> None:
         call.failed("a", ChannelNotFound("there is no channel cam"))
 
 
-def test_the_failures_of_all_rounds_tell_whether_a_majority_is_missing() -> None:
+def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> None:
     call = DirectoryCall(deadline_s=10.0)
     for target in "ab":
         call.begin_round([target], 2.5)
@@ -97,7 +97,7 @@ def test_the_error_gives_the_reason_of_a_forgotten_supernode_if_it_has_no_other(
     ("error", "passes"),
     [(unreached(), True), (DeadlineExceeded("late"), True), (ChannelNotFound("none"), False)],
 )
-def test_a_call_that_failed_for_a_passing_reason_is_tried_again(error: StampedeError, passes: bool) -> None:
+def test_a_call_with_a_temporary_failure_is_tried_again(error: StampedeError, passes: bool) -> None:
     assert may_pass(error) is passes
 
 
@@ -106,12 +106,12 @@ def test_only_a_supernode_that_does_not_lead_names_the_leader() -> None:
     assert leader_hint(NotLeader("no")) == leader_hint(unreached()) == ""
 
 
-def test_front_ends_share_the_time() -> None:
+def test_the_attempts_at_several_front_ends_share_the_time_of_the_call() -> None:
     assert [frontend_timeout_s(6.0, left) for left in (3, 2, 1)] == [2.0, 3.0, 6.0]
     assert frontend_timeout_s(-1.0, 2) == 0.1
 
 
-def test_a_front_end_of_another_protocol_is_refused() -> None:
+def test_a_client_refuses_a_front_end_of_another_protocol() -> None:
     check_frontend("f:1", PROTOCOL_VERSION, "9.9", caller="client", caller_version="1.0")
     with pytest.raises(VersionMismatch, match="the front-end f:1 speaks protocol 99"):
         check_frontend("f:1", 99, "9.9", caller="client", caller_version="1.0")

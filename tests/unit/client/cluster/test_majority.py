@@ -36,13 +36,13 @@ def test_a_supernode_that_is_down_does_not_hide_the_answers_of_two_that_run() ->
     assert told({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
 
 
-def test_a_silent_supernode_counts_like_one_that_is_gone() -> None:
+def test_a_silent_supernode_counts_as_one_that_is_down() -> None:
     said = told({"a": DeadlineExceeded("late"), "b": gone("b"), "c": gone("c")})
     assert "0 of 3 supernodes answer" in said
     assert "a did not answer in time, b cannot be reached" in said
 
 
-def test_an_update_that_may_be_done_is_never_reported_as_one_that_is_not() -> None:
+def test_an_update_that_may_have_been_performed_is_never_reported_as_failed() -> None:
     unknown = Unavailable("nobody said whether it is done", reason="AMBIGUOUS")
     assert told({"a": unknown, "b": gone("b"), "c": gone("c")}).startswith("AMBIGUOUS")
 

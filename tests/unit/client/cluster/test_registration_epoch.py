@@ -19,7 +19,7 @@ def test_a_process_that_has_just_started_takes_a_number_above_every_other() -> N
     assert epoch.value == 5
 
 
-def test_a_process_that_was_registered_gives_way_to_a_newer_one_that_lives() -> None:
+def test_a_registered_process_stops_if_a_newer_live_one_has_registered() -> None:
     epoch = RegistrationEpoch()
     epoch.note_registered()
     assert not epoch.may_overtake(refusal(1, alive=True))
@@ -28,7 +28,7 @@ def test_a_process_that_was_registered_gives_way_to_a_newer_one_that_lives() -> 
     assert epoch.value == 2
 
 
-def test_only_a_process_with_a_higher_number_has_taken_the_place() -> None:
+def test_only_a_process_with_a_higher_epoch_counts_as_the_newer_one() -> None:
     """A directory that was restored from a backup may know an older process only."""
     epoch = RegistrationEpoch()
     epoch.may_overtake(refusal(3, alive=True))

@@ -54,7 +54,7 @@ def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: 
         assert verify(saved).intact
 
 
-def test_a_flipped_bit_costs_its_chunk_only_and_the_gap_names_its_items(whole: Path, tmp_path: Path) -> None:
+def test_a_flipped_bit_loses_only_its_chunk_and_a_gap_names_the_lost_items(whole: Path, tmp_path: Path) -> None:
     content, ends = whole.read_bytes(), chunk_ends(whole)
     flipped, saved = tmp_path / "flipped.mcap", tmp_path / "saved.mcap"
     drawn = random.Random(7)
@@ -74,7 +74,7 @@ def test_a_flipped_bit_costs_its_chunk_only_and_the_gap_names_its_items(whole: P
         assert bool(lost) <= bool(report.damages)
 
 
-def test_flipped_bits_anywhere_never_end_in_another_error(whole: Path, tmp_path: Path) -> None:
+def test_flipped_bits_cause_only_the_documented_errors(whole: Path, tmp_path: Path) -> None:
     content, drawn = whole.read_bytes(), random.Random(3)
     flipped, saved = tmp_path / "flipped.mcap", tmp_path / "saved.mcap"
     for _ in range(25):
@@ -86,7 +86,7 @@ def test_flipped_bits_anywhere_never_end_in_another_error(whole: Path, tmp_path:
         assert verify(saved).intact
 
 
-def test_verify_finds_items_that_the_summary_has_and_the_file_has_not(whole: Path, tmp_path: Path) -> None:
+def test_verify_finds_items_that_the_summary_counts_but_the_file_lacks(whole: Path, tmp_path: Path) -> None:
     content, ends = whole.read_bytes(), chunk_ends(whole)
     shorter = tmp_path / "shorter.mcap"
     shorter.write_bytes(content[: ends[3]] + content[ends[4] :])
@@ -101,7 +101,7 @@ def test_recover_does_not_write_over_its_source_or_another_file(whole: Path, tmp
         recover(whole, write(tmp_path / "b.mcap", []))
 
 
-def test_a_cut_keeps_items_gaps_and_advances_of_its_time(tmp_path: Path) -> None:
+def test_cutting_a_file_keeps_the_items_gaps_and_advances_of_the_interval(tmp_path: Path) -> None:
     events = [
         *entries("cam", range(1, 21)), gap("cam", 21, 25), *entries("cam", range(26, 41)),
         FileAdvance("cam", INCARNATION, START + 41 * MS, 40), gap("cam", 41, 50), *entries("cam", range(51, 61)),
@@ -128,7 +128,7 @@ def test_a_damaged_file_is_recovered_before_it_is_cut(whole: Path, tmp_path: Pat
         cut(torn, tmp_path / "b.mcap", start=0, end=1)
 
 
-def test_merged_files_have_each_item_once_and_fill_each_others_gaps(tmp_path: Path) -> None:
+def test_merging_files_keeps_each_item_once_and_fills_gaps(tmp_path: Path) -> None:
     one = write(
         tmp_path / "1.mcap", [*entries("cam", range(1, 41)), gap("cam", 41, 60), *entries("cam", range(61, 81))]
     )

@@ -123,7 +123,7 @@ def test_gaps_of_the_file_are_reported(tmp_path: Path) -> None:
         (npy(0).replace(b"()", b"(9" + b"9" * 12 + b",)").replace(b" " * 14, b"", 1), NPY, "does not fit its length"),
     ],
 )
-def test_a_value_that_no_table_takes_is_named_with_its_channel_and_seq(
+def test_the_error_for_a_value_that_fits_no_table_names_its_channel_and_seq(
     tmp_path: Path, payload: bytes, kind: str, why: str
 ) -> None:
     path = file_of(tmp_path / "a.mcap", [payload], kind)
@@ -132,7 +132,7 @@ def test_a_value_that_no_table_takes_is_named_with_its_channel_and_seq(
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_halves_of_surrogates_and_great_numbers_do_not_end_an_export(tmp_path: Path) -> None:
+def test_an_export_accepts_lone_surrogates_and_very_large_numbers(tmp_path: Path) -> None:
     path = file_of(tmp_path / "a.mcap", [b'{"\\ud800":"\\udfff","n":%d,"l":[%d]}' % (2**70, 2**70)], JSON)
     for form in ("csv", "parquet"):
         export(path, tmp_path / f"a.{form}", form)

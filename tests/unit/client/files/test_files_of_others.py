@@ -25,7 +25,7 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return next(rosbag(tmp_path / "bag", StoragePlugin.MCAP).glob("*.mcap"))
 
 
-def test_a_file_of_another_writer_is_read_whole(foreign: Path) -> None:
+def test_a_file_of_another_writer_is_read_completely(foreign: Path) -> None:
     events, damages = read(foreign)
     assert not damages
     found = [event for event in events if isinstance(event, FileEntry)]

@@ -27,7 +27,7 @@ STRANGE = [
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_everything_that_an_item_has_comes_back(tmp_path: Path, compression: str) -> None:
+def test_a_read_item_has_all_fields_of_the_written_one(tmp_path: Path, compression: str) -> None:
     advance, missing = FileAdvance("cam", INCARNATION, START + 5, 2**32 + 5), gap("cam", 2, 2**32 + 4)
     events = [item_entry(topic(), STRANGE[0]), missing, *(item_entry(topic(), one) for one in STRANGE[1:3]), advance]
     events += [item_entry(topic(), one) for one in STRANGE[3:]]
@@ -83,7 +83,7 @@ def test_a_file_of_another_writer_has_messages_without_facts(tmp_path: Path) -> 
     ]
 
 
-def test_facts_that_another_program_has_moved_are_not_given_to_other_items(tmp_path: Path) -> None:
+def test_facts_that_another_program_has_moved_are_not_applied_to_other_items(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [item_entry(topic(), item(seq, duration=seq)) for seq in range(1, 5)])
     moved = tmp_path / "moved.mcap"
     with path.open("rb") as file, moved.open("wb") as out:
@@ -102,7 +102,7 @@ def test_facts_that_another_program_has_moved_are_not_given_to_other_items(tmp_p
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"#ROSBAG V2.0\n", b"not a file of ours" * 10])
-def test_a_foreign_file_is_refused_with_a_way_out(tmp_path: Path, content: bytes) -> None:
+def test_the_error_for_a_foreign_file_names_a_remedy(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(FileError, match=r"is no MCAP file.*stampede import"):
@@ -125,7 +125,7 @@ def test_a_chunk_that_would_fill_the_memory_counts_as_damage(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4"])
-def test_a_chunk_that_lies_about_its_length_is_not_unpacked_further(tmp_path: Path, kind: str) -> None:
+def test_a_chunk_is_not_unpacked_beyond_its_stated_length(tmp_path: Path, kind: str) -> None:
     content = write(tmp_path / "a.mcap", entries("cam", range(1, 500)), chunk_items=500, compression=kind).read_bytes()
     place = content.index(b"\x04\x00\x00\x00zstd" if kind == "zstd" else b"\x03\x00\x00\x00lz4") - 12
     told = struct.unpack_from("<Q", content, place)[0]
@@ -147,7 +147,7 @@ def test_a_chunk_that_lies_about_its_length_is_not_unpacked_further(tmp_path: Pa
         json.dumps({"version": 1, "runs": [], "gaps": [7], "advances": []}).encode(),
     ],
 )
-def test_hostile_facts_are_damage_and_nothing_worse(tmp_path: Path, facts: bytes) -> None:
+def test_hostile_facts_are_reported_as_damage(tmp_path: Path, facts: bytes) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -159,7 +159,7 @@ def test_hostile_facts_are_damage_and_nothing_worse(tmp_path: Path, facts: bytes
     assert damages
 
 
-def test_runs_that_promise_more_items_than_there_are_cost_nothing(tmp_path: Path) -> None:
+def test_a_run_that_claims_too_many_items_allocates_no_memory(tmp_path: Path) -> None:
     run = {"topic": "cam", "incarnation": "1", "first_seq": 1, "count": 10**18, "content_type": "", "attributes": {}}
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:

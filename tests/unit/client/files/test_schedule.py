@@ -20,12 +20,12 @@ def test_a_shifted_item_is_never_ahead_of_the_clock_and_never_further_behind_tha
         assert 0 <= behind <= plan.lag_nanos
 
 
-def test_distances_between_items_stay() -> None:
+def test_a_shift_keeps_the_distances_between_items() -> None:
     plan = Schedule.plan(5, 60 * SECOND, 3, "now", NOW)
     assert plan.shifted(20) - plan.shifted(7) == 13
 
 
-def test_without_a_shift_times_stay_and_a_duration_moves_them() -> None:
+def test_without_a_shift_times_are_unchanged_and_a_shift_adds_its_duration() -> None:
     assert Schedule.plan(0, 1, 1, None, NOW).shifted(7) == 7
     assert Schedule.plan(0, 1, 1, parse_shift("-1s"), NOW).shifted(7) == 7 - SECOND
     assert Schedule.plan(0, 1, 1, parse_shift("292y") if False else 2**63 - 1, NOW).shifted(7) == 2**63 - 1
@@ -49,7 +49,7 @@ def test_a_new_channel_has_the_recorded_policy_and_keeps_late_times() -> None:
     "hostile",
     [{"max_items": -1}, {"max_items": "7"}, {"max_items": True}, {"content_type": "é"}, {"overlap_nanos": 2**70}],
 )
-def test_a_policy_that_no_channel_can_have_is_left_out(hostile: dict[str, object]) -> None:
+def test_an_invalid_recorded_policy_is_ignored(hostile: dict[str, object]) -> None:
     found = target_policy(hostile, True, 0)
     assert {key: value for key, value in found.items() if value is not None} == {"max_bytes": 256 * 1024 * 1024}
 
@@ -63,7 +63,7 @@ def test_a_topic_becomes_a_name_that_a_channel_may_have(topic: str, name: str) -
     assert len(channel_name(topic, "replay/")) <= 128
 
 
-def test_stars_and_question_marks_match_and_nothing_else_does() -> None:
+def test_only_stars_and_question_marks_are_wildcards() -> None:
     chosen = matches_any(["rig/*", "ca?", "[x]"])
     assert [name for name in ("rig/a/b", "cam", "came", "x", "[x]", "rig") if chosen(name)] == ["rig/a/b", "cam", "[x]"]
     assert matches_any(None)("anything")

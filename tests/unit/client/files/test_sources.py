@@ -38,7 +38,7 @@ def test_a_late_item_keeps_its_place_behind_the_items_before_it(tmp_path: Path) 
     assert played(write(tmp_path / "a.mcap", events)) == [("cam", seq) for seq in range(1, 40)]
 
 
-def test_gaps_and_advances_keep_their_places_also_in_chunks_of_other_channels(tmp_path: Path) -> None:
+def test_gaps_and_advances_keep_their_positions_even_between_chunks_of_other_channels(tmp_path: Path) -> None:
     advance = FileAdvance("cam", INCARNATION, START + 11 * MS, 10)
     events = [*entries("cam", range(1, 11)), advance, *entries("imu", range(1, 10)), gap("cam", 11, 12)]
     events += [*entries("cam", range(13, 20)), FileAdvance("cam", INCARNATION, START + 90 * MS, 19)]
@@ -61,7 +61,7 @@ def test_few_chunks_are_in_memory_at_a_time(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("finish", [True, False])
-def test_a_file_that_cannot_be_played_says_why(tmp_path: Path, finish: bool) -> None:
+def test_the_error_says_why_a_file_cannot_be_played(tmp_path: Path, finish: bool) -> None:
     path = write(tmp_path / "a.mcap", [] if finish else entries("cam", [1]), finish=finish)
     with pytest.raises(FileError, match="it has no items" if finish else "stampede file recover"):
         McapSource(path)

@@ -36,7 +36,7 @@ def test_a_unique_key_goes_into_one_match(unique: bool, second: dict[bytes, tupl
     assert made.take(passed(99)) == KeyMatch((12, 2), second)
 
 
-def test_keys_below_the_next_one_came_too_late_and_old_keys_are_forgotten() -> None:
+def test_keys_before_the_next_decided_one_are_too_late_and_old_keys_are_dropped() -> None:
     made = matcher(low=5)
     assert made.add(OWN, [(4, 1), (7, 2)]) == 1
     assert made.add(OTHER, [(1, 1), (6, 2)]) == 0
@@ -46,7 +46,7 @@ def test_keys_below_the_next_one_came_too_late_and_old_keys_are_forgotten() -> N
     assert len(made) == 2
 
 
-def test_a_late_advance_or_a_newer_item_passes_an_instant() -> None:
+def test_a_channel_has_passed_an_instant_after_an_item_or_advance_beyond_it() -> None:
     assert has_passed(10, None, 10, 0)
     assert not has_passed(10, None, 10, 1)
     assert not has_passed(12, None, 10, 2)

@@ -24,7 +24,7 @@ def merge_from(next_seq: int) -> SeqMerge[Numbered]:
     return merge
 
 
-def test_items_wait_for_earlier_ones() -> None:
+def test_items_from_datagrams_wait_for_missing_earlier_ones() -> None:
     merge = merge_from(3)
     assert merge.add(5, 7, items(5, 7), 10)
     assert (merge.take(), merge.missing_items, merge.is_missing, merge.is_level) == ([], 2, True, False)
@@ -34,7 +34,7 @@ def test_items_wait_for_earlier_ones() -> None:
     assert (merge.next_seq, merge.held_bytes, merge.is_missing) == (7, 0, False)
 
 
-def test_the_answer_of_the_host_and_datagrams_give_each_item_once() -> None:
+def test_an_item_from_both_the_host_and_datagrams_is_given_once() -> None:
     merge = merge_from(1)
     merge.add(3, 6, items(3, 6), 10)
     assert seqs(merge.fill(items(1, 5))) == [1, 2, 3, 4]
@@ -63,7 +63,7 @@ def test_beyond_the_bound_the_latest_items_are_dropped_and_asked_for_later() -> 
     assert (merge.missing_items, merge.announced_seq) == (1, 5)
 
 
-def test_a_passed_place_drops_the_messages_before_it() -> None:
+def test_messages_before_the_readers_position_are_dropped() -> None:
     merge = merge_from(1)
     merge.add(2, 4, items(2, 4), 10)
     merge.add(5, 6, items(5, 6), 10)

@@ -20,14 +20,14 @@ def test_a_reader_waits_for_datagrams_that_overtake_each_other_before_it_asks() 
     assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
 
 
-def test_an_item_that_comes_late_needs_no_question() -> None:
+def test_a_late_datagram_needs_no_repair() -> None:
     pace = RepairPace(0.0)
     assert pace.next_step(0.0, is_missing=True)[0] is Step.WAIT
     assert pace.next_step(REORDERED_S, is_missing=False)[0] is Step.WAIT
     assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
 
 
-def test_a_reader_that_hears_nothing_leaves_and_one_message_keeps_it() -> None:
+def test_a_reader_leaves_multicast_without_any_message_and_stays_after_one() -> None:
     pace = RepairPace(0.0)
     step, wait_s = pace.next_step(0.0, is_missing=False)
     assert step is Step.WAIT
@@ -37,7 +37,7 @@ def test_a_reader_that_hears_nothing_leaves_and_one_message_keeps_it() -> None:
     assert pace.next_step(SILENT_S + 1.1, is_missing=False)[0] is Step.LEAVE
 
 
-def test_a_reader_whose_questions_bring_all_items_leaves() -> None:
+def test_a_reader_that_gets_all_items_by_repairs_leaves_multicast() -> None:
     pace = RepairPace(0.0)
     for _ in range(VAIN_REPAIRS_MAX):
         pace.asked()
@@ -65,7 +65,7 @@ def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is Step.REPAIR
 
 
-def test_questions_for_a_key_do_not_make_a_reader_leave() -> None:
+def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
     pace = RepairPace(0.0)
     for second in range(2 * VAIN_REPAIRS_MAX):
         pace.heard(second)
@@ -75,7 +75,7 @@ def test_questions_for_a_key_do_not_make_a_reader_leave() -> None:
     assert pace.next_step(second, is_missing=False)[0] is Step.WAIT
 
 
-def test_a_reader_that_rests_does_not_take_its_own_rest_for_silence() -> None:
+def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
     """A fixed fault: a program that read nothing for 3.5 s lost multicast for a minute, although datagrams came."""
     pace = RepairPace(0.0)
     pace.looks(0.0)

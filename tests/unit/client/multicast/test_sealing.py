@@ -37,7 +37,7 @@ def test_datagrams_have_the_documented_layout() -> None:
     assert whole[64:] == BODY
 
 
-def test_a_changed_datagram_and_those_of_others_are_dropped() -> None:
+def test_changed_and_foreign_datagrams_are_dropped() -> None:
     first, opener = datagrams()[0], DatagramOpener(STREAM, 3, KEY)
     assert isinstance(opener.open(first), Part)
     for at in (12, 14, 21, 22, 60, len(first) - 1):
@@ -63,7 +63,7 @@ def test_a_message_that_another_reader_signs_is_dropped() -> None:
     assert verifier.verify(MESSAGE._replace(body=b"short")) is None
 
 
-def test_a_public_key_that_is_none_is_refused() -> None:
+def test_an_invalid_public_key_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="public key"):
         Verifier(STREAM, b"short")
 

@@ -34,7 +34,7 @@ class Reader:
         self.now_s += busy_s
 
 
-def test_it_begins_with_one_item_and_doubles_for_a_reader_that_keeps_up() -> None:
+def test_the_credit_begins_with_one_item_and_doubles_for_a_reader_that_keeps_up() -> None:
     reader = Reader(CreditWindow(), FRAME)
     ahead = []
     for _ in range(12):
@@ -44,7 +44,7 @@ def test_it_begins_with_one_item_and_doubles_for_a_reader_that_keeps_up() -> Non
     assert max(ahead) * FRAME <= WINDOW_BYTES_MAX
 
 
-def test_a_slow_reader_has_no_more_ahead_than_it_takes_in_a_tenth_of_a_second() -> None:
+def test_the_credit_of_a_slow_reader_covers_at_most_a_tenth_of_a_second() -> None:
     reader = Reader(CreditWindow(), 100)
     for _ in range(30):
         reader.step(1e-6)
@@ -56,7 +56,7 @@ def test_a_slow_reader_has_no_more_ahead_than_it_takes_in_a_tenth_of_a_second() 
     assert reader.on_the_way == 0
 
 
-def test_a_reader_that_was_slow_once_is_quick_again() -> None:
+def test_after_one_slow_step_a_reader_gets_its_full_credit_back() -> None:
     reader = Reader(CreditWindow(), FRAME)
     for busy_s in (1e-6, 1e-6, 1e-6, 5.0, *[1e-6] * 20):
         reader.step(busy_s)
@@ -71,7 +71,7 @@ def test_with_one_item_nothing_is_sent_before_the_reader_asks() -> None:
             assert reader.on_the_way == 0
 
 
-def test_credit_of_a_quick_reader_goes_in_few_messages() -> None:
+def test_a_quick_reader_grants_credit_in_few_messages() -> None:
     reader = Reader(CreditWindow(), 100)
     for _ in range(100_000):
         reader.step(1e-6)

@@ -24,7 +24,7 @@ def test_due_times_are_counted_from_the_start() -> None:
     assert periods.wait_nanos(131) == 9
 
 
-def test_periods_that_passed_as_a_whole_are_missed() -> None:
+def test_a_period_that_has_passed_completely_counts_as_missed() -> None:
     periods = Periods(0, 10)
     periods.begin(0)
     assert periods.wait_nanos(45) == 0
@@ -32,7 +32,7 @@ def test_periods_that_passed_as_a_whole_are_missed() -> None:
     assert (periods.missed, periods.wait_nanos(45)) == (3, 5)
 
 
-def test_a_late_one_is_still_done() -> None:
+def test_a_late_sample_is_still_taken() -> None:
     periods = Periods(0, 10)
     periods.begin(0)
     periods.begin(19)

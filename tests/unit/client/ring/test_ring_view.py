@@ -62,7 +62,7 @@ def test_memory_of_another_kind_is_refused() -> None:
             RingView(memory)
 
 
-def test_a_ring_tells_its_incarnation_state_and_fence() -> None:
+def test_a_ring_has_its_incarnation_state_and_fence() -> None:
     ring = Ring()
     assert ring.view.incarnation == 2**63 + 5
     assert not ring.view.is_open(BOOTTIME)
@@ -74,7 +74,7 @@ def test_a_ring_tells_its_incarnation_state_and_fence() -> None:
     assert not ring.view.is_open(BOOTTIME)
 
 
-def test_facts_that_a_stopped_host_half_wrote_are_no_facts() -> None:
+def test_half_written_facts_of_a_stopped_host_are_ignored() -> None:
     ring = Ring()
     ring.put(1)
     words_of(ring.memory)[SEQUENCE_WORD] += 1
@@ -141,7 +141,7 @@ def test_a_writer_that_stops_at_any_store_shows_the_items_before_or_after_or_non
     assert 25 < stores < 60
 
 
-def test_a_copy_that_the_writer_has_overtaken_is_not_believed() -> None:
+def test_a_copy_of_overwritten_data_is_not_used() -> None:
     ring = Ring()
     for time in range(3):
         ring.put(time)
@@ -167,7 +167,7 @@ def test_the_writer_never_keeps_more_slots_or_bytes_than_the_ring_has() -> None:
         assert all(a >= d or b <= c for i, (a, b) in enumerate(covered) for c, d in covered[:i]), "runs overlap"
 
 
-def test_damaged_numbers_lead_to_errors_or_to_the_host_and_never_outside_of_the_memory() -> None:
+def test_damaged_numbers_cause_errors_or_a_read_at_the_host_but_no_access_outside_of_the_memory() -> None:
     drawn = random.Random(7)
     wild = (0, 1, -1, 7, 8, 2**31, 2**62, 2**63 - 1, -(2**63))
     for _ in range(3000):
@@ -189,7 +189,7 @@ def test_damaged_numbers_lead_to_errors_or_to_the_host_and_never_outside_of_the_
             select(ring.view, facts, query, host_now(facts, BOOTTIME), no_columns)
 
 
-def test_the_hosts_clock_goes_on_between_two_readings_and_makes_up_for_its_offset() -> None:
+def test_the_estimate_of_the_hosts_clock_advances_between_readings_and_corrects_its_offset() -> None:
     facts = [0] * 16
     facts[11:14] = BOOTTIME, 5000, 0
     assert host_now(facts, BOOTTIME) == 5000

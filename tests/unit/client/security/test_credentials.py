@@ -58,7 +58,7 @@ def test_a_change_that_cannot_be_used_is_reported_once_and_the_last_good_secret_
     assert reader.current() == "second"
 
 
-def test_a_file_that_comes_later_is_read_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_created_later_is_read_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(credentials, "LOOK_EVERY_S", 0.0)
     path.unlink()
     reader = SecretReader(path)

@@ -52,7 +52,7 @@ async def hostile() -> AsyncIterator[tuple[Hostile, str]]:
         await server.stop(None)
 
 
-async def test_a_get_ends_once_more_items_come_than_it_asked_for() -> None:
+async def test_a_get_ends_if_the_host_sends_more_items_than_requested() -> None:
     async with hostile() as (host, target):
         endpoint = grpc_async.ServerEndpoint(target, CallMetadata(lambda: None))
         with pytest.raises(st.StampedeError, match="a host sent 4 items, and the request asked for 3 at most"):
@@ -61,7 +61,7 @@ async def test_a_get_ends_once_more_items_come_than_it_asked_for() -> None:
         await endpoint.aclose()
 
 
-async def test_a_get_of_a_thread_ends_once_more_items_come_than_it_asked_for() -> None:
+async def test_a_get_on_a_thread_ends_if_the_host_sends_more_items_than_requested() -> None:
     async with hostile() as (host, target):
         endpoint = await asyncio.to_thread(grpc_sync.ServerEndpoint, target, CallMetadata(lambda: None))
 

@@ -25,7 +25,7 @@ def resident_bytes(name: str) -> list[int]:
 
 
 @pytest.mark.parametrize("to_write", [True, False])
-def test_all_pages_of_a_mapping_are_there_before_their_first_use(to_write: bool) -> None:
+def test_all_pages_of_a_mapping_are_allocated_before_their_first_use(to_write: bool) -> None:
     name = f"stampede-pages-{to_write}"
     file = os.memfd_create(name)
     try:

@@ -35,7 +35,7 @@ class StoppedCall:
 
 
 @pytest.mark.parametrize("gives_up", ["cancelled", "too late"])
-async def test_gets_that_are_given_up_leave_nothing_behind_while_a_host_is_stopped(gives_up: str) -> None:
+async def test_abandoned_gets_use_no_memory_while_a_host_is_stopped(gives_up: str) -> None:
     call, tasks = StoppedCall(room=3), set[asyncio.Task[None]]()
     exchange = GetExchange(call, "a host", tasks, SocketRoute("a host", Transport.GRPC))
     for _ in range(5000):

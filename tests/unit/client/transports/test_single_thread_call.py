@@ -96,7 +96,7 @@ def test_one_thread_sends_and_another_one_reads(endpoint: ServerEndpoint) -> Non
     call.cancel()
 
 
-def test_a_large_request_goes_in_pieces_while_the_caller_reads(endpoint: ServerEndpoint) -> None:
+def test_a_large_request_is_sent_in_pieces_while_the_caller_reads(endpoint: ServerEndpoint) -> None:
     call = begun(endpoint, endpoint._put)
     call.send(bytes(3 * MESSAGE_BYTES_MAX))
     lengths = [next(call).acks[0].items for _ in range(4)]
@@ -136,7 +136,7 @@ def test_another_thread_ends_a_read(endpoint: ServerEndpoint, peer: tuple[Peer, 
     wait_until(lambda: peer[0].calls_ended == 1)
 
 
-def test_the_status_of_a_call_comes_with_its_trailers_again_and_again(endpoint: ServerEndpoint) -> None:
+def test_the_status_and_trailers_of_a_call_can_be_read_repeatedly(endpoint: ServerEndpoint) -> None:
     call = begun(endpoint, endpoint.channels.Subscribe)
     call.send(pb.SubscribeRequest(credit_bytes=1))
     for _ in range(2):
@@ -148,7 +148,7 @@ def test_the_status_of_a_call_comes_with_its_trailers_again_and_again(endpoint: 
         call.send(pb.SubscribeRequest())  # a message sent after the end is dropped
 
 
-def test_a_call_that_the_server_ended_well_stops(endpoint: ServerEndpoint) -> None:
+def test_a_call_that_the_server_ended_with_ok_stops(endpoint: ServerEndpoint) -> None:
     call = begun(endpoint, endpoint.channels.Subscribe)
     call.send(pb.SubscribeRequest())
     assert list(call) == [pb.SubscribeResponse()]

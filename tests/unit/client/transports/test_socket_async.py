@@ -40,7 +40,7 @@ async def failure_of(call: SocketCall) -> grpc.RpcError:
     return raised.value
 
 
-async def test_requests_and_responses_go_over_the_socket_until_the_regular_end() -> None:
+async def test_requests_and_responses_use_the_socket_until_the_regular_end() -> None:
     async with opened() as (call, far):
         done: asyncio.Future[SocketCall] = asyncio.get_running_loop().create_future()
         call.add_done_callback(done.set_result)
@@ -54,7 +54,7 @@ async def test_requests_and_responses_go_over_the_socket_until_the_regular_end()
 
 
 @pytest.mark.parametrize(("request_bytes", "messages"), [(2**20, 1), (5 * 2**19, 3)])
-async def test_a_large_request_goes_in_one_message_or_in_few_pieces(request_bytes: int, messages: int) -> None:
+async def test_a_large_request_is_sent_in_one_message_or_in_few_pieces(request_bytes: int, messages: int) -> None:
     async with opened() as (call, far):
         opening: asyncio.Future[SocketCall] = asyncio.get_running_loop().create_future()
         opening.set_result(call)
@@ -65,7 +65,7 @@ async def test_a_large_request_goes_in_one_message_or_in_few_pieces(request_byte
         assert (found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)) == request
 
 
-async def test_a_large_request_over_grpc_goes_in_pieces_below_the_limit_of_grpc() -> None:
+async def test_a_large_request_over_grpc_is_sent_in_pieces_below_the_limit_of_grpc() -> None:
     class GrpcCall:
         def __init__(self) -> None:
             self.written: list[bytes] = []
@@ -105,7 +105,7 @@ async def test_an_error_of_the_service_arrives_with_its_details() -> None:
             assert (error.message, error.metadata) == ("not so", {"field": "x"})
 
 
-async def test_a_lost_connection_is_an_outage() -> None:
+async def test_a_lost_connection_raises_unavailable() -> None:
     async with opened() as (call, far):
         far.socket.sendall(head_of(FrameKind.MESSAGE, 9) + b"half")
         far.socket.close()
@@ -126,7 +126,7 @@ async def test_a_host_without_any_sign_of_life_is_given_up(monkeypatch: pytest.M
         assert "no sign of life for 0.05 s" in str(await failure_of(call))
 
 
-async def test_responses_that_the_program_does_not_read_stay_at_the_host_and_are_no_silence(
+async def test_unread_responses_stay_at_the_host_and_do_not_count_as_silence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(socket_async, "SILENCE_S_MAX", 0.3)
@@ -143,7 +143,7 @@ async def test_responses_that_the_program_does_not_read_stay_at_the_host_and_are
         await sending
 
 
-async def test_a_cancel_ends_the_reading_as_that_of_a_call_of_grpc_does() -> None:
+async def test_a_cancel_ends_the_read_in_the_same_way_as_with_grpc() -> None:
     async with opened() as (call, far):
         asyncio.get_running_loop().call_soon(call.cancel)
         with pytest.raises(asyncio.CancelledError):

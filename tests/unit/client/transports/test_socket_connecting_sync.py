@@ -80,7 +80,7 @@ async def test_a_host_that_greets_gets_the_stream(connect: Connect, listening: s
         assert timeout_millis == 0, "it would end the stream of a put that waits for room, although the host lives"
 
 
-async def test_a_port_that_does_not_greet_delays_no_stream_and_is_used_once_it_greets(
+async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_once_it_greets(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket_connecting_sync, "HEAD_START_S", 0.01)
@@ -120,7 +120,7 @@ async def test_on_asyncio_a_port_is_used_once_it_greets(
 
 
 @pytest.mark.parametrize("answer", [frame_of(FrameKind.STATUS, b"x"), b"HTTP/1.1 400 Bad Request\r\n\r\n", b""])
-async def test_a_port_that_answers_otherwise_gets_no_credential_and_the_stream_goes_over_grpc(
+async def test_a_port_with_another_answer_gets_no_credential_and_the_stream_uses_grpc(
     connect: Connect, listening: socket.socket, answer: bytes
 ) -> None:
     def other() -> bytes:
@@ -135,7 +135,7 @@ async def test_a_port_that_answers_otherwise_gets_no_credential_and_the_stream_g
     assert await served == b""
 
 
-def test_a_closed_port_leaves_grpc(connect: Connect, listening: socket.socket) -> None:
+def test_a_stream_uses_grpc_if_the_port_is_closed(connect: Connect, listening: socket.socket) -> None:
     port = port_of(listening)
     listening.close()
     route = best()

@@ -45,7 +45,7 @@ def failure_of(call: SocketCall) -> grpc.RpcError:
     return raised.value
 
 
-def test_requests_and_responses_go_over_the_socket_until_the_regular_end(
+def test_requests_and_responses_use_the_socket_until_the_regular_end(
     pair: tuple[socket.socket, FarEnd],
 ) -> None:
     call, far = opened(pair)
@@ -60,7 +60,7 @@ def test_requests_and_responses_go_over_the_socket_until_the_regular_end(
 
 
 @pytest.mark.parametrize(("request_bytes", "messages"), [(2**20, 1), (5 * 2**19, 3)])
-def test_a_large_request_goes_in_one_message_or_in_few_pieces(
+def test_a_large_request_is_sent_in_one_message_or_in_few_pieces(
     pair: tuple[socket.socket, FarEnd], request_bytes: int, messages: int
 ) -> None:
     call, far = opened(pair, in_turn=False)
@@ -86,7 +86,7 @@ def test_an_error_of_the_service_arrives_with_its_details_after_the_messages_bef
 
 
 @pytest.mark.parametrize("sent", [b"", head_of(FrameKind.MESSAGE, 9) + b"half"])
-def test_a_lost_connection_is_an_outage(pair: tuple[socket.socket, FarEnd], sent: bytes) -> None:
+def test_a_lost_connection_raises_unavailable(pair: tuple[socket.socket, FarEnd], sent: bytes) -> None:
     call, far = opened(pair)
     far.socket.sendall(sent)
     far.socket.close()
@@ -142,7 +142,7 @@ def test_a_large_request_waits_as_long_as_a_busy_host_gives_signs_of_life(
     assert sent.wait(20)
 
 
-def test_requests_of_several_threads_wait_for_a_slow_host_without_blocking_and_arrive_whole(
+def test_requests_of_several_threads_to_a_slow_host_arrive_complete_without_blocking_each_other(
     pair: tuple[socket.socket, FarEnd],
 ) -> None:
     call, far = opened(pair, in_turn=False)
@@ -250,7 +250,7 @@ def test_a_limit_ends_with_its_block_and_starts_no_thread(pair: tuple[socket.soc
     assert threading.active_count() == threads
 
 
-def test_messages_stay_as_they_came_when_later_ones_come(pair: tuple[socket.socket, FarEnd]) -> None:
+def test_later_messages_do_not_change_earlier_ones(pair: tuple[socket.socket, FarEnd]) -> None:
     """The stream reads all bytes into one buffer."""
     call, far = opened(pair)
     sent = [os.urandom(size) for size in (1, 3000, 100_000, 5, 400_000, 0, 70_000)]
@@ -264,7 +264,7 @@ def test_messages_stay_as_they_came_when_later_ones_come(pair: tuple[socket.sock
 
 
 @pytest.mark.parametrize(("parts", "size", "messages"), [(4, 2**18, 1), (1000, 300, 1), (5, 2**20, 5), (3, 10, 1)])
-def test_a_request_in_parts_comes_as_one(
+def test_a_request_in_parts_arrives_as_one_message(
     pair: tuple[socket.socket, FarEnd], parts: int, size: int, messages: int
 ) -> None:
     call, far = opened(pair, in_turn=False)

@@ -12,7 +12,7 @@ from stampede_rt.transports.watchdog import Watchdog
 LIMIT_S = 10.0
 
 
-def test_the_function_of_a_limit_that_is_over_is_called_and_the_limit_says_so() -> None:
+def test_the_function_of_an_exceeded_time_limit_is_called_and_the_limit_reports_this() -> None:
     watchdog, called = Watchdog(), threading.Event()
     with watchdog.limit(0.01, called.set) as overdue:
         assert called.wait(LIMIT_S)

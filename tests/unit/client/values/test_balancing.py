@@ -22,7 +22,7 @@ def test_the_busiest_host_gives_channels_to_the_least_busy_one() -> None:
     assert load_after(busy, planned) == {"h1": 300, "h2": 500}
 
 
-def test_hosts_that_are_about_equally_busy_stay_as_they_are() -> None:
+def test_about_equally_busy_hosts_keep_their_channels() -> None:
     assert plan_moves({"h1": 340, "h2": 250}, {"h1": {"a": 1, "b": 1}, "h2": {}}, []) == []
     assert plan_moves({"h1": 900}, {"h1": {"a": 1, "b": 1}}, []) == []
 
@@ -38,7 +38,7 @@ def test_channels_of_one_group_move_together() -> None:
     assert moved in ({"left", "right"}, {"x", "y"})
 
 
-def test_a_channel_moves_once_at_most_and_a_plan_has_a_bound() -> None:
+def test_a_plan_moves_each_channel_at_most_once_and_its_length_is_limited() -> None:
     rates = {"h1": {f"c{number}": 1.0 for number in range(5000)}, "h2": {}, "h3": {}}
     planned = plan_moves({"h1": 900_000, "h2": 0, "h3": 0}, rates, [])
     assert len(planned) == len({one.channel for one in planned}) == MOVES_MAX

@@ -21,7 +21,7 @@ def coding() -> Coding:
     return made
 
 
-def test_without_numpy_its_codec_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numpy_the_error_of_its_codec_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numpy", None)
     with pytest.raises(CodecError, match="pip install numpy"):
         Coding.parse("numpy", "channel 'x'")
@@ -51,7 +51,7 @@ def test_a_content_type_with_parameters_is_the_same_type() -> None:
     assert coding().decode(b"[1]", "Application/JSON; charset=utf-8", "item") == [1]
 
 
-def test_a_codec_needs_a_content_type_that_can_travel() -> None:
+def test_a_codec_needs_a_valid_content_type() -> None:
     class Odd(JsonCodec):
         content_type = ""
 

@@ -99,14 +99,14 @@ def test_columns_hold_the_same_items_as_a_list(
             found[outside]
 
 
-def test_a_run_that_is_not_followed_by_the_next_bucket_says_where_its_spans_end() -> None:
+def test_a_run_that_is_not_followed_by_the_next_bucket_states_the_end_of_its_spans() -> None:
     first, second = decoded([(1, -1, b""), (2, -1, b""), (2, 30, b"")]), decoded([(9, -1, b"")], 7)
     first.next_time = 5
     assert [item.end for item in columns([first, second], next_time=12)] == [2, 5, 5, 12]
     assert [item.end for item in columns([first, second], overlap=9)] == [2, 5, 11, None]
 
 
-def test_an_item_is_made_when_it_is_touched_and_only_then() -> None:
+def test_an_item_object_is_created_on_first_access() -> None:
     make = Counting()
     parts = [decoded([(time, -1, b"x") for time in range(begin, begin + 100)], begin + 1) for begin in (0, 100, 200)]
     found = columns(parts, make=make)
@@ -125,7 +125,7 @@ def test_an_item_is_made_when_it_is_touched_and_only_then() -> None:
     assert make.made == before
 
 
-def test_payloads_are_kept_once_when_all_items_are_made() -> None:
+def test_payloads_are_kept_only_once_after_all_item_objects_are_created() -> None:
     run = decoded([(1, -1, b"one"), (2, -1, b"two")])
     found = columns([run])
     assert found[1].payload == b"two"
@@ -135,7 +135,7 @@ def test_payloads_are_kept_once_when_all_items_are_made() -> None:
     assert found[0].payload == b"one"
 
 
-def test_threads_that_touch_the_same_items_get_equal_ones() -> None:
+def test_threads_that_access_the_same_items_get_equal_objects() -> None:
     for _ in range(20):
         found = columns([decoded([(time, -1, b"%d" % time) for time in range(250)])])
         whole, begin, results = [b"%d" % time for time in range(250)], Barrier(3), list[list[bytes | None]]()

@@ -49,10 +49,12 @@ def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
         (answer(Reason.LOST), "LOST"),
     ],
 )
-def test_an_answer_at_an_uncertain_cut_tells_it_unless_it_lies_before_the_cut(items: Items, told: str | None) -> None:
+def test_an_answer_at_an_uncertain_cut_reports_this_unless_its_interval_ends_before_the_cut(
+    items: Items, told: str | None
+) -> None:
     assert tell_lack(items, GONE).reason == told
     assert NewestItems([], {b"": items}, GONE).reasons._values == ({} if told is None else {b"": told})
 
 
-def test_an_exact_cut_leaves_the_reason_alone() -> None:
+def test_an_exact_cut_does_not_change_the_reason() -> None:
     assert tell_lack(answer(Reason.HIDDEN), None).reason == "HIDDEN"

@@ -18,6 +18,6 @@ from stampede_rt.values.payloads import check_payload
         (None, "the payload is a NoneType; give bytes"),
     ],
 )
-def test_a_payload_that_is_no_bytes_is_refused_with_the_codec_that_takes_it(payload: object, way_out: str) -> None:
+def test_the_error_for_a_payload_that_is_not_bytes_names_a_fitting_codec(payload: object, way_out: str) -> None:
     with pytest.raises(InvalidArgument, match=way_out):
         check_payload(payload)

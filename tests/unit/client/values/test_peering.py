@@ -15,7 +15,7 @@ from stampede_rt.wire.peers import clock_message, clock_offset
 from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
 
 
-def test_the_same_proof_makes_the_same_peer() -> None:
+def test_the_same_proof_gives_the_same_peer_id() -> None:
     first, again = (PeerIdentity.parse("planner", "0123456789abcdef", os.urandom(48)) for _ in range(2))
     assert first == again
     assert (len(first.peer_id), len(first.proof)) == (16, 32)
@@ -23,7 +23,7 @@ def test_the_same_proof_makes_the_same_peer() -> None:
     assert PeerIdentity.parse("viewer", "0123456789abcdef", b"") != first
 
 
-def test_without_a_proof_every_start_is_another_peer() -> None:
+def test_without_a_proof_every_start_has_another_peer_id() -> None:
     first, second = (PeerIdentity.parse("planner", None, os.urandom(48)) for _ in range(2))
     assert first.peer_id != second.peer_id
     assert first.proof != second.proof

@@ -74,14 +74,14 @@ def test_a_value_that_loses_digits_or_needs_a_guess_is_not_parsed_as_an_instant(
         parse_instant(wrong)  # type: ignore[arg-type]
 
 
-def test_offsets_add_up_and_read_as_written() -> None:
+def test_the_sum_of_offsets_is_shown_as_written() -> None:
     assert str(NEWEST - "30ms" - "20ms") == "newest - 50 ms"
     assert NOW - "1s" + "1s" == NOW
     assert last("30s") == (NOW - "30s", NOW)
 
 
 @given(instants, instants)
-def test_a_concrete_interval_upside_down_is_refused(a: int, b: int) -> None:
+def test_an_interval_whose_end_is_before_its_start_is_refused(a: int, b: int) -> None:
     low, high = sorted((a, b))
     assert parse_interval(low, high)
     if low != high:
@@ -95,7 +95,7 @@ def test_all_anchors_are_resolved_together() -> None:
     assert interval.resolve(now=100, newest=None, oldest=None) is None
 
 
-def test_only_intervals_that_hang_on_items_wait_for_one() -> None:
+def test_only_intervals_with_newest_or_oldest_wait_for_an_item() -> None:
     assert parse_interval(0, NOW).resolve(now=7, newest=None, oldest=None) == ResolvedInterval(0, 7)
 
 
@@ -129,7 +129,7 @@ def test_a_match_has_one_of_three_names() -> None:
         parse_match("part")
 
 
-def test_times_are_shown_as_people_read_them() -> None:
+def test_times_are_shown_as_dates() -> None:
     assert format_instant(1_700_000_000_000_000_001) == "2023-11-14T22:13:20.000000001Z"
     assert format_duration(1_500_000_000) == "1.5 s"
     assert format_duration(-30_000_000) == "-30 ms"
@@ -146,13 +146,13 @@ def test_times_are_shown_as_people_read_them() -> None:
 
 
 @pytest.mark.parametrize("value", ["1000000000d", "-1000000000d", "106752d", timedelta(days=106752)])
-def test_a_duration_that_does_not_fit_is_refused_and_not_cut(value: str | timedelta) -> None:
+def test_a_duration_out_of_range_is_refused_and_not_truncated(value: str | timedelta) -> None:
     with pytest.raises(InvalidArgument, match=r"max_age is .*; a duration is less than 292 years"):
         parse_duration(value, "max_age")
     with pytest.raises(InvalidArgument, match="less than 292 years"):
         NOW - value
 
 
-def test_a_moment_that_does_not_fit_is_refused_by_its_name() -> None:
+def test_an_instant_out_of_range_is_refused_and_the_error_names_it() -> None:
     with pytest.raises(InvalidArgument, match=r"time is .*, which does not fit into 64 bits of nanoseconds"):
         parse_instant(datetime(9999, 1, 1, tzinfo=UTC), "time")

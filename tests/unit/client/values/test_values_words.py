@@ -36,7 +36,7 @@ def test_the_kinds_of_arguments_can_be_named() -> None:
 
 
 @pytest.mark.parametrize(("words", "parse"), WORDS)
-def test_every_word_of_a_type_is_accepted_and_no_other(words: object, parse: typing.Callable[[str], object]) -> None:
+def test_only_the_words_of_a_type_are_accepted(words: object, parse: typing.Callable[[str], object]) -> None:
     for word in typing.get_args(words):
         parse(word)
     with pytest.raises(InvalidArgument):
@@ -50,7 +50,9 @@ def test_both_modes_of_subscriptions_have_a_type() -> None:
 
 
 @pytest.mark.parametrize(("function", "argument", "annotation"), TYPED)
-def test_arguments_that_take_words_say_which(function: object, argument: str, annotation: str) -> None:
+def test_the_annotation_of_an_argument_lists_the_words_that_it_accepts(
+    function: object, argument: str, annotation: str
+) -> None:
     assert inspect.signature(function).parameters[argument].annotation == annotation  # type: ignore[arg-type]
 
 

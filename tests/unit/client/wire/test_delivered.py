@@ -52,7 +52,7 @@ def test_a_run_of_one_item_is_checked_as_well(columns: dict[str, Any]) -> None:
         decoder().decode([item_pb2.DeliveredRun(run=one)])
 
 
-def test_without_payloads_the_lengths_alone_are_reported() -> None:
+def test_without_payloads_only_the_lengths_are_reported() -> None:
     bare = run(payloads=b"")
     items = decoder(payloads=False).decode([item_pb2.DeliveredRun(run=bare)])
     assert [one.payload_length_bytes for one in items] == [1, 2]

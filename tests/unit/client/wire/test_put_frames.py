@@ -18,7 +18,7 @@ from stampede_rt.wire.runs import run_parts
     some.booleans(),
     some.sampled_from(({}, {"k": "v"})),
 )
-def test_a_framed_put_reads_as_the_message(
+def test_a_framed_put_is_decoded_as_the_message(
     number: int, payloads: list[bytes], wait: int | None, first: bool, labels: dict[str, str]
 ) -> None:
     head = put_head(b"c" * 16, 7, 9) if first else b""

@@ -27,7 +27,7 @@ def test_over_a_socket_a_request_is_cut_later() -> None:
 
 
 @pytest.mark.parametrize("size", [1, MESSAGE_BYTES_MAX - 1, MESSAGE_BYTES_MAX])
-def test_a_request_that_fits_in_one_message_goes_as_it_is(size: int) -> None:
+def test_a_request_that_fits_in_one_message_is_sent_unchanged(size: int) -> None:
     request = bytes(size)
     (message,) = messages_of(request)
     assert message is request
@@ -45,7 +45,7 @@ def test_the_pieces_of_a_large_request_join_to_it_and_each_fits_in_a_message(siz
     assert [queue_pb.EnqueueRequest.FromString(message).piece for message in messages] == pieces
 
 
-def test_a_request_that_grpc_encodes_goes_as_it_is() -> None:
+def test_a_request_that_grpc_encodes_is_sent_unchanged() -> None:
     request = pb.GetRequest(call_id=1)
     assert list(messages_of(request)) == [request]
 

@@ -33,7 +33,7 @@ def encoded(columns: list[tuple[int, int, bytes]], **rest: object) -> bytes:
 
 
 @given(items, some.integers(0, 2**63))
-def test_every_column_comes_back(columns: list[tuple[int, int, bytes]], first_seq: int) -> None:
+def test_every_decoded_column_is_as_it_was_encoded(columns: list[tuple[int, int, bytes]], first_seq: int) -> None:
     sealed = seal_run(encoded(columns, attributes={"k": "v"}), first_seq)
     found = decoder.decode([delivered(sealed)])
     assert [(item.time, -1 if item.duration is None else item.duration, item.payload) for item in found] == columns
@@ -117,7 +117,7 @@ def test_ends_hold_across_the_runs_of_one_answer() -> None:
     assert [item.end for item in decoder.decode([delivered(first), delivered(second)])] == [10, 20, 20, None]
 
 
-def test_runs_of_a_subscription_stand_alone() -> None:
+def test_the_next_run_of_a_subscription_does_not_end_the_spans_of_a_run() -> None:
     late, newer = seal_run(encoded([(5, -1, b"")]), 0), seal_run(encoded([(1, -1, b"")]), 1)
     assert [item.end for item in decoder.decode_each([delivered(late), delivered(newer, 5)])] == [None, 5]
 

@@ -18,7 +18,7 @@ FRAMES = st.lists(
 
 
 @given(frames=FRAMES, cuts=st.lists(st.integers(1, 400), min_size=1))
-def test_frames_come_as_they_were_sent_however_their_bytes_are_cut(
+def test_frames_arrive_as_they_were_sent_wherever_their_bytes_are_cut(
     frames: list[tuple[FrameKind, bytes]], cuts: list[int]
 ) -> None:
     stream, reader = b"".join(frame_of(kind, body) for kind, body in frames), FrameReader(LIMITS)
@@ -68,7 +68,7 @@ def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, byte
 
 
 @pytest.mark.parametrize("long", SIZES)
-def test_long_and_short_frames_come_as_they_were_sent_wherever_a_read_ends(long: int) -> None:
+def test_long_and_short_frames_arrive_as_they_were_sent_wherever_a_read_ends(long: int) -> None:
     sizes = (3, long, 300, long, 0, 7, 200, long)
     frames = [(FrameKind.MESSAGE, bytes([65 + at]) * size) for at, size in enumerate(sizes)]
     stream = b"".join(frame_of(kind, body) for kind, body in frames)
@@ -98,7 +98,7 @@ def test_the_rest_of_a_long_frame_is_read_into_its_own_memory() -> None:
 
 
 @given(lengths=st.lists(st.integers(SHORT_BYTES, 4 * SHORT_BYTES), min_size=2, max_size=6))
-def test_frames_that_come_into_the_same_room_stay_as_they_came(lengths: list[int]) -> None:
+def test_later_frames_in_the_same_buffer_do_not_change_earlier_ones(lengths: list[int]) -> None:
     limits = {FrameKind.MESSAGE: 4 * SHORT_BYTES}
     reader, short = FrameReader(limits, kept_bytes_max=3 * SHORT_BYTES), memoryview(bytearray(SHORT_BYTES))
     found: list[tuple[int, bytes]] = []
@@ -150,7 +150,7 @@ def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int,
     assert reader.feed(whole) == found
 
 
-def test_the_body_of_a_long_frame_may_be_taken_as_a_view_of_a_room_that_somebody_else_gave() -> None:
+def test_the_body_of_a_long_frame_can_be_a_view_of_a_given_buffer() -> None:
     rooms = [bytearray(400), bytearray(400)]
     reader = FrameReader(LIMITS, new_room=lambda frame_bytes: rooms[frame_bytes % 2])
     for body in (b"a" * 300, b"b" * 200, b"c" * 299):

@@ -10,7 +10,7 @@ from stampede_rt.wire.varints import decode_varint, encode_varint
 
 
 @given(some.integers(0, 2**64 - 1), some.binary(max_size=3))
-def test_a_number_comes_back(value: int, before: bytes) -> None:
+def test_a_decoded_number_is_as_it_was_encoded(value: int, before: bytes) -> None:
     encoded = encode_varint(value)
     assert decode_varint(before + encoded + b"rest", len(before)) == (value, len(before) + len(encoded))
 

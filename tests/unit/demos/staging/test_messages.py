@@ -17,13 +17,13 @@ STEP = StepFigures(
 )
 
 
-def test_a_step_survives_the_line():
+def test_a_step_is_the_same_after_encoding_as_a_line():
     line = messages.encode("step", **steps.step_fields(STEP))
     assert "\n" not in line
     assert steps.step_of(messages.decode(line)) == STEP
 
 
-def test_the_start_survives_the_line():
+def test_the_start_is_the_same_after_encoding_as_a_line():
     assert messages.decode_start(messages.encode_start(1_700_000_000_123_456_789)) == 1_700_000_000_123_456_789
 
 

@@ -36,7 +36,7 @@ def test_on_a_terminal_a_line_is_cut_to_its_width(monkeypatch):
     assert output.getvalue() == "\r\x1b[K012345678"
 
 
-def test_a_line_that_stays_replaces_the_one_that_does_not():
+def test_a_lasting_line_replaces_the_temporary_one():
     output = Terminal()
     progress = Progress(output)
     progress.show("passing")

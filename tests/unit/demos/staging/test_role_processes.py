@@ -87,14 +87,14 @@ def test_a_role_that_says_why_it_failed_is_quoted():
             list(roles.events(10, "getting ready"))
 
 
-def test_a_role_that_talks_nonsense_is_named():
+def test_the_error_names_a_role_with_invalid_output():
     with RoleProcesses() as roles:
         roles.start("poet", program("print('roses are red', flush=True)"))
         with pytest.raises(DemoFailed, match=r"the poet sent a line that is not a report.*roses are red"):
             list(roles.events(10, "getting ready"))
 
 
-def test_roles_that_take_too_long_are_named():
+def test_the_error_names_roles_that_take_too_long():
     with RoleProcesses() as roles:
         roles.start("sleeper", program(WAITS_FOR_EVER))
         wait_ready(roles, 1)
@@ -102,7 +102,7 @@ def test_roles_that_take_too_long_are_named():
             list(roles.events(0, "the programme"))
 
 
-def test_a_role_that_cannot_be_started_is_named():
+def test_the_error_names_a_role_that_cannot_be_started():
     with RoleProcesses() as roles, pytest.raises(DemoFailed, match="the ghost cannot be started"):
         roles.start("ghost", ["/nowhere/at/all"])
 

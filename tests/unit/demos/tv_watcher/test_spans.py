@@ -86,12 +86,12 @@ def test_a_span_is_reported_by_its_caption_and_its_counts():
     assert counts(span) == list(step.counts.values())
 
 
-def test_a_span_that_a_stream_had_not_come_through_is_not_complete():
+def test_a_span_is_incomplete_if_a_stream_had_not_reached_its_end():
     ((step, _),) = spans_taken(cut(behind="motion"), 9 * SECOND)
     assert not step.complete
 
 
-def test_a_span_of_which_something_was_collected_is_not_complete():
+def test_a_span_with_collected_items_is_incomplete():
     ((step, _),) = spans_taken(cut(truncated="video"), 9 * SECOND)
     assert not step.complete
 
@@ -110,6 +110,6 @@ def test_a_late_item_is_in_no_span():
     ],
     ids=["missing", "another time", "another duration"],
 )
-def test_features_that_left_their_sources_times_are_found(motion):
+def test_features_with_other_times_than_their_sources_are_found(motion):
     assert features_keep_times(event(0, 1))
     assert not features_keep_times({**event(0, 1), "motion": motion})

@@ -52,7 +52,7 @@ def spans() -> list[PictureSpan]:
     return picture_spans(record)
 
 
-def test_the_drawn_data_survives_the_line_to_the_orchestrator(spans):
+def test_the_drawn_data_is_the_same_after_encoding_as_a_line(spans):
     second = spans[1]
     assert (second.start, second.end, second.text) == (SECOND, 2 * SECOND, "00:01.00 caption number 1")
     assert (len(second.frames), len(second.motion), len(second.sound), len(second.loudness)) == (25, 25, 8, 8)

@@ -51,12 +51,12 @@ class Nothing(tuple):
     truncated = False
 
 
-def test_the_viewer_ends_when_the_cut_has_come_to_the_programmes_end():
+def test_the_viewer_ends_when_the_cut_has_reached_the_end_of_the_programme():
     until = time.time_ns() + HOUR_NANOS
     assert list(watch(SimpleNamespace(), Cuts(until - 1, until), until)) == []
 
 
-def test_a_group_that_never_comes_to_the_programmes_end_is_reported():
+def test_a_group_that_never_reaches_the_end_of_the_programme_is_reported():
     until = time.time_ns() - HOUR_NANOS
     with pytest.raises(DemoFailed, match="the group tv/programme did not come to the programme's end"):
         watch(SimpleNamespace(), Cuts(), until)
