@@ -187,7 +187,7 @@ class RaftServicer:
         if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
             return
         if is_heard:
-            advice = f"the real {hello.member_id} is connected, so this caller runs on a copy of its folder: stop the copy"
+            advice = f"the real {hello.member_id} is connected, so the caller has a copy of its folder: stop the copy"
         else:
             advice = "remove it (stampede supernode remove), and join under a new id"
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice, extra={"event": "member_refused"})
