@@ -243,7 +243,7 @@ def connect(
 ) -> Connection:
     """Connect to a cluster through its front-ends.
 
-    - `url`: the addresses of the front-ends, as "host:port,host:port". Default: `$STAMPEDE_URL`, else localhost:7580.
+    - `url`: the addresses of the front-ends, as "host:port,host:port". Default: `$STAMPEDE_URL`, or localhost:7580.
     - `name`: the name under which this connection is a peer. A peer has a mailbox, to which others can send.
     - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
       gives the same proof takes over the name and the mailbox at once.
@@ -255,7 +255,7 @@ def connect(
       over gRPC, and from memory shared with the host once a program reads a channel often. "grpc": always over gRPC.
       "socket": over Unix or TCP sockets, with an error where that is not possible. "tcp": as "socket", but only
       over TCP. "shared": over Unix sockets, and from shared memory from the first read on, with an error where a host
-      shares none. Default: `$STAMPEDE_TRANSPORT`, else "best".
+      shares none. Default: `$STAMPEDE_TRANSPORT`, or "best".
 
     Blocks for at most 5 s.
     Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.

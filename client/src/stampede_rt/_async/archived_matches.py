@@ -51,7 +51,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
 
     @property
     def connected(self) -> bool:
-        """Whether the iteration may go on."""
+        """Whether the iteration may continue."""
         return self._matching is not None and not self._closed
 
     async def __aenter__(self) -> Self:

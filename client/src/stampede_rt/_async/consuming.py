@@ -34,7 +34,7 @@ async def consume(session: Session, state: ChannelState, items: Item | Iterable[
         consumed += response.consumed
         lease_s = response.lease_nanos / 1e9
     kept = session.consumer_places.setdefault(state.info.channel_id, _HeldConsumerPlace(session, state))
-    assert isinstance(kept, _HeldConsumerPlace), "nothing else is put there"
+    assert isinstance(kept, _HeldConsumerPlace), "only held places are stored there"
     kept.keep(lease_s)
     return consumed
 

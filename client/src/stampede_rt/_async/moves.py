@@ -77,7 +77,7 @@ class Moves(Proxies):
         hosts = {one.name: one for one in await self.hosts() if one.endpoints}
         if host not in hosts:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
-        while True:  # once more if the thing has just moved; ends with the deadline
+        while True:  # tries again if the thing has just moved; ends with the deadline
             found = await find()
             try:
                 if found.owner != host and found.owner in hosts:

@@ -203,7 +203,7 @@ class Presence:
         began, sent = time.monotonic_ns(), time.time_ns()  # the monotonic clock first, see DirectoryClient._ping
         response = await supernodes.call_leader("RenewPeerLease", request, timeout_s)
         took = time.monotonic_ns() - began
-        if response.supernode_id:  # a supernode of an older release does not tell its time
+        if response.supernode_id:  # a supernode of an older release does not send its time
             supernodes.clock = ClockOffset.measured(
                 sent_unix_nano=sent,
                 took_nanos=took,

@@ -34,7 +34,7 @@ class ReplayedSteps(BoundToProcess):
 
     @property
     def connected(self) -> bool:
-        """Whether the iteration may go on."""
+        """Whether the iteration may continue."""
         return not self._closed
 
     async def __aenter__(self) -> Self:

@@ -92,7 +92,9 @@ class ArchivedMember:
         page = self.read_as_of(query, as_of)
         self._note(page)
         self._after = page[-1] if page else None
-        self.loaded_to = page[-1].time - 1 if page.more else MAX_INSTANT  # the last bucket may go on
+        self.loaded_to = (
+            page[-1].time - 1 if page.more else MAX_INSTANT
+        )  # the next page may have more of the last bucket
         return list(zip(page.times, page.seqs, strict=True))
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:

@@ -99,7 +99,7 @@ class Channel(Reader):
 
         Period k begins k times `every` after this call, so delays do not add up. If `fn` or a put takes so long that a
         whole period passes, the handle skips that period and counts it. If `fn` returns None, the handle puts nothing.
-        The handle logs and counts an exception of `fn` or of the put, and goes on with the next period. On a full
+        The handle logs and counts an exception of `fn` or of the put, and continues with the next period. On a full
         channel with on_full="block" a put waits for at most one period. Raises InvalidArgument.
         """
         every_nanos = parse_duration(every, "every")

@@ -132,7 +132,7 @@ class Listener(BackgroundStart, BoundToProcess):
             _log.error("on_item of %s has ended: %s", self._name, error, exc_info=error.__cause__)
 
     def _listen(self) -> bool:
-        """Call the function for the items of one subscription. Returns whether to go on with a new incarnation."""
+        """Call the function for the items of one subscription. Returns whether to continue with a new incarnation."""
         try:
             with self._subscription as items:
                 self._holds.set()

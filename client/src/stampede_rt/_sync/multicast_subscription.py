@@ -140,7 +140,7 @@ class MulticastSubscription(Subscription):
         step, wait_s = receiving.pace.next_step(now_s, is_missing=receiving.merge.is_missing)
         if step is Step.LEAVE:
             self._repair(receiving)
-            if self._receiving is not receiving:  # the host serves the channel no more
+            if self._receiving is not receiving:  # the host no longer serves the channel
                 return
             _log.info("the datagrams of channel %r do not come any more", self._state.info.name)
             self._leave()

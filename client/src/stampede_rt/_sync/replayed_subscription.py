@@ -35,7 +35,7 @@ class ReplayedSteps(BoundToProcess):
 
     @property
     def connected(self) -> bool:
-        """Whether the iteration may go on."""
+        """Whether the iteration may continue."""
         return not self._closed
 
     def __enter__(self) -> Self:

@@ -294,7 +294,7 @@ class Subscription(BoundToProcess):
                 self._closed = True
                 raise
             self._sent_to = copy_target_of(error)
-            if self._sent_to:  # the stream goes on at a copy, and is not broken
+            if self._sent_to:  # the stream continues at a copy, and is not broken
                 return
             self._reconnecting.broke()
             self._session.cache.forget(self._state.info.channel_id)

@@ -13,7 +13,7 @@ NOT_TOLD = "not told: this needs the right to read the channel, and a host that 
 
 
 def user_facts(stats: ChannelStats, people: bool) -> dict[str, Any]:
-    """The facts `dropped`, `readers` and `writers`: texts for people, else plain values.
+    """The facts `dropped`, `readers` and `writers`: texts for people, or plain values for programs.
 
     Lists that the host does not tell are None in the plain values.
     """

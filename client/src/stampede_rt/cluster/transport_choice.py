@@ -25,11 +25,14 @@ class Transport(StrEnum):
     an error.
     """
     BEST = "best"
-    """The first transport that the host's gatekeeper offers, or else gRPC."""
+    """The first transport that the host's gatekeeper offers, or gRPC if it offers none."""
 
 
 def parse_transport(given: str | None) -> Transport:
-    """Return the choice that `connect(transport=...)` or else `$STAMPEDE_TRANSPORT` states. Raises InvalidArgument."""
+    """Return the choice that `connect(transport=...)` states, or `$STAMPEDE_TRANSPORT` if it states none.
+
+    Raises InvalidArgument.
+    """
     stated = given if given is not None else os.environ.get(VARIABLE) or Transport.BEST
     try:
         return Transport(stated)

@@ -56,7 +56,10 @@ class FileReport:
 
 
 def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lambda _: None) -> FileReport:
-    """Read a whole file, and check every checksum. `on_bytes` is told how many bytes are read. Raises FileError."""
+    """Read a whole file, and check every checksum.
+
+    `on_bytes` is called with the number of read bytes. Raises FileError.
+    """
     with FileReader(path) as reader:
         return _walk(reader, lambda _: None, on_bytes)
 

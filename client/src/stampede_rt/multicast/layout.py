@@ -37,7 +37,7 @@ class MessageKind(IntEnum):
     BEAT = 2
     """There is no item from `first_seq` on yet."""
     END = 3
-    """The host sends no more. The reader opens another stream, which tells the reason."""
+    """The host sends no further datagrams. The reader opens another stream, which gives the reason."""
 
 
 class Head(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 REORDERED_S = 0.02  # datagrams that overtake each other: a reader waits this long for missing ones
-BEAT_S_MAX = 1.0  # a host that has no items says so at least this often
+BEAT_S_MAX = 1.0  # a host without new items sends a heartbeat at least this often
 SILENT_S = 3.5 * BEAT_S_MAX  # after this time without a message, datagrams do not reach the reader any more
 VAIN_REPAIRS_MAX = 64  # repairs in a row without any item by multicast: the network or the reader is too slow for it
 KEY_ASKED_S = 1.0  # how often a reader asks for a new key; anybody can send datagrams that name another one
@@ -53,7 +53,10 @@ class RepairPace:
         self._vain = 0
 
     def ended(self) -> None:
-        """Note that the host sends no more. Only a new stream tells the reason, or leads to the channel's new host."""
+        """Note that the host sends no further datagrams.
+
+        Only a new stream gives the reason, or the channel's new host.
+        """
         self._has_ended = True
 
     def ask_for_key(self, now_s: float) -> None:

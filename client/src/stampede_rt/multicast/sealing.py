@@ -42,7 +42,10 @@ class Rejected(Enum):
 
 
 class Sealer:
-    """Seals the parts of one stream under one key. `key` has KEY_BYTES random bytes, and nobody else seals with it."""
+    """Seals the parts of one stream under one key.
+
+    `key` has KEY_BYTES random bytes, and only this object seals with it.
+    """
 
     def __init__(self, stream_id: bytes, key_number: int, key: bytes) -> None:
         self._stream_id, self._key_number, self._cipher = stream_id, key_number, AESGCM(key)

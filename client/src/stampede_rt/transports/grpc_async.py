@@ -236,7 +236,8 @@ class GetExchange(CallStream):
         """Give `request` a call id, send it, and return all responses.
 
         Waits for at most `timeout_s` seconds; None: without limit. Raises StampedeError, DeadlineExceeded after
-        `timeout_s`. If the get ends early, also because the task is cancelled, the host is told to cancel it.
+        `timeout_s`. If the get ends early, for example because the task is cancelled, the client asks the host to
+        cancel it.
         """
         if self.broken:
             raise closed(self._target)

@@ -38,7 +38,7 @@ def join_group(group: str, target: str) -> socket.socket:
     except BaseException:
         made.close()
         raise
-    forking.keep_out_of_children(made)  # else this machine stays in the group as long as a child runs
+    forking.keep_out_of_children(made)  # otherwise this machine would stay in the group as long as a child runs
     return made
 
 

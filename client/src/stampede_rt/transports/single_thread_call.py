@@ -149,7 +149,7 @@ class SingleThreadCall:
                 raise self._end()
         try:
             return self._decode(encoded)
-        except Exception as error:  # the server has sent something else than the method's responses
+        except Exception as error:  # the server has sent bytes that are not the method's responses
             self.cancel()
             raise CallEnded(grpc.StatusCode.INTERNAL, "Exception deserializing response!", ()) from error
 

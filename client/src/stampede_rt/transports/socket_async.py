@@ -106,7 +106,7 @@ class SocketCall(asyncio.BufferedProtocol):
         return frames
 
     def pause_writing(self) -> None:
-        """Stop writing, because the system takes no more bytes."""
+        """Stop writing, because the socket's buffer is full."""
         self._is_full = True
 
     def resume_writing(self) -> None:

@@ -119,7 +119,7 @@ def _all_of(tls: TlsLayer) -> bytes:
 def prepare(connected: socket.socket) -> None:
     """Let a TCP socket send at once.
 
-    A client needs no TCP_USER_TIMEOUT: the signs of life tell it that the host is there. The system would also end the
+    A client needs no TCP_USER_TIMEOUT: the signs of life show that the host is there. The system would also end the
     connection of a client whose host lives, and takes no bytes for so long because a put waits for room.
     """
     connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

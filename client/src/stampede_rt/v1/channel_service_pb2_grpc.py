@@ -81,7 +81,7 @@ class ChannelServiceServicer(object):
     def Put(self, request_iterator, context):
         """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
         send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
-        single run or item comes inside the ack, and the stream goes on.
+        single run or item comes inside the ack, and the stream continues.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -38,7 +38,7 @@ class ChannelServiceStub:
     Put: _grpc.StreamStreamMultiCallable[_channel_service_pb2.PutRequest, _channel_service_pb2.PutResponse]
     """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
     send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
-    single run or item comes inside the ack, and the stream goes on.
+    single run or item comes inside the ack, and the stream continues.
     """
     Get: _grpc.StreamStreamMultiCallable[_channel_service_pb2.GetRequest, _channel_service_pb2.GetResponse]
     """Read by interval. The host answers each request with responses that carry its call id. The last of them has a
@@ -83,7 +83,7 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     Put: _aio.StreamStreamMultiCallable[_channel_service_pb2.PutRequest, _channel_service_pb2.PutResponse]  # type: ignore[assignment]
     """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
     send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
-    single run or item comes inside the ack, and the stream goes on.
+    single run or item comes inside the ack, and the stream continues.
     """
     Get: _aio.StreamStreamMultiCallable[_channel_service_pb2.GetRequest, _channel_service_pb2.GetResponse]  # type: ignore[assignment]
     """Read by interval. The host answers each request with responses that carry its call id. The last of them has a
@@ -131,7 +131,7 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.PutResponse], _abc.AsyncIterator[_channel_service_pb2.PutResponse]]:
         """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
         send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
-        single run or item comes inside the ack, and the stream goes on.
+        single run or item comes inside the ack, and the stream continues.
         """
 
     @_abc_1.abstractmethod

@@ -76,7 +76,7 @@ class MembershipServiceServicer(object):
         """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
         ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
+        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -97,7 +97,7 @@ class MembershipServiceServicer(object):
         first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
         further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
         snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-        work goes on).
+        work continues).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -44,7 +44,7 @@ class MembershipServiceStub:
     """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
     ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
+    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]
     """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
@@ -57,7 +57,7 @@ class MembershipServiceStub:
     first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
     further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
     snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-    work goes on).
+    work continues).
     """
 
 @_typing.type_check_only
@@ -76,7 +76,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
     ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
+    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]  # type: ignore[assignment]
     """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
@@ -89,7 +89,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
     further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
     snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-    work goes on).
+    work continues).
     """
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -117,7 +117,7 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
         ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
+        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
         """
 
     @_abc_1.abstractmethod
@@ -142,7 +142,7 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
         further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
         snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-        work goes on).
+        work continues).
         """
 
 def add_MembershipServiceServicer_to_server(servicer: MembershipServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

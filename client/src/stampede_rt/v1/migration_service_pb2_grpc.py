@@ -116,7 +116,7 @@ class MigrationServiceServicer(object):
 
     def DrainHost(self, request, context):
         """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-        group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
         SHUTTING_DOWN. What could not be moved is in the answer.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -66,7 +66,7 @@ class MigrationServiceStub:
     """
     DrainHost: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]
     """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-    group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
     SHUTTING_DOWN. What could not be moved is in the answer.
     """
 
@@ -108,7 +108,7 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     """
     DrainHost: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]  # type: ignore[assignment]
     """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-    group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+    group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
     SHUTTING_DOWN. What could not be moved is in the answer.
     """
 
@@ -177,7 +177,7 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.DrainHostResponse, _abc.Awaitable[_migration_service_pb2.DrainHostResponse]]:
         """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-        group go to the same host. The host goes on to serve, and may get other channels. Errors: PERMISSION_DENIED,
+        group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
         SHUTTING_DOWN. What could not be moved is in the answer.
         """
 

@@ -16,7 +16,7 @@ class HostClock(Protocol):
         """Nanoseconds since some fixed moment. Never jumps, and counts the time in which the machine was suspended."""
 
 
-# macOS has no CLOCK_BOOTTIME; its CLOCK_MONOTONIC goes on while the machine sleeps.
+# macOS has no CLOCK_BOOTTIME; its CLOCK_MONOTONIC continues while the machine sleeps.
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 

@@ -219,7 +219,7 @@ async def _open_log(
 def _work(
     settings: SupernodeSettings, founding: Founding, parts: _Parts, server: ServiceServer, credentials: Dialer
 ) -> list[Coroutine[Any, Any, None]]:
-    """The work that goes on for as long as the supernode serves."""
+    """The work that runs as long as the supernode serves."""
     work: list[Coroutine[Any, Any, None]] = [
         parts.leases.run(),
         parts.levels.run(),
@@ -288,7 +288,7 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
 def _end_watches(parts: _Parts, status: ReplicationStatus) -> None:
     """End all watches, because this state differs from that of most members, and log the reason.
 
-    The log goes on. This member still takes part in it, and counts for its majorities.
+    The log continues to run. This member still takes part in it, and counts for its majorities.
     """
     parts.watches.close()
     logger.error(

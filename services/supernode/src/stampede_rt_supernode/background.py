@@ -1,4 +1,4 @@
-"""Runs the work that goes on for as long as a supernode serves."""
+"""Runs the work that lasts as long as a supernode serves."""
 
 from __future__ import annotations
 

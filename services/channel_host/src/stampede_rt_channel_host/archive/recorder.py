@@ -58,7 +58,7 @@ class ChannelRecorder:
         self.keep(segments)
         self.unarchived = 0
         self.is_stopped = False
-        """Whether the host has given the channel up: the archive writes no more items of it."""
+        """Whether the host has given the channel up: the archive no longer writes its items."""
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
         self._gaps: list[SeqGap] = []  # the last seqs that the archive will never have
@@ -250,7 +250,7 @@ class ChannelRecorder:
         moved.set()
 
     def stop(self) -> None:
-        """Note that the archive writes no more items of the channel. Idempotent."""
+        """Note that the archive no longer writes items of the channel. Idempotent."""
         self.is_stopped = True
         self._expect(0)
         self.note_end(self.failure)

@@ -100,7 +100,7 @@ class SegmentFiles(SegmentReads):
         self.is_shared = False
         """Whether the other hosts of the cluster read the closed segments, too."""
         self.is_listed = True
-        """Whether the place of the segments has told which ones it has; else a list on the disk did."""
+        """Whether the segments are known from a listing of their store, and not from a list on the disk."""
         self.is_known = True
         """Whether the host knows all segments: False until the first listing after an opening without one."""
         self._segments: tuple[Segment, ...] = ()

@@ -26,7 +26,10 @@ class Freshness(NamedTuple):
 
 
 class Inheritance(NamedTuple):
-    """The copy has all items of its source, and the source changes no more. `host_time`: the channel's clock there."""
+    """The copy has all items of its source, and the source no longer changes.
+
+    `host_time`: the channel's clock there.
+    """
 
     host_time: int
 

@@ -79,7 +79,7 @@ class HostedChannel:
         deliveries: SharedDeliveries | None = None,
         begun: NewCopy | OwnedCore | None = None,
     ) -> None:
-        """Set up the channel of `record`. `begun`: it is a copy of that channel, or goes on with these items.
+        """Set up the channel of `record`. `begun`: it is a copy of that channel, or continues with these items.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work for which no caller waits (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
@@ -242,7 +242,7 @@ class HostedChannel:
             yield from self._gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
+        """As `ending`, and then free the items, because the host gives the channel up. Its memory no longer counts."""
         yield from self.replaced(error)
         yield  # afterwards the interrupted calls do not use the channel any more
         if self.core is not self.channel:
@@ -251,7 +251,7 @@ class HostedChannel:
             yield from self.core.emptying()
 
     def replaced(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, because another object serves the channel with these items. Its memory counts no more here."""
+        """As `ending`, because another object serves the channel with these items. Its memory no longer counts here."""
         if self.copy is not None:
             self.copy.on_dropped()
         if self.moving is not None:

@@ -113,7 +113,7 @@ def is_given_away(hosted: HostedChannel | None) -> bool:
 
 
 def elsewhere(hosted: HostedChannel | None) -> StampedeError | None:
-    """The error that sends callers to the new owner of a channel that has just moved from here; else None."""
+    """The error that sends callers to the new owner of a channel that has just moved from here; otherwise None."""
     return hosted.moving.elsewhere if hosted is not None and hosted.moving is not None else None
 
 
@@ -122,7 +122,7 @@ def _ignore_floors(floors: Sequence[CutFloor]) -> None:
 
 
 def _nothing() -> None:
-    """Do nothing, because the feed of the copy goes on."""
+    """Do nothing, because the feed of the copy continues."""
 
 
 async def _refuse(record: RecordedChannel) -> None:

@@ -53,7 +53,7 @@ class Moving:
         self._wait()
 
     def stop(self) -> None:
-        """Refuse no more puts, because this host drops the channel, or the move is over. Idempotent."""
+        """Stop refusing puts, because this host drops the channel, or the move is over. Idempotent."""
         if self._timer is not None:
             self._timer.cancel()
 

@@ -27,8 +27,8 @@ Feed = TypeVar("Feed", bound=OwnersFeed)
 class ServingPeriod:
     """A time in which a host serves a channel or queue without a break.
 
-    `ended`: the error with which it ended; None: it goes on. A period ends with the lease, too. If the host renews the
-    lease in time, it remains the owner, and the next period has begun.
+    `ended`: the error with which it ended; None: it continues. A period ends with the lease, too. If the host renews
+    the lease in time, it remains the owner, and the next period has begun.
     """
 
     ended: StampedeError | None = None

@@ -44,7 +44,7 @@ def kind_of(policy: Policy) -> Kind:
 class Replication(OwnedReplicas[ReplicaFeed]):
     """The replicas of the channel `core`. `shown` is the channel as readers see it.
 
-    If puts wait for replicas, `shown` has replicated items only; else it is `core`. Calls `on_shown` with the time
+    If puts wait for replicas, `shown` has only replicated items. Otherwise it is `core`. Calls `on_shown` with the time
     after each change of `shown`.
     """
 

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 def restore_channel(
     channel: ChannelCore, found: OpenedArchive, newest: ArchiveWindow | None, cut: Callable[[bytes, int, int], bytes]
 ) -> None:
-    """Take the newest archived items into memory, so that the channel goes on where its archive ends.
+    """Take the newest archived items into memory, so that the channel continues where its archive ends.
 
     A channel that stopped before its first item has a note of the stop, and no items.
     """

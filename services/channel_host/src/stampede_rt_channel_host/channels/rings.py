@@ -163,7 +163,7 @@ class Rings:
             ring.refresh(fence_boottime)
 
     def fence(self) -> None:
-        """Tell the readers of all rings that the host serves no more, because it shuts down."""
+        """Tell the readers of all rings that the host no longer serves, because it shuts down."""
         self.fence_boottime = lambda: 0
         self.refresh()
 

@@ -37,7 +37,7 @@ class Sweep:
         self._touched[hosted] = None
 
     def forget(self, hosted: HostedChannel) -> None:
-        """Drop a channel that the host serves no more."""
+        """Drop a channel that the host no longer serves."""
         self._touched.pop(hosted, None)
         self._deadlines.disarm(hosted)
 

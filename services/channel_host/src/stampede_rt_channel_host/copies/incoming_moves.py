@@ -65,7 +65,7 @@ class IncomingMoves:
     async def move_here(self, record: RecordedChannel, source: FeedSource) -> Moved:
         """Make this host the owner of a channel, which `source` owns. Joins a move of this channel that is under way.
 
-        The move goes on if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
+        The move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
         if record.host_id == self._identity.host_id:
             return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
@@ -91,7 +91,7 @@ class IncomingMoves:
             logger.info("a move has failed", extra={"event": "move_failed", "why": str(failure)})
 
     def close(self) -> None:
-        """Begin no more moves, because this host gives its channels away and stops."""
+        """Begin no further moves, because this host gives its channels away and stops."""
         self._is_closing = True
 
     async def aclose(self) -> None:

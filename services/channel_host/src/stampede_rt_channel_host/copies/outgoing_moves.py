@@ -96,7 +96,7 @@ class OutgoingMove:
 
     @property
     def is_held(self) -> bool:
-        """Whether the channel changes no more."""
+        """Whether the channel can no longer change."""
         return self._moving.is_held
 
     @property

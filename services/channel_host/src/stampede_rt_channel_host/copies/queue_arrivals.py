@@ -61,7 +61,7 @@ class QueueArrivals:
     async def move_here(self, record: RecordedQueue, target: str | None) -> MovedQueue:
         """Make this host the owner of a queue, which is at `target`. Joins a move of this queue that is under way.
 
-        The move goes on if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
+        The move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
         if record.host_id == self._identity.host_id:
             return MovedQueue(await self._queues.use(record.queue_id, record.epoch), 0)
@@ -80,7 +80,7 @@ class QueueArrivals:
         return move
 
     def close(self) -> None:
-        """Begin no more moves, because the host stops."""
+        """Begin no further moves, because the host stops."""
         self._is_closing = True
 
     async def aclose(self) -> None:

@@ -118,7 +118,7 @@ class KeptReplicas(ABC):
             self._tell(error)
 
     def work_for(self, host_id: bytes, work: Callable[[], Coroutine[Any, Any, None]], what: str) -> None:
-        """Do `work` for the replica at a host in the background, unless earlier work for it goes on.
+        """Do `work` for the replica at a host in the background, unless earlier work for it is still running.
 
         The flags of the other replicas do not wait for a host that may be frozen.
         """

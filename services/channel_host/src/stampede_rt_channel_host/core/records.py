@@ -42,7 +42,7 @@ class RecordedChannel:
 
 
 def next_incarnation(incarnation: int) -> int:
-    """The incarnation that the directory gives to a channel whose new owner goes on with the items of a replica.
+    """The incarnation that the directory gives to a channel whose new owner continues with the items of a replica.
 
     The new owner may lack the latest items. An incarnation that begins without items is a random number.
     """

@@ -70,7 +70,7 @@ class RemoteMember:
         return not self._had_all and (self.is_followed or waited_s < UNANSWERED_SECONDS_MAX)
 
     def _ask_for_more(self, *, must: bool) -> None:
-        """Let the member's host send more, if the track has room or the matches cannot go on without it."""
+        """Let the member's host send more, if the track has room or the matches cannot continue without it."""
         if self._credit * 2 < self._ahead_bytes and (must or len(self.track) < 2 * AHEAD_ITEMS):
             self._wants_more.set()
 

@@ -126,7 +126,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self.news.set()
 
     def end(self, error: StampedeError) -> None:
-        """End the waits, and drop the waiting actions. The feeds go on."""
+        """End the waits, and drop the waiting actions. The feeds continue."""
         self._waiting.clear()
         super().end(error)
 

@@ -81,7 +81,7 @@ class TlsStream(asyncio.BufferedProtocol):
         return self._short
 
     def buffer_updated(self, came_bytes: int) -> None:
-        """Take encrypted bytes. A handshake reads no more until its step is taken."""
+        """Take encrypted bytes. During a handshake, reading stops until the next step is performed."""
         self._tls.feed(self._short[:came_bytes])
         if self._is_secured:
             self._open_some()
@@ -94,11 +94,11 @@ class TlsStream(asyncio.BufferedProtocol):
         return self._stream.eof_received() if self._is_secured else False
 
     def pause_writing(self) -> None:
-        """Stop writing, because the system takes no more bytes."""
+        """Stop writing, because the socket's buffer is full."""
         self._stream.pause_writing()
 
     def resume_writing(self) -> None:
-        """Write again, because the system has taken all bytes."""
+        """Write again, because the system has sent all bytes."""
         self._stream.resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:

@@ -96,7 +96,7 @@ class SnapshotWriter:
 class _ChannelParts:
     """The encoded forms of all channels as of the last snapshot.
 
-    `position`: that of its view; None before the first one.
+    `position`: the position of the view that this snapshot encoded; None before the first snapshot.
     """
 
     def __init__(self) -> None:

@@ -234,7 +234,7 @@ async def open_replicated_log(
     The caller binds `server` before this call, so that its address is known, and starts it afterwards. The caller stops
     `server` after it has closed the log. `dial(address)` makes a new channel with the cluster's credentials and with
     CHANNEL_OPTIONS; the log closes that channel. From now on the log drives `state_machine` on its own thread. The log
-    calls `on_fatal` if it cannot go on; by default that ends the process. Raises StoreRefused, StoreDamaged,
+    calls `on_fatal` if it cannot continue; by default that ends the process. Raises StoreRefused, StoreDamaged,
     LibraryMismatch, and the errors of `state_machine` for its stored snapshot (ReleaseTooOld among them).
     """
     bridge = LoopBridge(asyncio.get_running_loop())

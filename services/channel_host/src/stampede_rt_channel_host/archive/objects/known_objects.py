@@ -26,7 +26,7 @@ class Known(NamedTuple):
 class KnownObjects:
     """A file with a line for each change, each with a checksum. Any damage makes the whole list unknown.
 
-    If the disk does not take a line, the list is deleted, because moves must go on: they make room on a full disk.
+    If a line cannot be written, the list is deleted, because moves must continue: they make room on a full disk.
     """
 
     def __init__(self, folder: Path, url: str) -> None:

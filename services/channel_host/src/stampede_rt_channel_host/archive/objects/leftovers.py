@@ -93,7 +93,7 @@ class Leftovers:
     def _delete_some(self, channel_id: bytes) -> list[str]:
         """Delete some objects of a channel, and the folder after the last one. Returns the names. Blocks."""
         path = self._folder / channel_id.hex()
-        if not (path / _DELETED_FILE).exists():  # the next process goes on with it
+        if not (path / _DELETED_FILE).exists():  # the next process continues the deletion
             path.mkdir(mode=0o700, parents=True, exist_ok=True)
             (path / _DELETED_FILE).touch(mode=0o600)
             sync_folder(path)

@@ -76,7 +76,7 @@ class ObjectArchive:
     async def _found(
         self, files: MovingFiles, record: RecordedChannel, readers: Executor, writer: Executor, may_be_unknown: bool
     ) -> tuple[Mapping[int, StoredSegment] | None, bool]:
-        """The segments in the store, and whether a listing of the store tells them. None: nobody knows them now.
+        """The segments in the store, and whether they come from a listing of the store. None: they are not known now.
 
         Raises OSError.
         """

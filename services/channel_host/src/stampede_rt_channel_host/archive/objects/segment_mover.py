@@ -106,7 +106,7 @@ class SegmentMover:
             del self._leaving[files]
 
     def not_reopened(self, channel_id: bytes) -> None:
-        """Note that the folder could not be opened. Its closed files go on to the store."""
+        """Note that the folder could not be opened. Its closed files still move to the store."""
         self._leftovers.give_back(channel_id)
         self._wake.set()
 

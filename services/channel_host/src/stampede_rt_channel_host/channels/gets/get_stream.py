@@ -75,7 +75,7 @@ class GetStream:
         answer_at_once(self._context, self._take_at_once)
         try:
             while (raw := await self._context.read()) is not EOF:
-                check_length(raw)  # before the wait for the turn: else many large requests stay in memory
+                check_length(raw)  # before the wait for the turn, because many large requests would stay in memory
                 if self._work.must_wait:
                     await self._work.turn()
                 self._work.spend_read()
@@ -253,7 +253,7 @@ class GetStream:
 
     def _releaser(self, get: OpenGet) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
-            self._calls[get.call_id] = None  # the get waits no more, but its answer is still to be sent
+            self._calls[get.call_id] = None  # the get no longer waits, but its answer is still to be sent
             self._rights.release(get.call_id)
             get.released()
             refusal = refusal_of(get.hosted, get.plan.demand)

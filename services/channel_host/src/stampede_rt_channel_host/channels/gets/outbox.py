@@ -190,7 +190,7 @@ class Outbox:
         self._in_flight.set(self.queued_bytes)
 
     def _release_bytes(self, answer: _Answer) -> None:
-        """Count the bytes of an answer no more. If there is room now, end the waits in `room`, and call `on_room`."""
+        """Stop counting the bytes of an answer. If there is room now, end the waits in `room`, and call `on_room`."""
         self._count(-answer.kept_bytes)
         if self.has_room:
             self._room.set()

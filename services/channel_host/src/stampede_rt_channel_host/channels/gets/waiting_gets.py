@@ -110,7 +110,7 @@ class WaitingGets:
         return get
 
     def remove(self, get: WaitingGet) -> None:
-        """Remove a get, because it waits no more."""
+        """Remove a get that no longer waits."""
         if get in self._waiting:
             del self._waiting[get]
             self._leave(get)
@@ -133,7 +133,7 @@ class WaitingGets:
             self._work()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """End the gets that wait now with `error`, in pieces, because the host serves the channel no more."""
+        """End the gets that wait now with `error`, in pieces, because the host no longer serves the channel."""
         self._drop_releases()
         gets = deque(self._waiting)  # emptied step by step, because to free very many gets in one step takes long
         while gets:

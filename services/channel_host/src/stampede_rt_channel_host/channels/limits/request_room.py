@@ -103,7 +103,7 @@ class RequestRoom:
             del self._lines[caller]
 
     def _unlist(self) -> None:
-        """Look no more at the first line, until `_list`."""
+        """Do not look at the first line again before `_list`."""
         _, caller = heappop(self._listed)
         self._lines[caller].is_listed = False
 

@@ -51,7 +51,7 @@ class ChannelMulticast:
     """Order of use, on one event loop: make it, `run` as a task, `join` and `leave` for each reader, `stop`.
 
     `readers`: the subscriptions whose readers may hear the datagrams. `repairs`: their requests for missing items.
-    `has_ended`: it sends no more, and new readers need another one.
+    `has_ended`: it sends nothing more, and new readers need another one.
     """
 
     def __init__(self, hosted: HostedChannel, group: MulticastGroup, now: Callable[[], int]) -> None:
@@ -105,7 +105,7 @@ class ChannelMulticast:
     def _in_time(self, cursor: AllCursor) -> AllCursor:
         """The cursor, or one at the end of the channel if this one has been behind for too long.
 
-        Readers ask the host for the items between, or go on without datagrams.
+        Readers ask the host for the items between, or continue without datagrams.
         """
         next_seq, now_s = self._hosted.channel.next_seq, asyncio.get_running_loop().time()
         if cursor.next_seq < self._goal_seq and now_s - self._goal_s > LATE_S_MAX:

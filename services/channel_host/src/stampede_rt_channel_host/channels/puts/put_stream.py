@@ -1,7 +1,7 @@
 """Serves one stream of puts: judges and acks runs in order.
 
 The loop that reads the requests writes the ack of a single put itself, because its caller waits for it. Over a socket
-even that loop need not go on: the stream takes a request of a few runs in the turn of the event loop in which its bytes
+even that loop need not run: the stream takes a request of a few runs in the turn of the event loop in which its bytes
 come (decision 0164).
 """
 
@@ -37,7 +37,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, answer_at_once
 
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
-RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; producers join no more
+RUNS_AT_ONCE_MAX = 16  # of a request that is answered in the turn in which it comes; producers join at most this many
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 

@@ -207,7 +207,7 @@ class ChannelPuts:
         return run.ack
 
     def withdraw(self, run: IncomingRun) -> None:
-        """Stop the wait of a run, because its caller waits no more. The channel accepts no further item of the run.
+        """Stop the wait of a run, because its caller no longer waits. The channel accepts no further item of the run.
 
         The retry window remembers the accepted items. If the producer sends the run again, the channel continues after
         them. Does nothing for a run that has its ack.

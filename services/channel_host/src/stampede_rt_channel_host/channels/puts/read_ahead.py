@@ -26,7 +26,7 @@ class RequestSource(Protocol):
         """The next request, or EOF."""
 
     def release(self) -> None:
-        """Count the bytes of the last request no more. Idempotent."""
+        """Stop counting the bytes of the last request. Idempotent."""
 
 
 class ReadAhead:
@@ -34,7 +34,7 @@ class ReadAhead:
 
     The requests read ahead count as memory of the host and as bytes in flight of the caller. A request counts until
     `release`, or until the next call of `next`. At the bounds, or when the host's memory or the caller's quota is used
-    up, the host reads no more ahead. Flow control then slows the caller down.
+    up, the host stops reading ahead. Flow control then slows the caller down.
     """
 
     def __init__(self, requests: RequestSource, memory: MemoryBudget, account: Account) -> None:
@@ -75,7 +75,7 @@ class ReadAhead:
         return self._task is not None or bool(self._received)
 
     def release(self) -> None:
-        """Count the request that `next` gave last no more, because its runs are judged now. Idempotent."""
+        """Stop counting the request that `next` gave last, because its runs are judged now. Idempotent."""
         self._requests.release()
         self._count(-self._given_bytes)
         self._given_bytes = 0

@@ -18,7 +18,7 @@ class Credit:
     """The credit of one stream. Calls `on_news` when the reader grants credit, and when the reader closes its side.
 
     `left` may be below 0, because the last message may have cost more than the credit that was left. `is_final`: the
-    reader has closed its side, and grants no more.
+    reader has closed its side, and grants no further credit.
     """
 
     def __init__(self, on_news: Callable[[], None]) -> None:
@@ -42,11 +42,11 @@ class Credit:
         self.left -= amount
 
     def close(self) -> None:
-        """Call `on_news` no more: it usually refers to the owner of this object."""
+        """Never call `on_news` again. It usually refers to the owner of this object."""
         self._on_news = lambda: None
 
     def end(self) -> None:
-        """Note that the reader grants no more."""
+        """Note that the reader grants no further credit."""
         self.is_final = True
         self._on_news()
 

@@ -48,7 +48,7 @@ class Subscription(ChangeObserver):
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None  # of the present or last wait; see `_wait_for_news`
-        # whether the reader began with items that the channel held, and must still get the progress after these items
+        # whether the reader must still get a progress message after the items that the channel held at its start
         self._owes_progress = False
         # the latest advance, cursor and count of skipped items that the reader has got
         self._sent_advance: int | None = None
@@ -160,11 +160,11 @@ class Subscription(ChangeObserver):
             self._hosted.subscriptions.discard(self)
 
     async def _asked_place(self, cursor: Cursor) -> Cursor:
-        """The place from which a reader of datagrams wants items, if it has asked for some; else `cursor`."""
+        """The cursor of the repair for which a reader of datagrams has asked. `cursor` if it has asked for none."""
         if not self._multicast.has_asked or (saved := cursor.saved) is None:
             return cursor
-        asked = self._multicast.take_asked(saved.incarnation)  # a former one until the reader has heard of its loss
-        self._owes_progress = True  # answers if there is no item
+        asked = self._multicast.take_asked(saved.incarnation)  # the reader may still know only the former incarnation
+        self._owes_progress = True  # the answer if there is no item
         self._credit.left = self._multicast.asked_bytes
         return await self._store.scheduler.do(open_cursor(self._hosted, asked, self._store.now()))
 
@@ -233,7 +233,7 @@ class Subscription(ChangeObserver):
         saved, news = cursor.saved, b""
         if self._multicast.is_joined:
             if self._multicast.is_owed:
-                self._credit.left = 0  # this response is all that the reader wants
+                self._credit.left = 0  # the reader wants no further response
             news = self._multicast.news()
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._sent_cursor:
@@ -250,12 +250,12 @@ class Subscription(ChangeObserver):
         return progress
 
     def _advance_is_news(self) -> bool:
-        """Whether there is an advance that the reader does not know. After an advance, earlier items come no more."""
+        """Whether there is an advance that the reader does not know. No earlier item comes after an advance."""
         return self._hosted.channel.advanced_to != self._sent_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
         """Wait for news. Returns True when news comes, False at the loop time `until_s`. None: waits without limit."""
-        if self._multicast.has_asked:  # the reader asked while nobody waited
+        if self._multicast.has_asked:  # the reader has asked before this wait began
             return True
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()

@@ -239,7 +239,7 @@ class BaseChannel:
 
     @property
     def missed(self) -> int:
-        """In a copy: the number of items that had left the source before this copy could get them; else 0."""
+        """The number of items that left the source before this copy could get them. 0 if this is no copy."""
         return self._held.missed
 
     @property

@@ -1,6 +1,6 @@
 """The incarnations of which a channel has items, and the losses between them. Pure.
 
-If the owner of a channel is lost, and a replica that may lack its latest items becomes the owner, the channel goes on
+If the owner of a channel is lost, and a replica that may lack its latest items becomes the owner, the channel continues
 under a new incarnation with the items of the replica.
 """
 

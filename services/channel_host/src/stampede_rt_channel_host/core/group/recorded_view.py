@@ -181,7 +181,10 @@ class RecordedView:
         self.released_by = min(found, default=None)
 
     def _next_hidden(self, within: ResolvedInterval) -> ArchivedRead:
-        """A read of the next item at or after the cut. If spans decide, any item counts, else only a matching one."""
+        """A read of the next item at or after the cut.
+
+        If spans decide, any item counts; otherwise only a matching one.
+        """
         cut = self.horizon.cut
         shown = None if cut is None else Position(cut - 1)
         if self._query.match is not Match.START:

@@ -91,7 +91,7 @@ class WantedChannels:
         return False
 
     def _fill(self, maker: str) -> None:
-        """Ask for a channel that was left out: one of this maker, or else one of the next maker."""
+        """Ask for a channel that was left out: one of this maker, or if there is none, one of the next maker."""
         if self._left_out:
             next_maker = maker if maker in self._left_out else next(iter(self._left_out))
             left_out = self._left_out.pop(next_maker)

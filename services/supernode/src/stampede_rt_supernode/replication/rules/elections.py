@@ -32,7 +32,7 @@ from stampede_rt_supernode.replication.wire.messages import (
 # Every leader begins its term with an entry, so only failed elections put the term ahead of the log's last term. More
 # than this many failed elections are not believable: at one a second they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
-# A term that is at most this far ahead of this member's term is accepted, too. So elections go on from any term that
+# A term that is at most this far ahead of this member's term is accepted, too. So elections continue from any term that
 # this member has reached. A hostile member that raises the term by this number with each message needs a hundred
 # thousand years to use up the numbers.
 TERMS_STEP_MAX = 1000
@@ -89,7 +89,8 @@ class RaftRules(Following, Leading):
             raise PeerAtFault(member_id, f"names term {claimed}, but this member is in term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
-        """Note as the member's promise the term that it has reached, and, if it leads, the committed entries.
+        """Note the member's promise: the term that it has reached. If the member leads, also note the committed
+        entries.
 
         The member has written both to its disk before it sent the message. `note_promises` notes the committed entries
         that followers hold.
