@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +45,24 @@ def test_a_replay_ignores_later_items_when_it_checks_what_the_channel_takes(run:
     words = ("--from", str(began), "--to", str(began + 2 * 10**9), "--as", "cut/", "--speed", "max", "--shift", "now")
     status, out, told = run("replay", "until/cam", *words, "-o", "json")
     assert (status, json.loads(out)["items"]) == (0, {"cut/until/cam": 2}), told
+
+
+def test_a_replay_of_a_time_between_two_items_says_so_and_makes_no_channel(
+    run: Command, rt: st.Connection, tmp_path: Path
+) -> None:
+    channel, began = rt.channel("pause/cam", max_age="60s"), st.now() - 30 * 10**9
+    for number in (0, 20):
+        channel.put(b"%d" % number, time=began + number * 10**9)
+    start, end = began + 5 * 10**9, began + 6 * 10**9
+    window = f"from {format_instant(start)} on and before {format_instant(end)}"
+    words = ("--from", str(start), "--to", str(end), "--as", "hole/", "--speed", "max", "--shift", "now")
+    status, _, told = run("replay", "pause/cam", *words)
+    assert (status, told) == (2, f"stampede: channel 'pause/cam' has no items {window}\n")
+    path = tmp_path / "pause.mcap"
+    assert run("record", "pause/cam", "--since", "60s", "--for", "0s", "-o", str(path))[0] == 0
+    status, _, told = run("replay", str(path), *words)
+    assert (status, told) == (2, f"stampede: the file {str(path)!r} has no items of the chosen topics {window}\n")
+    assert "hole/pause/cam" not in [one.name for one in rt.channels()]
 
 
 def test_a_replay_of_channels_without_items_names_them_and_the_instants(run: Command, rt: st.Connection) -> None:

@@ -16,7 +16,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.reading import Event
-from stampede_rt.files.schedule import Schedule, target_policy
+from stampede_rt.files.schedule import Schedule, target_policy, window_text
 from stampede_rt.files.sources import FileSource, SourceTopic
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
@@ -172,7 +172,14 @@ class Player(BackgroundStart, BoundToProcess):
         return Schedule.plan(start, max(start, end), self._request.speed, self._request.shift, now)
 
     def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
-        """Open all channels, and check that none of them would refuse the items. Raises InvalidArgument."""
+        """Open all channels, and check that none of them would refuse the items.
+
+        Raises InvalidArgument, also if there are no items to put. Then it has opened no channel.
+        """
+        firsts = [in_thread(partial(self._first_time, topic)) for topic in topics]
+        if all(one is None for one in firsts):
+            when = window_text(self._request.start, self._request.end)
+            raise InvalidArgument(f"the file {self._source.path!r} has no items of the chosen topics{when}")
         taken: dict[str, str] = {}
         for topic in topics:
             name = channel_name(topic.name, self._request.prefix)
@@ -182,16 +189,16 @@ class Player(BackgroundStart, BoundToProcess):
                 )
             policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
             self._channels[topic.name] = PlayedChannel.open(self._session, name, policy)
-        for topic in topics:
-            first = in_thread(partial(self._first_time, topic))
+        for topic, found in zip(topics, firsts, strict=True):
+            first = topic.start if found is None else found
             self._channels[topic.name].check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
 
-    def _first_time(self, topic: SourceTopic) -> int:
+    def _first_time(self, topic: SourceTopic) -> int | None:
         request = self._request
         for _, event in self._source.events(lambda name: name == topic.name, request.start, request.end):
             if isinstance(event, FileEntry):
                 return event.time
-        return topic.start
+        return None
 
     def _play_round(self, schedule: Schedule) -> None:
         request, began = self._request, time.monotonic_ns()

@@ -6,8 +6,9 @@ import argparse
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from stampede_rt.cli.arguments import connected
@@ -17,8 +18,12 @@ from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import recording_progress
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
+from stampede_rt.files.schedule import window_text
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt.values.recording import RecordingSummary
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+
+CLOCKS_APART_NANOS = 5 * 10**9  # the clocks of the hosts and of the supernodes are at most this far apart
 
 
 @contextmanager
@@ -26,33 +31,43 @@ def file_of(
     arguments: argparse.Namespace,
     sources: Sequence[str],
     folder: Path | None,
-    since: str = "oldest",
     *,
+    from_start: bool = False,
     needs_items: bool = True,
 ) -> Iterator[tuple[str, int]]:
     """Yield the path of a file with the items of `sources`, and a status: 0, or INCOMPLETE if items are missing.
 
     If the only source is an existing file, yields this file and status 0. Otherwise the sources are names of channels,
     or globs. The command then writes a file below `folder` (None: the folder for temporary files), and deletes it at
-    the end. `since`: as in
-    `Connection.record`. Raises InvalidArgument if there is neither a file nor a channel; with `needs_items` also if the
-    channels have no items from --from on and before --to.
+    the end. With `from_start` it leaves most items before --from out. Raises InvalidArgument if there is neither a file
+    nor a channel; with `needs_items` also if the channels have no items from --from on and before --to.
     """
     if len(sources) == 1 and os.path.exists(sources[0]):
         yield sources[0], 0
         return
     with tempfile.TemporaryDirectory(prefix=".stampede-held-", dir=folder) as made:
         path = Path(made) / "held.mcap"
-        summary = _record(arguments, sources, path, since)
+        summary = _record(arguments, sources, path, arguments.start if from_start else None)
         if needs_items:
-            _check_items(summary, arguments.start, arguments.end)
+            _check_items(summary, path, arguments.start, arguments.end)
         yield str(path), 0 if summary.complete else INCOMPLETE
 
 
-def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, since: str) -> RecordingSummary:
+def since_of(start: int | None, now: int, clock: ClockOffset | None) -> str:
+    """How far in the past a recording begins that has the items from `start` on: `since` of `Connection.record`.
+
+    `now`: this machine's clock, which may be far from the clocks of the hosts. `clock`: how far, if it is known.
+    """
+    if start is None or clock is None:
+        return "oldest"
+    apart = CLOCKS_APART_NANOS + abs(clock.offset_nanos) + clock.uncertainty_nanos
+    return f"{max(0, now - start) + apart} ns"
+
+
+def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, start: int | None) -> RecordingSummary:
     with (
         connected(arguments) as rt,
-        rt.record(sources, path, since=since, for_="0s") as recorder,
+        rt.record(sources, path, since=since_of(start, time.time_ns(), rt.clock), for_="0s") as recorder,
         shown_progress(recording_progress(recorder, None)),
     ):
         summary = recorder.wait()
@@ -64,15 +79,22 @@ def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, s
     return summary
 
 
-def _check_items(summary: RecordingSummary, start: int | None, end: int | None) -> None:
+def _check_items(summary: RecordingSummary, path: Path, start: int | None, end: int | None) -> None:
     """Raise InvalidArgument if no channel has an item from `start` on and before `end`."""
-    first, last = MIN_INSTANT if start is None else start, MAX_INSTANT if end is None else end - 1
-    for one in summary.channels:
-        if one.start is not None and one.end is not None and one.start <= last and one.end >= first:
-            return
+    first, until = MIN_INSTANT if start is None else start, MAX_INSTANT if end is None else end
+    ends = [(one.start, one.end) for one in summary.channels if one.start is not None and one.end is not None]
+    if any(begun < until and ended >= first for begun, ended in ends) and _has_items(path, first, until):
+        return
     names = sorted({one.channel for one in summary.channels})
     has = f"channel {names[0]!r} has" if len(names) == 1 else f"the channels {joined(names)} have"
-    since = "" if start is None else f" from {format_instant(start)} on"
-    until = "" if end is None else f"{' and' if since else ''} before {format_instant(end)}"
     whys = [f": {gap.reason}: {gap.detail}" for one in summary.channels for gap in one.gaps]
-    raise InvalidArgument(f"{has} no items{since}{until}{whys[0] if whys else ''}")
+    raise InvalidArgument(f"{has} no items{window_text(start, end)}{whys[0] if whys else ''}")
+
+
+def _has_items(path: Path, start: int, end: int) -> bool:
+    """Whether a file has an item from `start` on and before `end`."""
+    from stampede_rt.files.entries import FileEntry
+    from stampede_rt.files.sources import McapSource
+
+    with closing(McapSource(path)) as source:
+        return any(isinstance(event, FileEntry) for _, event in source.events(lambda name: True, start, end))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, add_verb, checked, connected, parse_time
@@ -20,7 +19,6 @@ from stampede_rt.values.recording import ReplaySummary
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
 
-CLOCKS_APART_NANOS = 5 * 10**9  # the command also reads items of this time before --from, but plays only later ones
 STOP_S = 5.0  # after Ctrl-C, until the last items are acknowledged
 
 
@@ -66,20 +64,19 @@ def _speed(text: str) -> float:
 
 def run_replay(arguments: argparse.Namespace) -> int:
     """Play a file or channels, and print the numbers of items put. The status is 3 if anything is missing."""
-    start = arguments.start
-    since = "oldest" if start is None else f"{max(0, time.time_ns() - start) + CLOCKS_APART_NANOS} ns"
-    with file_of(arguments, arguments.sources, None, since) as (path, status), connected(arguments) as rt:
+    sources = arguments.sources
+    with file_of(arguments, sources, None, from_start=True) as (path, status), connected(arguments) as rt:
         player = rt.replay_file(
             path,
             arguments.prefix,
             channels=arguments.channel or "*",
             speed=arguments.speed,
-            start=start,
+            start=arguments.start,
             end=arguments.end,
             loop=arguments.loop,
             shift=arguments.shift,
         )
-        return max(status, _played(player, arguments, " ".join(arguments.sources)))
+        return max(status, _played(player, arguments, " ".join(sources)))
 
 
 def run_import(arguments: argparse.Namespace) -> int:

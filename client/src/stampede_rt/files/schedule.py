@@ -8,11 +8,17 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import OVERLAP_NANOS_MAX
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, parse_duration
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant, parse_duration
 
 SHIFT_NOW = "now"
 SPEED_MAX = 1e6
 MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time in excess of the replay's own delay
+
+
+def window_text(start: int | None, end: int | None) -> str:
+    """The times of a replay, to follow "no items" in an error; empty if neither end was stated."""
+    since = "" if start in (None, MIN_INSTANT) else f" from {format_instant(start or 0)} on"
+    return since if end in (None, MAX_INSTANT) else f"{since}{' and' * bool(since)} before {format_instant(end or 0)}"
 
 
 @dataclass(frozen=True, slots=True)
