@@ -16,7 +16,7 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.transports.machine import this_machine
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
-from stampede_rt_channel_host.archive.objects.segment_store import StoreError, check_store
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError, advice, check_store
 from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup, loopback_or_empty
 from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.cluster.identity import (
@@ -177,7 +177,7 @@ def _objects_of(settings: HostSettings) -> ObjectSettings | None:
     try:
         store = OpenedStore(settings.archive)
     except StoreError as error:
-        raise SettingsError(f"--archive: {error.strerror}") from error
+        raise SettingsError(f"--archive: {error.strerror}; {advice(settings.archive)}") from error
     return ObjectSettings(store, settings.archive_cache_bytes, settings.archive_move_seconds)
 
 

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import socket
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
-from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, SegmentStore, StoreError, check_store
+from stampede_rt_channel_host.archive.objects.segment_store import (
+    FoundObject,
+    SegmentStore,
+    StoreError,
+    advice,
+    check_store,
+)
 from stampede_rt_runtime.settings import SettingsError
 from tests.support.channel_host.object_stores import FakeStore
 from tests.support.channel_host.s3_server import BUCKET, S3Server, s3_server
@@ -76,6 +85,66 @@ async def test_the_error_for_wrong_credentials_is_clear_and_does_not_show_the_se
     with pytest.raises(SettingsError, match=r"--archive: .*s3://archives/x.*AWS_ACCESS_KEY_ID") as caught:
         await check_store(OpenedStore(f"s3://{BUCKET}/x"))
     assert server.environment["AWS_SECRET_ACCESS_KEY"] not in str(caught.value)
+
+
+@pytest.fixture
+def no_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [one for one in os.environ if one.startswith(("AWS_", "GOOGLE_", "AZURE_"))]:
+        monkeypatch.delenv(name)
+
+
+KEY = b64encode(b"k" * 32).decode()
+AZURE = {"AZURE_STORAGE_ACCOUNT_NAME": "rig", "AZURE_STORAGE_ACCOUNT_KEY": KEY}
+
+
+@pytest.mark.parametrize(
+    ("url", "environment", "why"),
+    [
+        ("gs://b/p", {"GOOGLE_SERVICE_ACCOUNT": "/no/such/file"}, "/no/such/file"),
+        ("gs://b/p", {"GOOGLE_SERVICE_ACCOUNT_KEY": "secret-nonsense"}, "service account"),
+        ("az://c/p", {}, "Account must be specified"),
+        ("az://c/p", {**AZURE, "AZURE_STORAGE_ACCOUNT_KEY": "secret-nonsense!"}, "Invalid Access Key"),
+    ],
+)
+@pytest.mark.usefixtures("no_credentials")
+def test_the_error_for_unusable_credentials_of_google_and_azure_is_clear_and_does_not_show_them(
+    monkeypatch: pytest.MonkeyPatch, url: str, environment: dict[str, str], why: str
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(StoreError, match=why) as caught:
+        OpenedStore(url)
+    assert caught.value.is_refusal
+    assert str(caught.value.strerror).startswith(f"the object store {url} says: ")
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("no_credentials")
+@pytest.mark.asyncio
+async def test_an_unencrypted_endpoint_of_azure_needs_its_own_variable(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]  # nobody answers there once it is closed
+    for name, value in {**AZURE, "AZURE_STORAGE_ENDPOINT": f"http://127.0.0.1:{port}"}.items():
+        monkeypatch.setenv(name, value)
+    refused = r"--archive: .*az://c/p says: .*AZURE_ALLOW_HTTP is not true; .*AZURE_STORAGE_ACCOUNT_NAME"
+    with pytest.raises(SettingsError, match=refused) as caught:
+        await check_store(OpenedStore("az://c/p"))
+    assert KEY not in str(caught.value)
+    assert "AWS_" not in str(caught.value)
+    monkeypatch.setenv("AZURE_ALLOW_HTTP", "true")
+    await check_store(OpenedStore("az://c/p"))
+    assert "cannot be reached" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("url", "names"),
+    [("s3://b", "AWS_REGION"), ("gs://b", "GOOGLE_SERVICE_ACCOUNT "), ("az://c", "AZURE_"), ("file:///x", "folder")],
+)
+def test_the_advice_for_a_refusal_names_the_variables_of_its_store(url: str, names: str) -> None:
+    assert names in advice(url)
+    assert ("AWS_" in advice(url)) == (names == "AWS_REGION")
 
 
 @pytest.mark.asyncio

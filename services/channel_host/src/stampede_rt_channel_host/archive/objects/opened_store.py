@@ -27,7 +27,7 @@ UPLOAD_SECONDS_MAX = 600
 LISTED_AT_ONCE = 1000
 _TEXT_MAX = 300
 # client_options replace these variables, which obstore reads
-_ALLOW_HTTP = ("AWS_ALLOW_HTTP", "GOOGLE_ALLOW_HTTP", "AZURE_ALLOW_HTTP")
+_ALLOW_HTTP = {"s3": "AWS_ALLOW_HTTP", "gs": "GOOGLE_ALLOW_HTTP", "az": "AZURE_ALLOW_HTTP"}
 _REFUSED = (
     exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, exceptions.UnknownConfigurationKeyError,
     FileNotFoundError,  # no such bucket or user
@@ -55,7 +55,7 @@ class OpenedStore:
                 client_options={
                     "timeout": timedelta(seconds=seconds_max),
                     "connect_timeout": timedelta(seconds=CONNECT_SECONDS_MAX),
-                    "allow_http": any(os.environ.get(name, "").lower() in ("true", "1") for name in _ALLOW_HTTP),
+                    "allow_http": any(_is_set(name) for name in _ALLOW_HTTP.values()),
                 },
                 retry_config={"max_retries": retries, "retry_timeout": timedelta(seconds=READ_SECONDS_MAX)},
             )  # fmt: skip
@@ -64,7 +64,7 @@ class OpenedStore:
 
     def _failed(self, error: BaseException, *, is_refusal: bool = False) -> StoreError:
         return StoreError(
-            f"the object store {self.url} says: {_short(error)}", is_refusal=is_refusal or _refuses(error)
+            f"the object store {self.url} says: {_short(error, self.url)}", is_refusal=is_refusal or _refuses(error)
         )
 
     async def create(self, name: str, content: bytes | bytearray) -> bool:
@@ -109,16 +109,21 @@ class OpenedStore:
                 raise self._failed(error) from None
 
 
+def _is_set(name: str) -> bool:
+    return os.environ.get(name, "").lower() in ("true", "1")
+
+
 def _refuses(error: BaseException) -> bool:
     words = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "AccessDenied", "NoSuchBucket", "builder error")
     return isinstance(error, _REFUSED) or any(word in str(error) for word in words)
 
 
-def _short(error: BaseException) -> str:
+def _short(error: BaseException, url: str) -> str:
     """The text of an error: one line, without queries of URLs, which may have credentials."""
     text = str(error).partition("\n\n")[0]
     text = re.sub(r"\?[^\s\"')]*", "?...", text)
-    text = text.replace("builder error", "the endpoint is http://, and AWS_ALLOW_HTTP is not true")
+    allow = _ALLOW_HTTP.get(url.partition("://")[0], "AWS_ALLOW_HTTP")
+    text = text.replace("builder error", f"the endpoint is http://, and {allow} is not true")
     return " ".join(text.split())[:_TEXT_MAX]
 
 

@@ -14,6 +14,11 @@ logger = logging.getLogger(__name__)
 
 MARKER = "stampede-archive"
 CHECK_SECONDS_MAX = 5.0
+_VARIABLES = {
+    "s3": "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL",
+    "gs": "GOOGLE_SERVICE_ACCOUNT (the path of a key file) and GOOGLE_SERVICE_ACCOUNT_KEY (its content)",
+    "az": "AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY and AZURE_STORAGE_SAS_TOKEN",
+}
 
 
 class StoreError(OSError):
@@ -57,6 +62,14 @@ class SegmentStore(Protocol):
         ...
 
 
+def advice(url: str) -> str:
+    """The advice for an operator whose store, the one at this URL, refuses the host."""
+    variables = _VARIABLES.get(url.partition("://")[0])
+    if variables is None:
+        return "look at the folder, and at the rights of this user"
+    return f"look at the bucket, its policy, and the variables with the credentials, such as {variables}"
+
+
 async def check_store(store: SegmentStore) -> None:
     """Check that the store makes and lists objects, and that it overwrites none.
 
@@ -70,10 +83,7 @@ async def check_store(store: SegmentStore) -> None:
     except (StoreError, TimeoutError) as error:
         why = f"the object store {store.url} does not answer" if isinstance(error, TimeoutError) else error.strerror
         if isinstance(error, StoreError) and error.is_refusal:
-            raise SettingsError(
-                f"--archive: {why}; look at the bucket, its policy, and the variables with the credentials, such as "
-                "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL"
-            ) from error
+            raise SettingsError(f"--archive: {why}; {advice(store.url)}") from error
         logger.error(
             "the object store of the archive cannot be reached; the host tries again",
             extra={"event": "archive_store_failed", "why": why},
