@@ -76,12 +76,22 @@ class ChunkCache:
         except OSError:  # a full disk
             path.unlink(missing_ok=True)
             return
-        self._drop(place)  # another thread may have fetched it meanwhile
+        for former in self._add(place, path, len(chunk)):
+            former.unlink(missing_ok=True)
+
+    def _add(self, place: Place, path: Path, size: int) -> list[Path]:
+        """Keep a chunk. Returns the files that leave the cache for it, one of the same chunk among them: another thread
+        may have fetched it meanwhile.
+        """
         with self._lock:
-            self._kept[place] = path, len(chunk)
-            self.used_bytes += len(chunk)
-        while self.used_bytes > self._bytes_max:
-            self._drop(next(iter(self._kept)))
+            gone = [self._kept.pop(place)] if place in self._kept else []
+            self._kept[place] = path, size
+            self.used_bytes += size - sum(one for _, one in gone)
+            while self.used_bytes > self._bytes_max:
+                _, oldest = self._kept.popitem(last=False)
+                self.used_bytes -= oldest[1]
+                gone.append(oldest)
+        return [one for one, _ in gone]
 
     def _drop(self, place: Place) -> None:
         with self._lock:
