@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 import time as clock
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
@@ -17,9 +18,10 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_error_message
-from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep, when_dropped
+from stampede_rt.transports.concurrency_sync import Signal, Steps, sleep, when_dropped
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Ack
 from stampede_rt.values.payloads import check_attributes, check_payload
@@ -52,7 +54,9 @@ class Producer(BoundToProcess):
         self._tail = put_tail(ack_to_wire(ack_of(ack)))
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
-        self._mutex = Mutex()  # guards the builder and the order of writes
+        self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
+        self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # of streams, by their generations
+        self._interrupting_bytes = 0  # of puts by signal handlers that have interrupted other puts
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: RunStream | None = None
         self._opened: list[RunStream] = []  # holds the latest stream, which `_give_up` cancels
@@ -102,7 +106,8 @@ class Producer(BoundToProcess):
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
         producer does not send its item. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
-        CodecError; Unavailable if the host cannot be reached for 10 s.
+        CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. If it interrupts
+        another put and there is no room, it gets DeadlineExceeded at once.
         """
         self._session.check_process()
         if self._finished:
@@ -114,13 +119,13 @@ class Producer(BoundToProcess):
         nanos = duration if duration is None else parse_item_duration(duration)
         kind = content_type_of(content_type) or (coding.content_type if coding else "")
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
-        while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
-            self._send(deadline_s)
-        with self._mutex:
-            self._builder.add(payload, instant, nanos, attributes, kind)
-            _in_flight.add(self)
-            if self._unacked.is_idle:  # no run is under way: send this item at once
-                self._send_filled()
+        if self._steps.is_interrupted:
+            self._count_interrupting(len(payload))
+        else:
+            self._interrupting_bytes = 0
+            while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
+                self._send(deadline_s)
+        self._steps.run(self._add, payload, instant, nanos, attributes, kind)
 
     def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
         """Block until the host has accepted or refused every item. Then raise the first refusal, if there is one.
@@ -130,6 +135,8 @@ class Producer(BoundToProcess):
         """
         self._session.check_process()
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        if self._steps.is_interrupted:
+            raise _interrupting("flush")
         self._send_all(deadline_s)
         self._until(lambda: not len(self._unacked) and not len(self._builder), deadline_s)
         refused, self.rejected = self.rejected, []
@@ -140,12 +147,28 @@ class Producer(BoundToProcess):
         """Close the stream. Items without an ack may be lost; call `flush` first."""
         if self._session.inherited:
             return
-        with self._mutex:
-            self._generation += 1
-            stream, self._stream = self._stream, None
-            _in_flight.discard(self)
+        self._steps.run(self._end_stream)
+
+    def _end_stream(self) -> None:
+        self._generation += 1
+        stream, self._stream = self._stream, None
+        _in_flight.discard(self)
         if stream is not None:
             stream.cancel()
+
+    def _add(self, payload: bytes, time: int | None, nanos: int | None, labels: Any, kind: str) -> None:
+        if not self._builder.fits(payload, time, labels, kind):  # since `put` looked, a signal handler has put an item
+            self._send_filled()
+        self._builder.add(payload, time, nanos, labels, kind)
+        _in_flight.add(self)
+        if self._unacked.is_idle:  # no run is under way: send this item at once
+            self._send_filled()
+
+    def _count_interrupting(self, length_bytes: int) -> None:
+        """Count an item of a signal handler or `__del__` that interrupts a put. It cannot wait for room."""
+        self._interrupting_bytes += length_bytes + ITEM_OVERHEAD_BYTES
+        if self._interrupting_bytes + self._unacked.length_bytes > IN_FLIGHT_BYTES_MAX:
+            raise _interrupting("wait for room")
 
     def _has_room(self) -> bool:
         return self._unacked.length_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
@@ -155,20 +178,18 @@ class Producer(BoundToProcess):
         if self._stream is None and self._failure is None:  # without a stream no ack makes room
             self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
         self._until(self._has_room, deadline_s)
-        with self._mutex:
-            self._send_filled()
+        self._steps.run(self._send_filled)
 
     def _send_all(self, deadline_s: float = float("inf")) -> None:
         """Finish the run under construction as soon as there is room, and send all gathered runs."""
         self._send(deadline_s)
-        with self._mutex:
-            self._write(self._unacked.take_gathered())
+        self._steps.run(lambda: self._write(self._unacked.take_gathered()))
 
     def _is_down(self) -> bool:
         return self._stream is None or self._failure is not None
 
     def _send_filled(self) -> None:
-        """Finish the run under construction, and send full messages. The caller holds the mutex.
+        """Finish the run under construction, and send full messages. This is a part of a step.
 
         If no sent run is unacknowledged, this sends everything.
         """
@@ -190,6 +211,7 @@ class Producer(BoundToProcess):
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
         while True:
             self._moved.clear()
+            self._steps.run(self._take_news)  # a signal may have interrupted it
             left_s = deadline_s - clock.monotonic()
             if self._failure is not None and left_s > 0:
                 self._recover(self._failure, left_s)
@@ -227,33 +249,55 @@ class Producer(BoundToProcess):
         self.close()
 
         def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
-            on_acks = partial(_weakly(self._acked), self._generation)
-            on_end = partial(_weakly(self._ended), self._generation)
-            stream = open_run_stream(self._session, binding, self._producer_id, self._tail, on_acks, on_end)
-            with self._mutex:
-                self._stream, self._failure = stream, None
-                self._opened[:] = [stream]
-                for runs in self._unacked.resend():
-                    self._write(runs)
-                if len(self._unacked):
-                    _in_flight.add(self)
-                else:
-                    self._backoff = None  # no run is unacknowledged, so no ack will end the backoff
+            generation = self._generation
+            told = partial(_weakly(self._acked), generation), partial(_weakly(self._ended), generation)
+            stream = open_run_stream(self._session, binding, self._producer_id, self._tail, *told)
+            self._steps.run(self._begin, stream, generation)
 
         self._session.perform(self._state, open_at, timeout_s)
 
+    def _begin(self, stream: RunStream, generation: int) -> None:
+        """Begin to use the stream, and send the unacknowledged runs again."""
+        if generation != self._generation or self._stream is not None:  # a signal handler has used the producer
+            stream.cancel()
+            return
+        self._stream, self._failure = stream, None
+        self._opened[:] = [stream]
+        for runs in self._unacked.resend():
+            self._write(runs)
+        if len(self._unacked):
+            _in_flight.add(self)
+        else:
+            self._backoff = None  # no run is unacknowledged, so no ack will end the backoff
+
     def _acked(self, generation: int, response: channel_pb.PutResponse) -> None:
-        with self._mutex:
-            if generation != self._generation:
-                return
-            for ack in response.acks:
-                if self._failure is None:
-                    self._count(ack)
-            if self._failure is not None or not (len(self._unacked) or len(self._builder)):
-                _in_flight.discard(self)
-            elif self._unacked.is_idle:
-                self._send_filled()
+        self._news.extend([(generation, ack) for ack in response.acks])
+        self._steps.offer(self._take_news)
+
+    def _ended(self, generation: int, error: StampedeError) -> None:
+        self._news.append((generation, error))
+        self._steps.offer(self._take_news)
+
+    def _take_news(self) -> None:
+        """Note the acks and the end of the stream. If a signal interrupts this, the next call goes on."""
+        if not self._news:
+            return
+        while self._news:
+            generation, news = self._news[0]
+            if generation == self._generation and self._failure is None:
+                self._note(news)
+            self._news.popleft()
+        if self._failure is not None or not (len(self._unacked) or len(self._builder)):
+            _in_flight.discard(self)
+        elif self._unacked.is_idle:
+            self._send_filled()
         self._moved.set()
+
+    def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
+        if isinstance(news, StampedeError):
+            self._failure = news
+        elif self._unacked.awaits(news.first_number):  # else it was noted before a signal
+            self._count(news)
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
@@ -267,12 +311,12 @@ class Producer(BoundToProcess):
         self.rejections += len(refusals)
         self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]
 
-    def _ended(self, generation: int, error: StampedeError) -> None:
-        with self._mutex:
-            if generation == self._generation:
-                self._failure = self._failure or error
-                _in_flight.discard(self)
-        self._moved.set()
+
+def _interrupting(doing: str) -> DeadlineExceeded:
+    return DeadlineExceeded(
+        f"this call interrupts another call of the same producer on its thread, so it cannot {doing}; a signal handler "
+        "or __del__ should set a flag, and the program should put later"
+    )
 
 
 def _weakly(method: Callable[..., None]) -> Callable[..., None]:

@@ -41,6 +41,20 @@ class Mutex:
         return None
 
 
+class Steps:
+    """Runs steps at once. In the blocking client several threads and signal handlers run them, one after the other."""
+
+    is_interrupted = False
+
+    def run(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Run the step."""
+        step(*arguments)
+
+    def offer(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Run the step."""
+        step(*arguments)
+
+
 class Signal:
     """A flag that callers can wait for. After each wait a caller must check whether its own condition holds."""
 

@@ -9,9 +9,11 @@ import sys
 import threading
 import time
 import weakref
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
 from math import inf
 from queue import SimpleQueue
 from typing import Any, TypeVar
@@ -62,22 +64,91 @@ def wait_in_parts(wait: Callable[[float | None], bool], timeout_s: float | None)
 
 
 class Signal:
-    """A flag that callers can wait for. After each wait a caller must check whether its own condition holds."""
+    """A flag that callers can wait for. After each wait a caller must check whether its own condition holds.
+
+    `set` and `clear` wait for nothing, also if they interrupt each other on one thread, as a signal handler may.
+    """
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        self._is_set = False
+        self._baton = threading.Lock()  # free if the flag is set; each woken caller passes it on to the next one
+        self._baton.acquire()
 
     def set(self) -> None:
         """Wake all waiting callers."""
-        self._event.set()
+        self._is_set = True
+        with suppress(RuntimeError):  # it is free already
+            self._baton.release()
 
     def clear(self) -> None:
         """Make later waits block again."""
-        self._event.clear()
+        self._is_set = False
+        self._baton.acquire(blocking=False)
+        if self._is_set:  # since the first line
+            self.set()
 
     def wait(self, timeout_s: float | None) -> bool:
         """Wait until `set`, for at most `timeout_s`. Returns whether it is set."""
-        return wait_in_parts(self._event.wait, timeout_s)
+        return wait_in_parts(self._wait, timeout_s)
+
+    def _wait(self, timeout_s: float | None) -> bool:
+        try:
+            return self._is_set or self._baton.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
+        finally:
+            if self._is_set:
+                self.set()
+
+
+class Steps:
+    """Runs short steps one after the other, whatever threads call. A step waits for nothing.
+
+    A signal handler or `__del__` may run a step, also if it interrupts another one on its thread. The interrupted call
+    then runs the new step at its end.
+    """
+
+    def __init__(self) -> None:
+        self._mutex = threading.RLock()
+        self._waiting: deque[Callable[[], None]] = deque()
+        self._runner = 0  # the thread that runs a step
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the calling code interrupts a step on its own thread."""
+        return self._runner == threading.get_ident()
+
+    def run(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Run the step before this call returns, unless the caller interrupts another one. Waits for other threads."""
+        if self._waiting or self.is_interrupted:
+            self._waiting.append(partial(step, *arguments))
+        else:
+            with self._mutex:
+                self._run(step, *arguments)
+        while self._waiting and not self.is_interrupted:
+            with self._mutex:
+                self._run_waiting()
+
+    def offer(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Have the step run now, or by the thread that runs a step at present. Waits for nothing.
+
+        Call it only on threads of the library: Ctrl-C could leave the steps locked.
+        """
+        self._waiting.append(partial(step, *arguments))
+        while self._waiting and not self.is_interrupted and self._mutex.acquire(blocking=False):
+            try:
+                self._run_waiting()
+            finally:
+                self._mutex.release()
+
+    def _run(self, step: Callable[..., None], *arguments: Any) -> None:
+        try:
+            self._runner = threading.get_ident()
+            step(*arguments)
+        finally:
+            self._runner = 0
+
+    def _run_waiting(self) -> None:
+        while self._waiting and not self.is_interrupted:
+            self._run(self._waiting.popleft())
 
 
 def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:

@@ -138,6 +138,10 @@ class UnackedRuns:
         self.take_gathered()
         return in_requests(self._sent)
 
+    def awaits(self, first_number: int) -> bool:
+        """Whether the run with this number has been sent, and is the first one without an ack."""
+        return bool(self._sent) and self._sent[0].first_number == first_number
+
     def acknowledge(self) -> NumberedRun:
         """Remove and return the run that was sent first."""
         run = self._sent.popleft()

@@ -10,7 +10,7 @@ from types import FrameType
 
 import pytest
 
-from stampede_rt.transports.concurrency_sync import BackgroundTask, Signal
+from stampede_rt.transports.concurrency_sync import BackgroundTask, Signal, Steps
 
 
 class Interrupted(BaseException):
@@ -34,7 +34,7 @@ def is_waiting(thread: threading.Thread) -> bool:
     while frame is not None:
         names.append(frame.f_code.co_name)
         frame = frame.f_back
-    return "wait_in_parts" in names[1:] and names[0] in ("wait", "_wait_for_tstate_lock")
+    return "wait_in_parts" in names[1:] and names[0] in ("_wait", "_wait_for_tstate_lock")
 
 
 def interrupted_in(wait: Callable[[], object]) -> bool:
@@ -90,3 +90,85 @@ def test_a_wait_ends_with_its_timeout_or_with_the_flag_on_every_thread() -> None
     other.start()
     other.join()
     assert found == [False, False, True] * 2
+
+
+def in_a_thread(call: Callable[[], object]) -> None:
+    thread = threading.Thread(target=call)
+    thread.start()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_a_step_that_interrupts_another_one_runs_after_it() -> None:
+    steps, seen = Steps(), list[object]()
+
+    def outer() -> None:
+        seen.append(steps.is_interrupted)
+        steps.run(seen.append, "inner")
+        steps.offer(seen.append, "offered")
+        seen.append("outer")
+
+    steps.run(outer)
+    assert seen == [True, "outer", "inner", "offered"]
+    assert not steps.is_interrupted
+
+
+def test_an_offered_step_does_not_wait_for_the_thread_that_runs_another_one() -> None:
+    steps, seen = Steps(), list[str]()
+
+    def outer() -> None:
+        in_a_thread(lambda: steps.offer(seen.append, "offered"))
+        assert not seen
+
+    steps.run(outer)
+    assert seen == ["offered"]
+
+
+def test_a_step_waits_for_the_step_of_another_thread() -> None:
+    steps, seen = Steps(), list[str]()
+    inside, may_end = threading.Event(), threading.Event()
+
+    def slow() -> None:
+        inside.set()
+        may_end.wait(10)
+        seen.append("slow")
+
+    first = threading.Thread(target=lambda: steps.offer(slow))
+    first.start()
+    assert inside.wait(10)
+    second = threading.Thread(target=lambda: steps.run(seen.append, "next"))
+    second.start()
+    may_end.set()
+    first.join(10)
+    second.join(10)
+    assert seen == ["slow", "next"]
+
+
+def test_a_step_that_a_signal_ends_leaves_the_others_their_turn() -> None:
+    steps, seen = Steps(), list[str]()
+
+    def interrupted() -> None:
+        steps.run(seen.append, "later")
+        raise Interrupted
+
+    with pytest.raises(Interrupted):
+        steps.run(interrupted)
+    steps.run(seen.append, "next")
+    in_a_thread(lambda: steps.run(seen.append, "of another thread"))
+    assert seen == ["later", "next", "of another thread"]
+
+
+def test_a_signal_wakes_all_waiting_threads_and_each_later_wait_until_it_is_cleared() -> None:
+    signals, woken = Signal(), list[bool]()
+    waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
+    for one in waiting:
+        one.start()
+    signals.set()
+    signals.set()
+    for one in waiting:
+        one.join(10)
+    assert woken == [True] * 5
+    assert signals.wait(0)
+    signals.clear()
+    signals.clear()
+    assert not signals.wait(0)
