@@ -55,8 +55,8 @@ class Recordings:
             return
         if hosted is not None and hosted.recording is not None:
             hosted.recording.stop()
-        is_lost = record.may_have_lost and record.policy.ack != "replica" and has_start(record.epoch)
-        opened = await open_archive(self.archive, record, may_be_unknown=is_lost and not is_move)
+        may_be_unknown = record.may_have_lost and has_start(record.epoch) and not is_move
+        opened = await open_archive(self.archive, record, may_be_unknown=may_be_unknown)
         self._opened[record.channel_id] = opened
 
     def check_move(self, record: RecordedChannel) -> None:

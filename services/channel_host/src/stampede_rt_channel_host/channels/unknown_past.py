@@ -18,8 +18,8 @@ class UnknownPast:
     """Says which reads have to wait until the store tells which items it has.
 
     All items of the former owners lie before `since`, the instant of the take-over. The host has all later ones. With
-    `is_fresh` the channel began here without items, at the first seq of its epoch. Otherwise a replica has become the
-    owner, and knows which items have left its memory.
+    `is_fresh` the channel began here without items, at the first seq of its epoch. Otherwise the host had the channel
+    before it was recorded, and knows which items have left its memory.
     """
 
     def __init__(self, channel: ChannelCore, epoch: int, stop: CleanStop | None) -> None:

@@ -201,6 +201,7 @@ class StoredSegments(SegmentFolder):
 
     def _leave(self, number: int) -> None:
         stored = self._stored.pop(number, None)
+        self._indexes.pop(number, None)
         self._dropped_to = max(self._dropped_to, number)
         if stored is not None:
             self.stored_bytes -= stored.bytes
