@@ -249,7 +249,7 @@ STREAMS: dict[str, tuple[str, str, str, Callable[[Scene], Awaitable[Awaitable[An
 
 
 @pytest.mark.parametrize("stream", STREAMS)
-async def test_an_open_stream_ends_when_the_rule_that_allows_it_goes(scene: Scene, stream: str) -> None:
+async def test_an_open_stream_ends_when_the_rule_that_allows_it_is_removed(scene: Scene, stream: str) -> None:
     verb, kind, thing, begin = STREAMS[stream]
     await scene.allow(verb, kind, thing)
     if kind == "group":
@@ -283,7 +283,7 @@ async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that
         assert (await kept.newest()).payload == b"x"
 
 
-async def test_a_right_that_is_lost_for_a_group_ends_no_get_of_its_channels(scene: Scene) -> None:
+async def test_the_loss_of_the_right_to_a_group_ends_no_gets_of_its_channels(scene: Scene) -> None:
     await scene.allow("read", "channel", "*")
     for verb in ("read", "list"):  # with `list` the host tells the name
         await scene.allow(verb, "group", "pair")

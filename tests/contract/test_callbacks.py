@@ -210,7 +210,7 @@ async def test_sampling_puts_the_results_of_the_function(surface: Surface) -> No
     assert (handle.samples, handle.failures, handle.active) == (2, 0, False)
 
 
-async def test_sampling_goes_on_after_failures(surface: Surface, caplog: pytest.LogCaptureFixture) -> None:
+async def test_sampling_continues_after_failures(surface: Surface, caplog: pytest.LogCaptureFixture) -> None:
     outcomes = iter([ZeroDivisionError(), "text", b"good"])
 
     def sample() -> Any:
@@ -229,7 +229,7 @@ async def test_sampling_goes_on_after_failures(surface: Surface, caplog: pytest.
     assert "continues after failure 1" in caplog.records[0].getMessage()
 
 
-async def test_sampling_for_a_deleted_channel_ends_and_says_so(
+async def test_sampling_for_a_deleted_channel_ends_with_a_reason_in_the_log(
     surface: Surface, caplog: pytest.LogCaptureFixture
 ) -> None:
     channel = await surface.channel()

@@ -35,7 +35,7 @@ def group_name() -> str:
     return f"contract/{next(_names)}-{st.now()}"
 
 
-async def test_a_group_is_found_by_its_name_with_its_set_up(surface: Surface) -> None:
+async def test_a_group_is_found_by_its_name_with_its_settings(surface: Surface) -> None:
     left, right = await two_channels(surface)
     name = group_name()
     made = await surface.group(name, [left, right], reference=left, bound="end", idle_after="2s", max_lead="1s")

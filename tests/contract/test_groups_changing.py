@@ -186,7 +186,7 @@ async def test_a_channel_that_cannot_be_a_member_is_refused_and_named(
         await call(group, left)
 
 
-async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface) -> None:
+async def test_a_cross_section_accepts_only_channels_and_the_error_says_so(surface: Surface) -> None:
     left, right = await channel_at_each_host(surface)
     for others, said in ((right, "give a list"), (["a name"], "'a name' is not a channel")):
         with pytest.raises(st.InvalidArgument, match=said):

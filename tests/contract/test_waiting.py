@@ -69,7 +69,7 @@ async def test_an_advance_completes_an_interval_without_an_item(surface: Surface
     assert (await get).complete
 
 
-async def test_an_incomplete_answer_says_so(surface: Surface) -> None:
+async def test_an_answer_states_that_it_is_incomplete(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS
     await channel.put(b"a", time=base)

@@ -18,7 +18,7 @@ async def test_an_argument_that_differs_from_the_policy_of_the_queue_is_refused(
         await rig.queue(queue.name, max_items=4)
 
 
-async def test_a_missing_queue_is_not_created_against_the_callers_will(rig: Rig) -> None:
+async def test_a_missing_queue_is_not_created_if_the_caller_says_create_false(rig: Rig) -> None:
     with pytest.raises(st.QueueNotFound):
         await rig.queue(create=False)
     with pytest.raises(st.QueueNotFound):
@@ -110,7 +110,7 @@ async def test_a_queue_without_enough_replicas_acknowledges_no_put_and_delivers_
     assert stats.replicas == ()
 
 
-async def test_a_queue_stops_waiting_for_replicas_when_its_policy_says_so(rig: Rig) -> None:
+async def test_a_queue_stops_waiting_for_replicas_when_its_policy_no_longer_requires_them(rig: Rig) -> None:
     queue = await rig.queue(replicas=1, ack="replica")
     waiting = asyncio.ensure_future(queue.put(b"1"))
     await until(queue, lambda stats: stats.held == 1)
@@ -134,7 +134,7 @@ async def test_replicas_without_their_ack_are_refused_and_change_nothing(rig: Ri
     assert (await queue.stats()).policy == queue.info.policy
 
 
-async def test_the_mailbox_of_a_peer_waits_for_replicas_when_its_owner_says_so(rig: Rig) -> None:
+async def test_the_mailbox_of_a_peer_waits_for_replicas_if_its_policy_requires_them(rig: Rig) -> None:
     rt = await rig.connect(name=rig.name().replace("/", "-"))
     mailbox = rt.mailbox
     policy = await mailbox.configure(replicas=1, ack="replica", min_replicas=0)

@@ -72,7 +72,7 @@ async def test_a_put_on_asyncio_waits_for_the_disk(cluster: LocalCluster) -> Non
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
-def test_a_full_disk_refuses_puts_that_wait_for_it_and_no_others_and_the_doctor_says_so(
+def test_a_full_disk_refuses_only_puts_that_wait_for_it_and_doctor_reports_it(
     cluster: LocalCluster, rt: st.Connection, disk: Path
 ) -> None:
     channel = rt.channel("ack/full", max_items=50, archive="forever", ack="disk")

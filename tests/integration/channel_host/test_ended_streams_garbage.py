@@ -159,7 +159,7 @@ async def left_by(rig: Any, target: str, leave: Callable[[Any, RawStream], Await
 @pytest.mark.parametrize(
     "leave", [gets, gets_that_wait, answered_get, subscription, idle_subscription, puts, invalid_put]
 )
-async def test_a_stream_of_a_channel_leaves_nothing_to_the_collector(
+async def test_a_stream_of_a_channel_is_freed_without_the_garbage_collector(
     kind: str, leave: Callable[[Rig, RawStream], Awaitable[None]]
 ) -> None:
     async with running_host() as rig, at_its_socket(rig, kind) as target:
@@ -187,7 +187,7 @@ async def take(rig: QueueRig, stream: RawStream) -> None:
 
 
 @pytest.mark.parametrize("leave", [enqueues, take])
-async def test_a_stream_of_a_queue_leaves_nothing_to_the_collector(
+async def test_a_stream_of_a_queue_is_freed_without_the_garbage_collector(
     leave: Callable[[QueueRig, RawStream], Awaitable[None]],
 ) -> None:
     async with running_queue_host() as rig, at_its_socket(rig, "unix") as target:

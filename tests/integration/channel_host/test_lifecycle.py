@@ -62,7 +62,7 @@ def bind(channel: Opened, **fields: Any) -> Any:
     return channel.rig.gate.BindChannel(gate_pb.BindChannelRequest(**fields))
 
 
-async def test_the_gatekeeper_tells_the_clock_and_itself(rig: Rig) -> None:
+async def test_the_gatekeeper_answers_with_its_clock_and_its_host(rig: Rig) -> None:
     answer = await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
     assert (answer.host_id, answer.name, answer.lease_held) == (HOST_ID, "h1", True)
     assert answer.version

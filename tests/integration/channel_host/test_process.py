@@ -102,7 +102,7 @@ async def test_a_host_that_is_refused_exits_with_one_line_that_has_the_reason(di
         assert (process.returncode, out, err.decode()) == (1, b"", "stampede host: this host may not enter\n")
 
 
-async def test_a_host_without_a_directory_stops_when_it_is_told_to() -> None:
+async def test_a_host_without_a_directory_stops_on_a_signal() -> None:
     async with host("--name", "h1", "--frontend", "localhost:1") as process:
         assert process.stderr is not None
         first = await asyncio.wait_for(process.stderr.readline(), 20)

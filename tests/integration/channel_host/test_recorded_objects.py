@@ -234,7 +234,7 @@ def test_every_example_of_the_guide_holds_with_an_archive_in_an_object_store(
     check_guide(cluster, monkeypatch)
 
 
-def test_a_host_that_is_killed_during_an_upload_loses_and_repeats_nothing(
+def test_a_host_that_is_killed_during_an_upload_neither_loses_nor_repeats_items(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/killed", "h2", ack="disk")

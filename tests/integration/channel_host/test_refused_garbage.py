@@ -42,7 +42,7 @@ def refusals_left_to_the_collector() -> Iterator[list[StampedeError]]:
         gc.garbage.clear()
 
 
-async def test_a_refused_put_leaves_nothing_in_memory() -> None:
+async def test_a_refused_put_uses_no_memory_afterwards() -> None:
     async with running_host() as rig:
         channel = await rig.open()
         with refusals_left_to_the_collector() as left:
@@ -51,7 +51,7 @@ async def test_a_refused_put_leaves_nothing_in_memory() -> None:
         assert left == []
 
 
-async def test_a_refused_get_or_enqueue_leaves_nothing_in_memory() -> None:
+async def test_a_refused_get_or_enqueue_uses_no_memory_afterwards() -> None:
     async with running_host() as rig:
         with refusals_left_to_the_collector() as left:
             call = rig.channels.Get(iter((pb.GetRequest(call_id=1, channel_id=b"x" * 16, epoch=1),)))

@@ -263,7 +263,7 @@ def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.C
 
 
 @pytest.mark.parametrize("unique", [False, True])
-def test_replayed_matches_begin_with_earlier_items_and_go_on(rt: st.Connection, unique: bool) -> None:
+def test_replayed_matches_begin_with_earlier_items_and_continue(rt: st.Connection, unique: bool) -> None:
     pair = Paired(rt, f"replayed-matches-{unique}")
     how: dict[str, Any] = {"tolerance": "15ms", "unique": unique, "start": pair.began + 20 * MS, "partial": True}
     with pair.group.match(pair.left, **how) as matches:
@@ -301,7 +301,7 @@ def test_a_replayed_channel_calls_functions_and_gives_the_newest_items(rt: st.Co
             assert [item.payload for item in rest] == [b"3", b"4"]
 
 
-def test_a_name_that_a_replay_lacks_says_why_and_a_wrong_argument_is_refused(rt: st.Connection) -> None:
+def test_the_error_for_a_name_that_a_replay_lacks_says_why_and_a_wrong_argument_is_refused(rt: st.Connection) -> None:
     channel = rt.channel("clock/lacks", max_age="60s", archive="7d")
     with rt.replay(channel.stats().host_time) as replay:
         with pytest.raises(AttributeError, match="changes nothing"):

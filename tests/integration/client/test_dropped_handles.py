@@ -66,7 +66,7 @@ async def test_asyncio_handles_dropped_by_another_thread_are_closed(cluster: Loc
         dropping.join()
 
 
-async def test_a_handle_that_is_dropped_after_its_loop_has_ended_warns_nobody(cluster: LocalCluster) -> None:
+async def test_a_handle_that_is_dropped_after_the_end_of_its_loop_raises_no_warning(cluster: LocalCluster) -> None:
     async def opened() -> tuple[aio.Connection, aio.Channel, aio.Queue]:
         rt = await aio.connect(cluster.address)
         channel, queue = await rt.channel("dropped/late", max_items=5), await rt.queue("dropped/late")

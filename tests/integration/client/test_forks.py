@@ -231,11 +231,13 @@ def test_forked_children_connect_if_their_parent_never_did(cluster: LocalCluster
 
 
 @pytest.mark.parametrize("client", ["sync", "aio"])
-def test_forked_children_of_a_parent_that_has_connected_hear_that_they_cannot(
+def test_forked_children_of_a_connected_parent_get_the_error_that_they_cannot_connect(
     cluster: LocalCluster, client: str
 ) -> None:
     assert exit_statuses(cluster, "connected before", client) == "7"
 
 
-def test_forked_children_that_do_nothing_outlive_the_fork_of_an_asyncio_program(cluster: LocalCluster) -> None:
+def test_forked_children_that_do_not_use_the_client_survive_the_fork_of_an_asyncio_program(
+    cluster: LocalCluster,
+) -> None:
     assert exit_statuses(cluster, "asyncio", "nothing") == "0"

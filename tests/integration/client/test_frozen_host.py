@@ -28,7 +28,7 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams_async, "SILENCE_S_MAX", 3.0)
 
 
-def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:
+def test_calls_of_every_kind_continue_at_another_supernode_within_their_timeouts(cluster: LocalCluster) -> None:
     """No caller need repeat its call: the client notices the silence before the time for one call is over."""
     with st.connect(cluster.address) as rt, ThreadPoolExecutor(8) as pool:
         channel = rt.channel("cam/a", max_age="60s")
@@ -50,7 +50,9 @@ def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: Loca
         frozen.resume()
 
 
-async def test_awaited_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:
+async def test_awaited_calls_of_every_kind_continue_at_another_supernode_within_their_timeouts(
+    cluster: LocalCluster,
+) -> None:
     async with aio.connect(cluster.address) as rt:
         channel = await rt.channel("cam/a", max_age="60s")
         queue = await rt.queue("work/a", host=channel.host)

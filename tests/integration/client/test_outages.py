@@ -44,7 +44,9 @@ class Logged:
 
 
 @pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
-def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
+def test_after_a_long_outage_all_streams_of_the_program_continue(
+    cluster: LocalCluster, caplog: pytest.LogCaptureFixture
+) -> None:
     logged, got, taken = Logged(caplog), [], []
     with st.connect(cluster.address) as rt:
         camera, queue, plain = rt.channel("outage/camera"), rt.queue("outage/work"), rt.channel("outage/plain")
@@ -83,7 +85,7 @@ def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, ca
 
 
 @pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
-async def test_after_a_long_outage_all_that_listened_goes_on_with_await(
+async def test_after_a_long_outage_all_awaited_streams_of_the_program_continue(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     logged, got = Logged(caplog), []

@@ -13,7 +13,7 @@ cluster = shared_cluster_fixture(hosts=1)
 
 
 @pytest.mark.parametrize("streams", ["", "public"])
-def test_calls_after_such_an_interrupt_go_over_a_new_connection(
+def test_calls_after_such_an_interrupt_use_a_new_connection(
     cluster: LocalCluster, streams: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(STREAMS_VARIABLE, streams)

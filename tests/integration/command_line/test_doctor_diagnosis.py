@@ -71,7 +71,7 @@ def test_the_report_of_a_wrong_clock_names_its_owner_its_offset_and_the_allowed_
     assert "apart, give or take 1 ms, 50 ms are allowed" in clocks.state
 
 
-def test_doctor_blames_this_machine_if_all_others_are_off_by_the_same_amount() -> None:
+def test_doctor_reports_the_clock_of_this_machine_if_all_others_differ_from_it_equally() -> None:
     clocks = found([replace(one, clock_offset_nanos=-2000 * MS) for one in WELL], "clocks")
     assert (
         clocks.advice == "this machine's clock is 2 s ahead of the cluster's; synchronise this machine's (chrony, ntpd)"

@@ -180,7 +180,7 @@ def test_a_wrong_argument_is_reported_in_one_sentence(
     assert "expected one argument" not in said
 
 
-def test_items_are_printed_readably_as_a_format_says_and_in_local_time(
+def test_items_can_be_printed_for_people_in_a_given_format_and_in_local_time(
     rt: st.Connection, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import numpy as np

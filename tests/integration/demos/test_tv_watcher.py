@@ -137,7 +137,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason=
 
 @needs_proc
 @pytest.mark.slow  # tests/unit/demos/staging/test_role_processes.py shows the same without a cluster
-def test_a_role_that_dies_ends_the_demo_with_one_sentence_and_nothing_left_behind():
+def test_the_death_of_a_role_ends_the_demo_with_one_sentence_and_leaves_no_process():
     with running_demo(60) as (process, mark):
         wait_for_progress(process)
         (viewer,) = (pid for pid, line in marked_processes(mark).items() if "tv_watcher.viewer" in line)
@@ -149,7 +149,7 @@ def test_a_role_that_dies_ends_the_demo_with_one_sentence_and_nothing_left_behin
 
 
 @needs_proc
-def test_ctrl_c_ends_the_demo_in_order_with_nothing_left_behind():
+def test_ctrl_c_ends_the_demo_in_order_and_leaves_no_process():
     with running_demo(60) as (process, mark):
         wait_for_progress(process)
         assert len(marked_processes(mark)) >= 1 + 6 + 6

@@ -59,7 +59,7 @@ def test_an_argument_wins_over_the_environment() -> None:
     ("argv", "complaint"),
     [([], "STAMPEDE_LISTEN"), (["a:1", "b:2"], "one HOST:PORT"), (["7590"], "HOST:PORT"), (["a:0"], "not 0")],
 )
-def test_a_bad_address_is_told_apart_from_a_sick_service(
+def test_the_check_distinguishes_a_bad_address_from_an_unhealthy_service(
     argv: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("STAMPEDE_LISTEN", raising=False)

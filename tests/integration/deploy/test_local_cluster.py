@@ -67,7 +67,7 @@ async def until(met: Callable[[frontend_service_pb2.BindResponse], bool], cluste
     raise AssertionError(f"never met; the last answer: {answer}")
 
 
-async def test_a_killed_supernode_goes_to_the_end_of_the_list_and_comes_back(cluster: LocalCluster) -> None:
+async def test_a_killed_supernode_is_listed_last_until_it_answers_again(cluster: LocalCluster) -> None:
     victim = cluster.supernodes[0]
     await until(lambda said: all(one.healthy for one in said.supernodes), cluster)
     victim.kill()
@@ -77,7 +77,7 @@ async def test_a_killed_supernode_goes_to_the_end_of_the_list_and_comes_back(clu
     await until(lambda said: all(one.healthy for one in said.supernodes), cluster)
 
 
-async def test_a_killed_host_comes_back_as_itself(cluster: LocalCluster) -> None:
+async def test_a_killed_host_returns_with_its_id_and_name(cluster: LocalCluster) -> None:
     victim = cluster.hosts[0]
     before = await host_records(cluster)
     victim.kill()
@@ -113,7 +113,7 @@ def test_a_cluster_that_cannot_start_reports_the_reason_and_leaves_no_process(tm
     assert not any(one.alive for one in made.processes())
 
 
-def test_a_cluster_in_memory_with_a_secret_of_the_users_writes_nothing(tmp_path: Path) -> None:
+def test_a_cluster_in_memory_with_the_users_secret_writes_no_files(tmp_path: Path) -> None:
     with LocalCluster(hosts=0, supernodes=1, durable=False, secret_file=tmp_path / "secret") as made:
         assert made.folder is None
     assert [one.name for one in tmp_path.iterdir()] == ["secret"]

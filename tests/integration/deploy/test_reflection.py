@@ -61,7 +61,7 @@ def test_a_caller_without_a_credential_gets_no_description(cluster: LocalCluster
         assert caught.value.code() in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED)
 
 
-async def test_a_server_without_the_setting_describes_nothing() -> None:
+async def test_a_server_without_the_setting_does_not_describe_its_services() -> None:
     async with serving(lambda server: None) as server, grpc.aio.insecure_channel(server.address) as channel:
         call = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(timeout=10)
         assert await call.code() is grpc.StatusCode.UNIMPLEMENTED

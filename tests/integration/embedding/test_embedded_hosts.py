@@ -145,7 +145,7 @@ rt.channel("embedded/6").put(b"kept", time=5)
         assert "rig-6" not in names_of_hosts(rt)
 
 
-def test_a_host_that_is_told_to_leave_before_its_loop_runs_leaves() -> None:
+def test_a_host_that_is_closed_before_its_loop_runs_leaves_the_cluster() -> None:
     options = HostOptions.parse(None, None, "1GiB", "0s", False)
     host = embed(parse_target("localhost:1", name=None, secret=None, zone=None), options)
     host.ask_to_leave()
@@ -174,7 +174,7 @@ def test_a_get_without_a_limit_ends_with_the_connection(cluster: LocalCluster) -
     assert len(failed) == 1
 
 
-def test_a_forked_child_neither_serves_nor_keeps_the_port_nor_tells_the_directory_to_leave(
+def test_a_forked_child_of_an_embedded_host_neither_serves_nor_keeps_the_port_nor_deregisters_the_host(
     cluster: LocalCluster,
 ) -> None:
     source = """

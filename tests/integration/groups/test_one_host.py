@@ -70,7 +70,7 @@ async def test_a_waiting_get_is_answered_when_the_cut_reaches_its_interval(host:
     assert summary.cut_unix_nano > t
 
 
-async def test_blocked_gets_that_a_put_cannot_release_cost_it_nothing(host: Host) -> None:
+async def test_a_put_does_not_look_at_blocked_gets_that_it_cannot_release(host: Host) -> None:
     """A fixed fault: each put looked at all blocked gets. 1000 gets cost it 129 ms, though the group did not show the
     item.
     """

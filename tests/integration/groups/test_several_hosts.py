@@ -47,7 +47,7 @@ async def pair() -> AsyncIterator[Pair]:
 
 
 @pytest.mark.parametrize("named_at", [LOWER, HIGHER])
-async def test_a_host_learns_of_a_group_because_another_one_serves_it(named_at: bytes) -> None:
+async def test_a_host_learns_of_a_group_from_another_host_that_serves_it(named_at: bytes) -> None:
     other = HIGHER if named_at == LOWER else LOWER
     async with pair_of(named_at, other) as pair:
         t = pair.start
@@ -269,7 +269,7 @@ async def test_a_host_with_a_false_identity_gets_no_times(pair: Pair) -> None:
         assert "hello" in (await call.details())
 
 
-async def test_a_message_about_a_channel_of_another_host_changes_nothing(pair: Pair) -> None:
+async def test_a_message_about_a_channel_that_its_sender_does_not_own_changes_nothing(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 1)

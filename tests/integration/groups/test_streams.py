@@ -103,7 +103,7 @@ async def test_a_cursor_is_sent_after_all_runs_that_became_visible_together(
     assert [response.HasField("cursor") for response in responses] == [False, False, True]
 
 
-async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the_first_item(host: Host) -> None:
+async def test_a_subscription_that_began_before_the_first_cut_begins_with_the_first_item(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
@@ -149,7 +149,7 @@ async def test_reads_of_a_member_through_the_group_end_when_the_member_leaves(ho
         assert "not a member" in (await waiting.read()).error.message
 
 
-async def test_cut_events_end_when_the_group_has_other_members_and_go_on_with_them(host: Host) -> None:
+async def test_cut_events_end_when_the_members_change_and_continue_with_the_new_members(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left])
     reader = CutReader(host, group, decides=True, spec_version=1)

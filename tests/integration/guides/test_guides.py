@@ -69,7 +69,7 @@ def test_everything_that_a_page_teaches_has_an_example(page: str, term: str) -> 
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_picture_of_a_page_is_there(page: str) -> None:
+def test_every_picture_of_a_page_exists(page: str) -> None:
     pictures = PICTURE.findall((DOCS / page).read_text())
     assert page == "queues.md" or pictures
     for picture in pictures:

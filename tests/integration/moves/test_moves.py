@@ -60,7 +60,7 @@ def test_an_unused_channel_can_move(rt: Any) -> None:
     assert channel.put(b"first").seq == 1
 
 
-def test_a_move_to_a_host_that_does_not_exist_says_so(rt: Any, channel: Any) -> None:
+def test_the_error_says_that_the_destination_of_a_move_does_not_exist(rt: Any, channel: Any) -> None:
     with pytest.raises(st.HostNotFound, match="no live host 'h9'"):
         rt.move(channel, "h9")
 
@@ -90,7 +90,7 @@ def test_a_consumer_keeps_its_position_after_a_move(rt: Any, channel: Any) -> No
     assert counted.stats().collected["consumption"] == 3
 
 
-def test_many_moves_in_a_row_lose_nothing_and_repeat_nothing(rt: Any, channel: Any) -> None:
+def test_many_moves_in_a_row_neither_lose_nor_repeat_items(rt: Any, channel: Any) -> None:
     """Checks a producer with single puts and one with a stream, subscriptions, a callback, blocked gets, and a group's
     cuts.
     """

@@ -66,7 +66,7 @@ def test_the_command_moves_a_queue(rt: Any, cluster: LocalCluster, capsys: pytes
     assert queue.get(timeout=5).payload == b"x"
 
 
-def test_moves_in_a_row_under_load_lose_nothing_and_deliver_nothing_twice(rt: Any) -> None:
+def test_moves_in_a_row_under_load_neither_lose_nor_repeat_messages(rt: Any) -> None:
     queue = rt.queue(f"jobs/{next(numbers)}", host="h1", lease="60s")
     stopped, put, taken = threading.Event(), [], []
 

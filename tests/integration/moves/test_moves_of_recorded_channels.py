@@ -91,7 +91,7 @@ def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, 
 
 
 @pytest.mark.without_rules("it acts as an operator")
-def test_a_host_without_an_archive_takes_no_recorded_channel_and_a_drain_leaves_it_out(rt: Any) -> None:
+def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any) -> None:
     channel, _ = filled(rt)
     with pytest.raises(st.InvalidArgument, match="this host has no archive; move it to a host that has one"):
         rt.move(channel, "h3")

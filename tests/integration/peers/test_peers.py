@@ -73,7 +73,7 @@ def test_a_refused_connection_leaves_no_thread_running(cluster: LocalCluster) ->
         ]
 
 
-def test_a_killed_peer_comes_back_with_its_proof_and_its_mailbox(cluster: LocalCluster) -> None:
+def test_a_killed_peer_that_returns_with_its_proof_keeps_its_mailbox(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         with started([sys.executable, "-c", STAY, cluster.address, "phoenix"]) as process:
             assert process.stdout is not None

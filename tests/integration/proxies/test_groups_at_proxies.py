@@ -38,7 +38,7 @@ class Pair:
         return answer if answer.staleness_nanos is not None else None
 
 
-def test_a_proxy_shows_the_items_before_the_cut_and_no_others(rt: Any) -> None:
+def test_a_proxy_shows_only_the_items_before_the_cut(rt: Any) -> None:
     pair = Pair(rt)
     base = st.now() - 10**9
     for at in (10, 20, 30, 40):

@@ -49,7 +49,7 @@ def taken(queue: st.Queue, count: int) -> list[tuple[bytes, int]]:
     return found
 
 
-def test_a_taker_that_is_killed_loses_nothing(cluster: LocalCluster) -> None:
+def test_no_message_is_lost_when_a_taker_is_killed(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
         queue = rt.queue("work/killed", lease="1s")
         for number in range(4):
@@ -87,7 +87,7 @@ def test_threads_that_share_a_handle_get_each_item_once(cluster: LocalCluster) -
         assert sorted(found, key=int) == [str(number).encode() for number in range(200)]
 
 
-def test_forgetting_to_close_keeps_no_process_alive(cluster: LocalCluster) -> None:
+def test_a_process_ends_even_if_it_does_not_close_its_connection(cluster: LocalCluster) -> None:
     code = (
         "import sys, threading, stampede_rt as st\n"
         "rt = st.connect(sys.argv[1], name='careless')\n"

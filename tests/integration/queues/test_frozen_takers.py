@@ -62,7 +62,7 @@ def until(queue: st.Queue, condition: Callable[[st.QueueStats], bool]) -> None:
 
 
 @pytest.mark.parametrize("client", ["sync", "aio"])
-def test_a_hung_taker_keeps_one_message_for_one_lease_and_is_served_again_when_it_goes_on(
+def test_a_hung_taker_holds_one_message_for_one_lease_and_is_served_again_when_it_continues(
     cluster: LocalCluster, client: str
 ) -> None:
     name = f"frozen/{client}"

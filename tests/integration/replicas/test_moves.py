@@ -25,7 +25,7 @@ def names_in_sync(rt: Any, channel: Any) -> list[str]:
 
 
 @pytest.mark.without_rules("it acts as an operator")
-def test_a_channel_with_a_replica_moves_under_load_and_then_survives_its_new_host(cluster: LocalCluster) -> None:
+def test_a_channel_with_a_replica_moves_under_load_and_survives_the_loss_of_its_new_host(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")

@@ -64,7 +64,9 @@ def things(cluster: LocalCluster) -> None:
         rt.queue("jobs").put(b"job")
 
 
-def test_a_client_that_may_put_may_open_and_put_and_nothing_else(cluster: LocalCluster, operator: Operator) -> None:
+def test_a_client_with_the_right_to_put_may_only_open_the_channel_and_put(
+    cluster: LocalCluster, operator: Operator
+) -> None:
     things(cluster)
     operator.add("cam", "put", "video/*", "--kind", "channel")
     with st.connect(cluster.address, secret=operator.token("cam")) as rt:
@@ -105,7 +107,7 @@ def test_no_caller_finds_the_host_of_a_hidden_channel_by_an_open_beside_it(
             assert "cam may do nothing with" in refused(partial(rt.channel, "video/new", beside=name))
 
 
-def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(
+def test_no_error_shows_a_hidden_name_to_a_caller_that_gave_only_an_id(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     """A fixed fault: errors told the name of a channel, queue, group or peer, and the owner of a peer, to every caller

@@ -32,7 +32,7 @@ async def attacked(name: str) -> Found:
 
 
 @pytest.mark.parametrize("name", ["resets", *rare("health-headers", "unfinished-health", "idle-connections")])
-async def test_a_caller_without_credential_costs_others_no_call_no_lease_and_no_memory(name: str) -> None:
+async def test_a_caller_without_a_credential_harms_no_calls_and_leases_of_others_and_takes_no_memory(name: str) -> None:
     found = await attacked(name)
     assert found.after_mib < found.before_mib + MARGIN_MIB
 
@@ -44,13 +44,15 @@ async def test_a_caller_without_credential_costs_others_no_call_no_lease_and_no_
         *rare("tls-unfinished", "tls-hellos", "tls-malformed"),
     ],
 )
-async def test_a_caller_of_a_data_port_costs_others_no_call_no_lease_and_little_memory(name: str) -> None:
+async def test_a_hostile_caller_of_a_data_port_harms_no_calls_and_leases_of_others_and_takes_little_memory(
+    name: str,
+) -> None:
     """The good clients use the port, too."""
     found = await attacked(name)
     assert found.after_mib < found.before_mib + BUDGET_MIB + MARGIN_MIB
 
 
-async def test_bytes_that_are_no_request_leave_nothing_in_the_logs() -> None:
+async def test_bytes_that_are_no_request_cause_no_line_in_the_logs() -> None:
     assert (await attacked("malformed")).log_bytes < 10_000
 
 
@@ -70,7 +72,7 @@ async def test_unfinished_requests_take_at_most_their_room_and_a_small_window_fo
         *rare("many-cuts", "many-matches", "busy-takes", "single-calls", "new-channels"),
     ],
 )
-async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_lease(name: str) -> None:
+async def test_a_client_that_uses_its_whole_quota_harms_no_calls_and_leases_of_others(name: str) -> None:
     await attacked(name)
 
 
@@ -82,6 +84,6 @@ async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_le
         *rare("silent-subscriptions", "silent-takers"),
     ],
 )
-async def test_the_memory_that_hostile_clients_took_goes_back_to_the_system_and_costs_no_call(name: str) -> None:
+async def test_the_memory_of_hostile_clients_returns_to_the_system_without_a_failed_call(name: str) -> None:
     found = await attacked(name)
     assert found.after_mib < found.before_mib + BUDGET_MIB + MARGIN_MIB

@@ -22,7 +22,7 @@ from tests.contract.queues.test_taking import (
 )
 from tests.contract.test_groups import (
     surface,
-    test_a_group_is_found_by_its_name_with_its_set_up,
+    test_a_group_is_found_by_its_name_with_its_settings,
     test_deleting_a_group_keeps_its_channels,
     test_members_are_added_and_removed,
 )

@@ -19,7 +19,7 @@ from tests.support.cluster import secured_cluster_fixture
 cluster = secured_cluster_fixture(hosts=1, supernodes=1)
 
 
-def test_the_command_line_takes_certificates_from_the_environment(cluster: LocalCluster) -> None:
+def test_the_command_line_reads_the_paths_of_certificates_from_the_environment(cluster: LocalCluster) -> None:
     files = cluster.tls_files("shell")
     assert files is not None
     named = dict(zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True))

@@ -17,7 +17,7 @@ from tests.contract.surfaces import Surface
 from tests.contract.test_access import (
     Scene,
     prepared,
-    test_an_open_stream_ends_when_the_rule_that_allows_it_goes,
+    test_an_open_stream_ends_when_the_rule_that_allows_it_is_removed,
     test_each_verb_is_denied_without_a_rule_and_done_with_it,
 )
 from tests.contract.test_puts import (

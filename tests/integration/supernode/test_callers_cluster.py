@@ -156,9 +156,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_on_at_their_own(
-    world: World, kind: str
-) -> None:
+async def test_a_call_and_a_watch_skip_a_supernode_of_another_cluster(world: World, kind: str) -> None:
     """No ping is answered, as under load. So only the refusal keeps the client from the other cluster."""
     stranger, own = FakeSupernode("y", mute=True), FakeSupernode("x", mute=True)
     targets = [await world.supernode(stranger), await world.supernode(own)]
@@ -171,7 +169,7 @@ async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_
 
 
 @pytest.mark.parametrize("others_know", [True, False])
-async def test_a_call_for_the_leader_leaves_the_other_cluster_out_that_answers_at_the_known_leaders_address(
+async def test_a_call_for_the_leader_skips_another_cluster_at_the_known_leaders_address(
     world: World, kind: str, others_know: bool
 ) -> None:
     """The others may not have elected another leader yet. Then none of them tells clocks."""
@@ -197,7 +195,7 @@ def short_calls(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_calls")
-async def test_a_client_whose_supernodes_are_all_of_another_cluster_is_told_both_ids(world: World, kind: str) -> None:
+async def test_the_error_names_both_ids_if_all_supernodes_belong_to_another_cluster(world: World, kind: str) -> None:
     stranger = FakeSupernode("y")
     frontend = await world.frontend(FakeFrontend("x", [await world.supernode(stranger)]))
     with pytest.raises(WrongCluster, match="of cluster y, and the caller of cluster x"):

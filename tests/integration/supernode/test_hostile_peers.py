@@ -74,7 +74,7 @@ async def terms(cluster: Cluster) -> set[int]:
     return {pong.term for pong in pongs}
 
 
-async def test_outsiders_add_no_member_and_unseat_no_leader_however_often_they_come(tmp_path: Path) -> None:
+async def test_outsiders_neither_add_members_nor_depose_the_leader(tmp_path: Path) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         await register(leader, 1)

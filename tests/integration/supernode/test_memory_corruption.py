@@ -66,9 +66,7 @@ async def served_by(one: Supernode) -> None:
 
 
 @pytest.mark.parametrize("leads", [True, False])
-async def test_a_supernode_whose_state_differs_from_two_others_is_found_and_the_others_serve(
-    tmp_path: Path, leads: bool
-) -> None:
+async def test_two_supernodes_continue_to_serve_if_the_third_has_a_different_state(tmp_path: Path, leads: bool) -> None:
     async with three(tmp_path) as cluster:
         leader = await cluster.leader()
         odd = leader if leads else cluster.others(leader)[0]

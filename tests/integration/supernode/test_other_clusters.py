@@ -38,7 +38,7 @@ async def renewed(one: Supernode, number: int, former: str) -> None:
 
 
 @pytest.mark.parametrize("takes_over", [False, True])
-async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_was_told_to(
+async def test_a_restored_cluster_accepts_hosts_of_the_former_cluster_only_on_request(
     tmp_path: Path, takes_over: bool
 ) -> None:
     ports, backup = free_ports(2), tmp_path / "backup"

@@ -49,7 +49,7 @@ async def loses_nothing(supernode: Supernode, names: list[str]) -> None:
         assert (await resolve(supernode, name)).channel.name == name
 
 
-async def test_a_member_that_is_started_without_its_folder_is_refused_and_loses_nothing(tmp_path: Path) -> None:
+async def test_a_member_that_is_started_without_its_folder_is_refused_and_no_command_is_lost(tmp_path: Path) -> None:
     async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         forgetful, away = cluster.others(leader)

@@ -160,7 +160,7 @@ def test_a_click_on_the_time_line_shows_the_items_of_every_channel_at_that_time(
     assert tab.page.locator("#live").get_attribute("aria-pressed") == "false"
 
 
-def test_home_goes_to_the_oldest_item_of_the_archive_and_the_row_shows_how_far_it_reaches(tab: Tab) -> None:
+def test_home_moves_to_the_oldest_item_of_the_archive_and_the_row_shows_the_reach_of_the_archive(tab: Tab) -> None:
     page = tab.page
     page.locator(".row h3", has_text="tape").click()
     page.keyboard.press("Home")

@@ -209,7 +209,7 @@ def test_a_wrong_request_is_refused_with_a_sentence(path: str, parameters: dict[
     assert answer["failure"]
 
 
-def test_an_unknown_channel_fails_alone(rt: st.Connection, page: LivePage) -> None:
+def test_an_unknown_channel_does_not_make_other_channels_fail(rt: st.Connection, page: LivePage) -> None:
     rt.channel("known", max_age="10m").put(b"x")
     _, answer = page.ask("at", channel=["unknown", "known"])
     assert "unknown" in answer["items"][0]["failure"]

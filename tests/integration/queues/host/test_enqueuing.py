@@ -62,7 +62,7 @@ async def test_a_retried_enqueue_is_recognised_after_a_broken_stream(rig: QueueR
     assert (await queue.status()).counters.accepted == 2
 
 
-async def test_a_malformed_run_and_one_too_large_are_refused_and_counted_and_the_stream_goes_on(rig: QueueRig) -> None:
+async def test_a_malformed_or_too_large_run_is_refused_and_counted_and_the_stream_continues(rig: QueueRig) -> None:
     queue = rig.open(max_item_bytes=4)
     broken = pb.EnqueueRun(first_number=1, run=item_pb2.ItemRun(payload_length_bytes=[3], payloads=b"four"))
     bad, large, good = await queue.enqueue(broken, run_of(b"12345"), run_of(b"1234"))
